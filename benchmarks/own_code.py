@@ -4,7 +4,7 @@
     python benchmarks/own_code.py --only here
     python benchmarks/own_code.py --small      # every row and check, few runs and pairs: its figures mean nothing then
 
-The user's file is a copy of pcbench/observers/dkf.py in a folder that is removed once the study is read: from there on its code
+The user's file is a copy of pcbench/observers/kf.py in a folder that is removed once the study is read: from there on its code
 is what travels. Both run the same study (cart/white), in pairs that alternate, A B B A: the machine's drift meets both alike.
 
 here:    calls of 1024 runs each, the programs compiled and warm
@@ -37,14 +37,14 @@ from pcbench.dataset import block_files, executors, fill, ownership, store
 from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.machine.progress import Progress
-from pcbench.observers import dkf
+from pcbench.observers import kf
 from pcbench.planning import padding
 from pcbench.study import read
 from pcbench.study.cells import Grid
 
 ALIKE = 0.03  # that the ratio may be off 1
 LANES, SEEDS, PAIRS = 1024, 8192, {"here": 400, "workers": 150}
-FEW = {"horizon": 0.5, "tail": 0.2}  # s, with --small
+FEW = {"duration": 0.5, "steady_start": 0.2}  # s, with --small
 CLOCKS = ("on the clock", "of processors")  # what a turn's seconds are
 
 
@@ -70,9 +70,9 @@ def studies(seeds: int, small: bool) -> Both:
     """Return the study with either observer."""
     raw = {"name": "own-code", "scenario": {"base": "cart/white", **(FEW if small else {})}, "seeds": seeds}
     with tempfile.TemporaryDirectory() as folder:
-        shutil.copy(dkf.__file__, Path(folder) / "copied.py")
+        shutil.copy(kf.__file__, Path(folder) / "copied.py")
         own = {"copied": {"use": f"{folder}/copied.py:OBSERVER"}}
-        return Both(read.grid_of(raw | {"observers": ["dkf"]}, {}, []), read.grid_of(raw | {"observers": own}, {}, []))
+        return Both(read.grid_of(raw | {"observers": ["kf"]}, {}, []), read.grid_of(raw | {"observers": own}, {}, []))
 
 
 def alternating(what: str, a: Way, b: Way, many: int) -> NDArray[np.float64]:

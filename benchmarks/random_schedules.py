@@ -32,15 +32,15 @@ FEW = 32  # lanes with --small
 ONE = {"cart/white": "kfbo", "cart/variable": "pco"}  # observers with --small
 SETS = {
     "cart/white": ["pccebo", "kfbo"],
-    "cart/gaussian-fast": ["pccebo", "pi-pco", "dkf"],
-    "cart/variable": ["pco", "pi-pco", "pccebo", "dkf"],
+    "cart/gaussian-fast": ["pccebo", "pi-pco", "kf"],
+    "cart/variable": ["pco", "pi-pco", "pccebo", "kf"],
 }
 RANDOM: dict[str, dict[str, Any]] = {
     "one schedule for all": {},
-    "jitter 0.04 s": {"jitter": 0.04},
+    "jitter 0.04 s": {"sampling_jitter": 0.04},
     "loss 20 %": {"loss": 0.2},
-    "jitter and loss": {"jitter": 0.04, "loss": 0.2},
-    "random intervals": {"profile": "uniform"},
+    "jitter and loss": {"sampling_jitter": 0.04, "loss": 0.2},
+    "random intervals": {"sampling_pattern": "uniform"},
     "overtaking": {"delay_jitter": 0.3},
 }
 
@@ -59,7 +59,7 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
     (cell,) = cells.cells_of(study)
     if not small:
         return next(planning.drafts([cell]))
-    cell = cell.having(horizon=2.0, tail=1.0)
+    cell = cell.having(duration=2.0, steady_start=1.0)
     draft = next(planning.drafts([cell]))
     return draft._replace(layout=draft.layout._replace(width=FEW))
 

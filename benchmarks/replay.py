@@ -3,8 +3,8 @@
     python benchmarks/replay.py            # a million samples, one a tick of 1 ms, each 5 ms late
     python benchmarks/replay.py --small    # a thousand, for the tests
 
-A process of its own reads a log in Parquet and replays it through dkf, pccebo and ukf on a linear plant of two states, programs
-compiled anew. Printed are seconds and the largest memory of that process. It refuses to report where dkf's last estimate is not
+A process of its own reads a log in Parquet and replays it through kf, pccebo and ukf on a linear plant of two states, programs
+compiled anew. Printed are seconds and the largest memory of that process. It refuses to report where kf's last estimate is not
 that of a plain recursion.
 """
 
@@ -25,14 +25,14 @@ from pcbench.logs.log import Batch
 
 DT, LATE = 1e-3, 5
 NOISE, WALK = 0.1, 0.01
-OBSERVERS = ["dkf", "pccebo", "ukf"]
+OBSERVERS = ["kf", "pccebo", "ukf"]
 PLANT = {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
 EXPERIMENT = {
     "sampling_period": DT,
     "delay": LATE * DT,
     "noise_std": NOISE,
     "process_std": [0.0, WALK],
-    "horizon": 10.0,
+    "duration": 10.0,
 }
 
 
@@ -46,7 +46,7 @@ def made(folder: Path, many: int) -> None:
 
 
 def plain(many: int) -> np.ndarray:
-    """Return dkf's last estimate by a recursion over ticks: filtered up to LATE ticks before, then the model alone."""
+    """Return kf's last estimate by a recursion over ticks: filtered up to LATE ticks before, then the model alone."""
     from scipy.linalg import expm
 
     A, B, C = (np.array(PLANT[k]) for k in "ABC")
@@ -73,10 +73,10 @@ def one(folder: Path, many: int) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     import pyarrow.parquet as pq
 
-    last = pq.read_table(folder / "out" / "estimates.parquet", columns=["dkf.x1", "dkf.x2"]).slice(many + LATE - 1, 1)
+    last = pq.read_table(folder / "out" / "estimates.parquet", columns=["kf.x1", "kf.x2"]).slice(many + LATE - 1, 1)
     found = np.array([column.to_numpy()[0] for column in last.columns])
     if not np.allclose(found, want := plain(many), rtol=0, atol=1e-8):
-        raise SystemExit(f"dkf: got {found} at the last tick, expected {want}.")
+        raise SystemExit(f"kf: got {found} at the last tick, expected {want}.")
     print(f"replay: {many:,} samples through {', '.join(OBSERVERS)}: {took:.1f} s, {peak:.2f} GiB")
 
 

@@ -42,38 +42,38 @@ from pcbench.machine.progress import Progress
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import read
 
-STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
+STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "kf"]}
 FEW = ["pccebo"]  # of a small form: every program is one observer's
 MAPS: dict[str, dict[str, Any]] = {
     "300 cells of 1000 seeds": {
         "name": "map",
         "scenarios": ["cart/gaussian"],
-        "observers": ["pccebo", "kfbo", "dkf"],
+        "observers": ["pccebo", "kfbo", "kf"],
         "seeds": 1000,
         "axes": {
             "sampling_period": [0.1, 0.15, 0.2, 0.25, 0.3],
             "delay": [0.1, 0.15, 0.2, 0.25, 0.3],
             "noise_std": [0.1, 0.3, 0.6, 1.0],
-            "drift": [0.0, 0.5, 1.0],
+            "parameter_drift": [0.0, 0.5, 1.0],
         },
     },
     "10,000 cells of 64 seeds": {
         "name": "map",
         "scenarios": ["cart/gaussian"],
-        "observers": ["pccebo", "kfbo", "dkf"],
+        "observers": ["pccebo", "kfbo", "kf"],
         "seeds": 64,
         "axes": {
             "sampling_period": [0.05 * i for i in range(1, 11)],
             "delay": [0.05 * i for i in range(1, 11)],
             "noise_std": [0.1 * i for i in range(1, 11)],
-            "drift": [0.1 * i for i in range(10)],
+            "parameter_drift": [0.1 * i for i in range(10)],
         },
     },
 }
 WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
-    "cart/white": (200_000, 4096, ["pccebo", "kfbo", "dkf"]),
-    "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
-    "arm/sampled": (3_072, 1024, ["smo", "pio", "dkf"]),
+    "cart/white": (200_000, 4096, ["pccebo", "kfbo", "kf"]),
+    "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "kf"]),
+    "arm/sampled": (3_072, 1024, ["smo", "pio", "kf"]),
 }
 
 
@@ -81,7 +81,7 @@ def shortened(scenario: str, observers: list[str]) -> dict[str, Any]:
     """Return a study of a scenario until its first samples have arrived, as small forms have it."""
     measured = SCENARIOS[scenario].sampling
     until = 2 * (max(measured.sampling_period) + max(measured.delay))
-    table = {"base": scenario, "horizon": until, "tail": until / 2}
+    table = {"base": scenario, "duration": until, "steady_start": until / 2}
     return {"name": "cost", "scenario": table, "observers": observers}
 
 
@@ -221,7 +221,7 @@ def _parts(found: dict[str, float]) -> str:
     each = ", ".join(
         f"{what.removesuffix('_seconds')} {found[what]:.1f}" for what in found if what.endswith("_seconds")
     )
-    rest = f"{found['cpu']:.1f} s of CPU, {found['runs']:,.0f} runs, peak {found['peak']:.0f} MiB"
+    rest = f"{found['cpu']:.1f} s of CPU, {found['runs']:,.0f} runs, peak {found['max_abs_error']:.0f} MiB"
     return f"{found['seconds']:.1f} s ({each}), {rest}"
 
 

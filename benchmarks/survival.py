@@ -27,16 +27,21 @@ import duckdb
 import polars as pl
 import pyarrow.dataset as ds
 
-STUDY = ["cart/white", "--observers", "pccebo,kfbo,dkf", "--set", "axes.noise_std=[0.1, 0.2, 0.4]"]
+STUDY = ["cart/white", "--observers", "pccebo,kfbo,kf", "--set", "axes.noise_std=[0.1, 0.2, 0.4]"]
 ROWS = 64 * 2  # of a block: seeds x signals
 SEEDS = ["--seeds", "2048"]
 SHORT = ["--seeds", "256", "--observers", "kfbo"]  # and each run a tenth as long
-SHORT += ["--set", 'scenario={base="cart/white", name="short", horizon=1.0, tail=0.5}', "--set", 'scenarios=["short"]']
+SHORT += [
+    "--set",
+    'scenario={base="cart/white", name="short", duration=1.0, steady_start=0.5}',
+    "--set",
+    'scenarios=["short"]',
+]
 
 
 def command(out: Path, extra: list[str]) -> list[str]:
     """Return the command line of the study."""
-    return [sys.executable, "-m", "pcbench", "run", *STUDY, "--block", "64", "--out", str(out), "--quiet", *extra]
+    return [sys.executable, "-m", "pcbench", "run", *STUDY, "--block-size", "64", "--out", str(out), "--quiet", *extra]
 
 
 def files(out: Path) -> dict[str, bytes]:

@@ -74,11 +74,11 @@ PLANT = {
     "process_std": [0.01, 0.05],
 }
 OTHERS: dict[str, dict[str, Any]] = {  # studies of one cell; each has a horizon of its own with --small
-    "process noise": {"lti": PLANT, "observers": ["pccebo", "dkf"]},
-    "a schedule for each run": {"lti": PLANT | {"jitter": 0.02, "loss": 0.2}, "observers": ["dkf"]},
+    "process noise": {"lti": PLANT, "observers": ["pccebo", "kf"]},
+    "a schedule for each run": {"lti": PLANT | {"sampling_jitter": 0.02, "loss": 0.2}, "observers": ["kf"]},
     "closed loop": {
         "lti": PLANT,
-        "observers": ["dkf"],
+        "observers": ["kf"],
         "controller": {"use": "lqr", "Q1": [1.0, 1.0], "Q2": [0.1]},
     },
     "nonlinear plant": {"scenario": {"base": "reactor/batch", "name": "batch"}, "observers": ["ekf"]},
@@ -117,7 +117,7 @@ def pcbench_rows(
     rows, sums, width = [], {}, layout.width
     for kind, (watch, random, lifted) in KINDS.items():
         jobs = [runner.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
-        mine = layout._replace(watch=watch, random_start=random, lifted=layout.lifted if lifted else 0)
+        mine = layout._replace(watch=watch, random_initial_state=random, lifted=layout.lifted if lifted else 0)
         made = runner.program(mine, jobs[0])
         got = sums_of(next(runner.serial(made, jobs[:1]))[1])
         agree(kind, got, sums.setdefault(random, got), ticks)
@@ -175,7 +175,7 @@ def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
     lanes, out = FEW if small else LANES, []
     for kind, given in OTHERS.items():
         table = "lti" if "lti" in given else "scenario"
-        cut = {table: given[table] | {"horizon": SHORT[kind], "tail": SHORT[kind] / 2}} if small else {}
+        cut = {table: given[table] | {"duration": SHORT[kind], "steady_start": SHORT[kind] / 2}} if small else {}
         (p,) = planning.plan(read.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
         layout, seeds, ticks = p.layout._replace(width=lanes), np.arange(lanes), p.cell.times.ticks
         jobs = [runner.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
@@ -278,7 +278,11 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
     problems: dict[bool, Problem] = {}
     for random in (False, True):
-        given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}, "engine": "products"}
+        given = {
+            "observers": OBSERVERS,
+            "options": {"scenario": {"random_initial_state": random}},
+            "engine": "products",
+        }
         (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
         ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])

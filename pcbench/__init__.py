@@ -11,61 +11,59 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names, for type checkers and editors
-    from pcbench.api import costs as costs
     from pcbench.api import design as design
-    from pcbench.api import exact as exact
+    from pcbench.api import exact_moments as exact_moments
+    from pcbench.api import operation_counts as operation_counts
     from pcbench.api import run as run
-    from pcbench.api import trace as trace
-    from pcbench.controllers import ControllerEntry as ControllerEntry
-    from pcbench.controllers.parts.told import Told as Told
+    from pcbench.api import simulate as simulate
+    from pcbench.api import tune as tune
+    from pcbench.controllers import ControllerSpec as ControllerSpec
+    from pcbench.controllers.parts.told import ControllerContext as ControllerContext
     from pcbench.dataset.exact import Exact as Exact
     from pcbench.dataset.result import Result as Result
-    from pcbench.dataset.result import opened as opened
-    from pcbench.dynamics.linear import held as held
+    from pcbench.dataset.result import open_result as open_result
+    from pcbench.dynamics.linear import discretize_zoh as discretize_zoh
     from pcbench.errors import DesignError as DesignError
     from pcbench.errors import UserError as UserError
     from pcbench.gains.design import trade_off as trade_off
-    from pcbench.gains.tune import tune as tune
-    from pcbench.logs.described import log as log
+    from pcbench.logs.described import info as info
     from pcbench.machine.process import setup as setup
-    from pcbench.observers import Entry as Entry
+    from pcbench.observers import ObserverSpec as ObserverSpec
     from pcbench.observers.parts.options import tunable as tunable
-    from pcbench.plants import PlantEntry as PlantEntry
-    from pcbench.plants import plant as plant
+    from pcbench.plants import PlantSpec as PlantSpec
+    from pcbench.plants import make_plant as make_plant
     from pcbench.protocols import Arrival as Arrival
     from pcbench.protocols import Controller as Controller
+    from pcbench.protocols import InnovationStats as InnovationStats
     from pcbench.protocols import Now as Now
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
-    from pcbench.protocols import Surprise as Surprise
-    from pcbench.protocols import together as together
+    from pcbench.protocols import vmap_as_unit as vmap_as_unit
     from pcbench.replaying.replay import replay as replay
-    from pcbench.replaying.tuning import tune_log as tune_log
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
-    from pcbench.sufficing.asking import suffices as suffices
+    from pcbench.sufficing.asking import find_limit as find_limit
     from pcbench.synthesis.certificate import Certificate as Certificate
     from pcbench.synthesis.certificate import Design as Design
-    from pcbench.synthesis.certificate import Setting as Setting
-    from pcbench.synthesis.certificate import certified as certified
-    from pcbench.synthesis.certificate import uncertified as uncertified
+    from pcbench.synthesis.certificate import DesignContext as DesignContext
+    from pcbench.synthesis.certificate import no_certificate as no_certificate
+    from pcbench.synthesis.certificate import require_certified as require_certified
 
 __version__ = "0.1.0"
 
 _LAZY = {
     "run": "api",
-    "exact": "api",
-    "costs": "api",
-    "trace": "api",
+    "exact_moments": "api",
+    "operation_counts": "api",
+    "simulate": "api",
     "design": "api",
     "trade_off": "gains.design",
-    "tune": "gains.tune",
-    "suffices": "sufficing.asking",
-    "log": "logs.described",
+    "tune": "api",
+    "find_limit": "sufficing.asking",
+    "info": "logs.described",
     "replay": "replaying.replay",
-    "tune_log": "replaying.tuning",
-    "opened": "dataset.result",
+    "open_result": "dataset.result",
     "Result": "dataset.result",
     "Exact": "dataset.exact",
     "lti": "study.interop",
@@ -78,21 +76,21 @@ _LAZY = {
     "Plant": "protocols",
     "Now": "protocols",
     "Arrival": "protocols",
-    "Surprise": "protocols",
-    "Entry": "observers",
-    "together": "protocols",
+    "InnovationStats": "protocols",
+    "ObserverSpec": "observers",
+    "vmap_as_unit": "protocols",
     "tunable": "observers.parts.options",
-    "plant": "plants",
-    "PlantEntry": "plants",
+    "make_plant": "plants",
+    "PlantSpec": "plants",
     "Controller": "protocols",
-    "ControllerEntry": "controllers",
-    "Told": "controllers.parts.told",
-    "Setting": "synthesis.certificate",
+    "ControllerSpec": "controllers",
+    "ControllerContext": "controllers.parts.told",
+    "DesignContext": "synthesis.certificate",
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",
-    "certified": "synthesis.certificate",
-    "uncertified": "synthesis.certificate",
-    "held": "dynamics.linear",
+    "require_certified": "synthesis.certificate",
+    "no_certificate": "synthesis.certificate",
+    "discretize_zoh": "dynamics.linear",
 }
 __all__ = [*_LAZY, "__version__"]
 

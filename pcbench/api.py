@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `exact`, `trace` and `design`."""
+"""The Python face of pcbench: `run`, `exact_moments`, `simulate` and `design`."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pcbench.dataset.exact import Exact
+    from pcbench.gains.tune import Tuning
+    from pcbench.replaying.tuned import LogTuning
 
 
 def run(
@@ -40,16 +42,16 @@ def run(
     axes: Mapping[str, Any] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
-    method: str | None = None,
+    evaluation: str | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
-    fresh: bool = False,
+    overwrite: bool = False,
     until_se: str | None = None,
     max_seeds: int | None = None,
     devices: int | None = None,
     dask: str | None = None,
     workers: int | None = None,
-    block: int | None = None,
+    block_size: int | None = None,
     memory: str | int | None = None,
     progress: Progress = SILENT,
     say: Say | None = None,
@@ -58,8 +60,8 @@ def run(
 
     `observers` "all" stands for every observer of pcbench that can run in all cells; the result's `study.excluded` has the
     reasons of the others. `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study;
-    the arguments up to `method` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in
-    `out` is not done again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of
+    the arguments up to `evaluation` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in
+    `out` is not done again, unless `overwrite`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of
     every observer is that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a
     scheduler's address, or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB":
     what results may take at a time; by default a quarter of the machine's). `progress` hears how far it is
@@ -70,16 +72,16 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
+    grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "evaluation": evaluation}, overrides or [])
     with process.float64():
         how = run_study.How(
-            fresh=fresh,
+            overwrite=overwrite,
             until_se=until_se,
             max_seeds=plain(max_seeds),
             devices=plain(devices),
             dask=dask,
             workers=plain(workers),
-            block=plain(block),
+            block_size=plain(block_size),
             memory=plain(memory),
             progress=progress,
             say=say or (lambda sentence: None),
@@ -89,7 +91,7 @@ def run(
                 say(sentence)
         for sentence in [*read.unstable(grid), *engine_warnings(grid)]:
             (say or warnings.warn)(sentence)
-        made = versions.prepare(grid, out, fresh, progress)
+        made = versions.prepare(grid, out, overwrite, progress)
         if say and made.study.tuning_sentence:
             say(made.study.tuning_sentence)
         result = run_study.execute(made.grid, out, how)
@@ -102,7 +104,7 @@ def run(
         return fair_table.report(made, result, out, how)
 
 
-def exact(
+def exact_moments(
     study: Described,
     *,
     observers: str | Sequence[str] | None = None,
@@ -131,7 +133,7 @@ def exact(
         return Exact(versions.prepare(grid, None, False, progress).grid, schedules)
 
 
-def trace(
+def simulate(
     scenario: Described,
     observers: str | Sequence[str],
     *,
@@ -159,7 +161,7 @@ def trace(
         if cell.scenario.loop.controller and len(cell.options) > 1:
             raise UserError(
                 f"{study.name}: got {len(cell.options)} observers in a closed loop, expected one: each drives a plant of its "
-                "own; trace them one at a time."
+                "own; simulate them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         import pandas as pd
@@ -189,12 +191,12 @@ def trace(
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["excluded"] = study.excluded or {}  # why others of "all" are not here
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
-    frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
+    frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)  # of the predictions to now, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
 
 
-def costs(
+def operation_counts(
     study: Described, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
 ) -> "pd.DataFrame":
     """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
@@ -229,9 +231,9 @@ def _held(arrived: np.ndarray) -> np.ndarray:
 
 
 def design(
-    scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
+    scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> Design:
-    """Return an observer's gains in a scenario with the certificate that proves them; `method` as `pcbench design` has it.
+    """Return an observer's gains in a scenario with the certificate that proves them; `gain` as `pcbench design` has it.
 
     The certificate says the inequality, its margin, the solver and whether it was a fallback, and the decay rate promised.
     Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
@@ -239,4 +241,40 @@ def design(
     with process.float64():
         from pcbench.gains import design
 
-        return design.design(scenario, observer, method=method, overrides=overrides)[2]
+        return design.design(scenario, observer, gain=gain, overrides=overrides)[2]
+
+
+SIMULATED = ("objective", "signal", "optimizer", "exact_objective", "training", "judges")  # arguments of runs alone
+
+
+def tune(
+    scenario: Described,
+    observer: str,
+    *,
+    log: str | Path | None = None,
+    delay: float | None = None,
+    start: float | None = None,
+    **how: Any,
+) -> "Tuning | LogTuning":
+    """Tune an observer's free parameters on simulated runs, or its noise intensities on the recording `log`.
+
+    `how` is budget, only, out, overrides and progress, and without a log objective, signal, optimizer, exact_objective,
+    training and judges: see `gains.tune.tune`. `delay` [s] and `start` [s] are those of a recording: see
+    `replaying.tuning.tune_log`.
+    Raises UserError for whatever the user can mend.
+    """
+    if log is None:
+        if delay is not None or start is not None:
+            raise UserError(
+                f"{'start' if delay is None else 'delay'}: got it without a log, expected both; give log, or leave it out."
+            )
+        from pcbench.gains.tune import tune as on_runs
+
+        return on_runs(scenario, observer, **how)
+    if alone := [name for name in SIMULATED if name in how]:
+        raise UserError(
+            f"{alone[0]}: got it with a log, expected it for simulated runs alone; leave {' and '.join(alone)} out, or log."
+        )
+    from pcbench.replaying.tuning import tune_log
+
+    return tune_log(log, scenario, observer, delay=delay, start=start, **how)

@@ -96,7 +96,7 @@ def _about(study: Study, record: dict[str, Any]) -> list[str]:
     said = [f"what the study {study.name} used"]
     releases = record.get("versions", {})
     said += [f"releases: {', '.join(f'{k} {v}' for k, v in releases.items())}"] if releases else []
-    own = [label for label in study.use if own_in(study, label)]
+    own = [label for label in study.custom_observers if own_in(study, label)]
     said += [f"your own, cite it yourself: {', '.join(own)}"] if own else []
     if not record:
         said.append("not run yet: which solvers its gains need is not known")

@@ -25,7 +25,7 @@ Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
 TOGETHER = "pcbench_together"  # the name by which simulations know a function that `together` has made
 
 
-def together(f: Callable[..., Any]) -> Callable[..., Any]:
+def vmap_as_unit(f: Callable[..., Any]) -> Callable[..., Any]:
     """Return f, to be carried over runs in one piece, by vmap: one that is large, or has arrays of hundreds of entries.
 
     Other functions are carried over entry by entry, which is faster where arrays are small, and compiles slowly where not.
@@ -42,7 +42,7 @@ class Now(NamedTuple):
     """What a function may know of the present.
 
     `u` and `past_u` are the input *applied* to the plant, held over [t_k, t_k+1). In `flow` and `step`, `u` is u_k,
-    which equals `past_u(0)`. In `note` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
+    which equals `past_u(0)`. In `snapshot` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
     Before t = 0 the input is 0; in a closed loop, what the commands of that time make it. A loop keeps the inputs that its
     schedule can ask for: beyond them `past_u` is NaN.
     """
@@ -58,11 +58,13 @@ class Arrival(NamedTuple):
     """What the network delivers to `jump`: one sampling instant; channels that did not arrive are not fresh."""
 
     value: Float[Array, " q"]  # measured; meaningful where fresh
-    fresh: Bool[Array, " q"]
+    mask: Bool[Array, " q"]
     age: Int[Array, " q"]  # ticks since the sample was taken, as the observer believes it
     index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)
-    note: Float[Array, " noted"]  # what the observer noted at the tick at which it believes the sample was taken
-    since: Int[Array, ""]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
+    snapshot: Float[Array, " noted"]  # what the observer noted at the tick at which it believes the sample was taken
+    ticks_since_arrival: Int[
+        Array, ""
+    ]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
 
 
 class Step(Protocol):
@@ -187,9 +189,9 @@ class Estimate(Protocol):
 
 
 class Sampled(Protocol):
-    """Take note in memory that the channels `fresh` are sampled now, before anything of it arrives."""
+    """Take note in memory that the channels of `mask` are sampled now, before anything of it arrives."""
 
-    def __call__(self, gains: Gains, memory: Memory, now: Now, fresh: Bool[Array, " q"], /) -> Memory: ...
+    def __call__(self, gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"], /) -> Memory: ...
 
 
 class Covariance(Protocol):
@@ -198,7 +200,7 @@ class Covariance(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "signals signals"]: ...
 
 
-class Surprise(NamedTuple):
+class InnovationStats(NamedTuple):
     """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have.
 
     With the next two it says too how likely the sample was, and whether samples repeat each other, with the last one which
@@ -206,17 +208,17 @@ class Surprise(NamedTuple):
     variance s_j.
     """
 
-    square: Float[Array, ""]
-    degrees: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
+    nis_sum: Float[Array, ""]
+    dof: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
     log_det: Any = None  # log det S, of the numbers that count
-    signed: Any = None  # sum of nu_j / sqrt(s_j) over them
+    normalized_sum: Any = None  # sum of nu_j / sqrt(s_j) over them
     each: Any = None  # [q] nu_j / sqrt(s_j), NaN of a channel that does not count
 
 
 class Innovation(Protocol):
     """Return how far what arrives is from what is expected of it, given all that arrived before, whatever was taken since."""
 
-    def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Surprise: ...
+    def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> InnovationStats: ...
 
 
 class ObserverField(Protocol):
@@ -237,12 +239,12 @@ class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
     init: Init
-    note: Note  # when a sample is taken
+    snapshot: Note  # when a sample is taken
     jump: Jump  # when something arrives
     flow: Flow  # from tick to tick
     estimate: Estimate
     field: ObserverField | None = None  # where it runs on continuous measurement as well
     covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
-    sampled: Sampled | None = None  # where it must be told at sampling time that a sample will come
+    on_sample: Sampled | None = None  # where it must be told at sampling time that a sample will come
     innovation: Innovation | None = None  # where it says what it expects of a sample
-    seeded: Seeded | None = None  # where it draws numbers itself
+    init_random: Seeded | None = None  # where it draws numbers itself

@@ -99,7 +99,7 @@ def whole(tmp_path_factory):
     import pcbench
 
     out = tmp_path_factory.mktemp("whole") / "out"
-    pcbench.run(STUDY, out=out, block=16)
+    pcbench.run(STUDY, out=out, block_size=16)
     return out
 
 

@@ -90,7 +90,7 @@ def settles(t: Trial) -> str:
 
 def run(t: Trial) -> str:
     """A run from a true start, without noise, stays finite."""
-    observer = "ekf" if nonlinear(t.scenario) else "open-loop"
+    observer = "ekf" if nonlinear(t.scenario) else "model-only"
     cell = cell_of(t.scenario)._replace(options={observer: observer_of(observer).options()})
     (p,) = planned(quiet(short(cell)))
     s, out = p.cell.scenario, recorded(p, noise=False)
@@ -101,7 +101,7 @@ def run(t: Trial) -> str:
             "without noise, expected numbers; see what the law divides by, or give other options."
         )
     at_end = ", ".join(f"{name} {v:.3g}" for (name, _), v in zip(states_of(s), x[-1], strict=True))
-    return f"after {s.horizon:g} s with the state known: {at_end}; commands of {np.abs(out.u).max():.3g} at most"
+    return f"after {s.duration:g} s with the state known: {at_end}; commands of {np.abs(out.u).max():.3g} at most"
 
 
 CHECKS: dict[str, Callable[[Trial], str]] = {

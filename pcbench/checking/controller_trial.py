@@ -10,7 +10,7 @@ from jax import Array
 from pydantic import BaseModel
 
 from pcbench.checking.tracing import Asked
-from pcbench.controllers import Entry, Told, entry_of, law_of
+from pcbench.controllers import ControllerContext, ControllerSpec, entry_of, law_of
 from pcbench.errors import UserError, shown
 from pcbench.planning import controller
 from pcbench.plants import states_of
@@ -44,10 +44,10 @@ class Trial(NamedTuple):
     label: str
     scenario: Scenario
     options: BaseModel
-    told: Told
+    told: ControllerContext
 
     @property
-    def entry(self) -> Entry:
+    def entry(self) -> ControllerSpec:
         """Return the controller with what makes its numbers."""
         return entry_of(self.scenario)
 

@@ -24,7 +24,7 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
     bad = np.flatnonzero(~(e <= p.problem.bound[: e.shape[1]]).all(1))
     if bad.size:
         raise UserError(
-            f"{where} an error beyond the scenario's bound at tick {bad[0]}, expected one that stays within it (true model, "
-            "true start, no noise); give it other gains, or a --scenario whose loop is slower."
+            f"{where} an error beyond the scenario's divergence threshold at tick {bad[0]}, expected one that stays within "
+            "it (true model, true start, no noise); give it other gains, or a --scenario whose loop is slower."
         )
     return f"its error in {scenario.name} under {scenario.loop.controller} stays within the bound"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from pcbench.errors import UserError, raised, short, unknown
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.study import own_entries
 
 WHERE = "check"
@@ -19,7 +19,7 @@ class Candidate(NamedTuple):
     """An observer with the name it goes by and its options."""
 
     label: str
-    entry: Entry
+    entry: ObserverSpec
     options: Any
 
 
@@ -29,7 +29,7 @@ def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
     return Candidate(target.rpartition(":")[2], entry, _options(entry, given or {}, f"{WHERE} {short(target)}"))
 
 
-def _options(entry: Entry, given: dict[str, Any], where: str) -> Any:
+def _options(entry: ObserverSpec, given: dict[str, Any], where: str) -> Any:
     named = {key.replace("-", "_"): value for key, value in given.items()}
     fields = getattr(entry.options, "model_fields", {})
     for key in named:

@@ -21,7 +21,7 @@ def shapes(t: Trial) -> str:
     """Every function of the protocol returns what it should."""
     for case in t.cases:
         shapes_of(t.label, t.observer, case.problem, continuous=t.observer.field is not None)
-    return "init, note, jump, flow and estimate return what they should"
+    return "init, snapshot, jump, flow and estimate return what they should"
 
 
 def lanes(t: Trial) -> str:

@@ -19,7 +19,7 @@ class Given(NamedTuple):
     gains: Any
     memory: Any
     value: Any  # [q]
-    note: Any  # [r]
+    snapshot: Any  # [r]
     xhat0: Any  # [n]
     inputs: Any  # [N+1, m]
 
@@ -33,10 +33,10 @@ def given(t: Trial, case: Case, gains: Any) -> Given:
 
     def start(gains: Any, xhat0: Any) -> Any:
         memory = o.init(gains, xhat0)
-        return memory, jnp.asarray(o.note(gains, memory, _now(p, u, False)))
+        return memory, jnp.asarray(o.snapshot(gains, memory, _now(p, u, False)))
 
-    memory, note = jax.jit(start)(gains, xhat0)
-    return Given(gains, memory, jnp.arange(1.0, q + 1), note, xhat0, u)
+    memory, snapshot = jax.jit(start)(gains, xhat0)
+    return Given(gains, memory, jnp.arange(1.0, q + 1), snapshot, xhat0, u)
 
 
 def asked(t: Trial, case: Case) -> list[Asked]:
@@ -45,12 +45,12 @@ def asked(t: Trial, case: Case) -> list[Asked]:
     q = p.noise_std.shape[0]
 
     def jump(g: Given) -> Any:
-        arrival = Arrival(g.value, jnp.ones(q, bool), jnp.full(q, AGE), jnp.ones(q, int), g.note, jnp.asarray(AGE))
+        arrival = Arrival(g.value, jnp.ones(q, bool), jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
         return o.jump(g.gains, g.memory, _now(p, g.inputs, False), arrival)
 
     return [
         Asked("init", lambda g: o.init(g.gains, g.xhat0)),
-        Asked("note", lambda g: o.note(g.gains, g.memory, _now(p, g.inputs, False))),
+        Asked("snapshot", lambda g: o.snapshot(g.gains, g.memory, _now(p, g.inputs, False))),
         Asked("jump", jump),
         Asked("flow", lambda g: o.flow(g.gains, g.memory, _now(p, g.inputs, True))),
         Asked("estimate", lambda g: o.estimate(g.gains, g.memory)),

@@ -1,4 +1,4 @@
-"""Does a plant keep to what pcbench asks of one? `pcbench.plant` has asked the first things itself, where it made the plant."""
+"""Does a plant keep to what pcbench asks of one? `pcbench.make_plant` has asked the first things itself."""
 
 from collections.abc import Callable
 from functools import partial

@@ -10,7 +10,7 @@ from pcbench.checking import pure
 from pcbench.checking.finding import Noted, Skipped, require
 from pcbench.checking.lanes import WIDTH, same_in_lanes
 from pcbench.checking.plant_trial import Given, Trial, asked, entries_of, moves, points, shown_at
-from pcbench.dynamics.linear import held
+from pcbench.dynamics.linear import discretize_zoh
 from pcbench.errors import UserError, raised
 from pcbench.plants import numbers_of
 
@@ -74,7 +74,7 @@ def slopes(t: Trial) -> str:
     )  # then the model is the slope
     motion, A, B = moves(t), t.model.A, t.model.B
     if motion.name == "step" and not t.model.discrete:
-        A, B = held(A, B, t.scenario.dt)
+        A, B = discretize_zoh(A, B, t.scenario.dt)
     for a, model in (
         (motion, (A, B)),
         (next(a for a in asked(t) if a.name == "output"), (t.model.C, t.model.feedthrough)),

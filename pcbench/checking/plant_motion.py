@@ -47,7 +47,7 @@ def tick(t: Trial) -> str:
     """A tick of the plant is as exact as two of half its length."""
     if moves(t).name == "step":
         raise Skipped("it is given by its step: a tick is what that says")
-    dt, ticks = t.scenario.dt, times.whole(t.scenario.horizon, t.scenario)
+    dt, ticks = t.scenario.dt, times.whole(t.scenario.duration, t.scenario)
     own, by = jax.jit(next(a.f for a in asked(t) if a.name == "step")), stepping(t)
     off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:
@@ -58,10 +58,10 @@ def tick(t: Trial) -> str:
             else "see whether step is what field says, or leave out what is so fast"
         )
         raise UserError(
-            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.horizon:g} s, "
+            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.duration:g} s, "
             f"expected {EXACT:g} at most in all; {advice}."
         )
-    return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.horizon:g} s"
+    return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.duration:g} s"
 
 
 def stepping(t: Trial) -> Callable[[Given, float], Given]:
@@ -85,7 +85,7 @@ def _off(t: Trial, g: Given, one: Any, two: Any) -> float:
 def together(t: Trial, by: Callable[[Given, float], Given], dt: float) -> float:
     """Return what all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
     each = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
-    return max(each) * t.scenario.horizon / dt
+    return max(each) * t.scenario.duration / dt
 
 
 def finer(dt: float) -> list[float]:
@@ -106,7 +106,7 @@ def seen(t: Trial) -> str:
     if hidden:
         raise Noted(
             f"no output shows the mode {' and '.join(map(shown_mode, hidden))}, which decays: observers that place every pole "
-            "refuse the plant, dkf and ekf do not"
+            "refuse the plant, kf and ekf do not"
         )
     return "every mode shows in some output"
 
@@ -117,12 +117,12 @@ def perfect_start(t: Trial) -> str:
         raise Skipped("its unknown input has a known part, which the linear model leaves out")
     away = t.entry.model is not None or t.entry.successor is not None
     still = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
-    name, size = ("ekf", 1.0) if away and not still else ("open-loop", NEAR if away else 1.0)
+    name, size = ("ekf", 1.0) if away and not still else ("model-only", NEAR if away else 1.0)
     q, every = len(t.model.C), EVERY * t.scenario.dt
     plain = t.scenario._replace(
-        loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), horizon=4 * every
+        loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), duration=4 * every
     )
-    s = plain.having(x0=tuple(map(float, size * t.spread)), tail=t.scenario.dt)
+    s = plain.having(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
     cell = cell_of(s)._replace(options={name: observer_of(name).options()})
     (p,) = planned(quiet(cell))
     u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)

@@ -14,7 +14,7 @@ from jax import Array
 from pcbench.checking.tracing import Asked
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, shown
-from pcbench.plants import Entry, entry_of, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.protocols import Now
 from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
@@ -45,7 +45,7 @@ class Trial(NamedTuple):
     reach: np.ndarray  # [m] of the input
 
     @property
-    def entry(self) -> Entry:
+    def entry(self) -> PlantSpec:
         """Return the plant."""
         return entry_of(self.scenario)
 
@@ -85,7 +85,7 @@ def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
     return made, f"{n} states, {m} inputs, {q} outputs{axes}"
 
 
-def alone(label: str, entry: Entry, carried: dict[str, Any]) -> Scenario:
+def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
     """Return a scenario for nothing but the plant, which it has as `carried`."""
     model, n = entry.nominal(entry.numbers), len(entry.signals)
     q, m, dt = len(model.C), np.shape(model.B)[-1], entry.tick or 1e-3
@@ -102,12 +102,12 @@ def alone(label: str, entry: Entry, carried: dict[str, Any]) -> Scenario:
         loop=Loop(input="zero"),
         sampling=Sampling((EVERY * dt,) * q, (EVERY * dt,) * q, (0.0,) * q),
         belief=Belief(start, start, unknown_std=unknowns),
-        scoring=Scoring((*start, *unknowns), np.inf, tail=dt),
+        scoring=Scoring((*start, *unknowns), np.inf, steady_start=dt),
         dt=dt,
     ).having(**carried)
 
 
-def _point(entry: Entry, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     """The operating point where the plant has one: x0 [n], u0 [m]; else zeros."""
     x0, u0 = entry.operating_point or ((0.0,) * n, (0.0,) * m)
     return np.array(x0), np.array(u0)

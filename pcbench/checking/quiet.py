@@ -24,7 +24,7 @@ def short(cell: Cell) -> Cell:
     """Return a cell with a horizon that is soon recorded."""
     s = cell.scenario
     ticks = min(cell.times.ticks, LONGEST)
-    return cell.having(horizon=ticks * s.dt, tail=min(s.scoring.tail, (ticks - 1) * s.dt))
+    return cell.having(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
 
 
 def quiet(cell: Cell) -> Cell:
@@ -33,16 +33,16 @@ def quiet(cell: Cell) -> Cell:
     pushed = {"unknown_input": "zero"} if s.truth.unknown_input else {}
     calm = cell.having(
         **pushed,
-        drift=0.0,
+        parameter_drift=0.0,
         parameters={},
         process_std=(),
         assumed_process_std=s.belief.assumed_process_std or s.truth.process_std,
         command_std=0.0,
         xhat0=s.truth.x0,
-        start_box=(),
+        initial_box=(),
         assumed_delay_error=0.0,
     )
-    choices = cell.choices.model_copy(update={"random_start": False, "start_spread": 0.0})
+    choices = cell.choices.model_copy(update={"random_initial_state": False, "initial_spread": 0.0})
     return calm._replace(parameters={}, choices=choices)
 
 

@@ -56,7 +56,7 @@ def delay_0(t: Trial) -> str:
     require(
         _same_until(t, case, k, none(case.problem), inputs_from=k),
         f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in "
-        "note and jump ask past_u for an age of at least 1.",
+        "snapshot and jump ask past_u for an age of at least 1.",
     )
     return "a sample of age 0 is used, the input of its tick is not"
 
@@ -143,8 +143,8 @@ def _not_fresh(t: Trial, case: Case) -> None:
 
     @jax.jit
     def after(gains: Any, memory: Any, channel: Any, value: Any) -> Any:
-        y, fresh = jnp.ones(q).at[channel].set(value), jnp.arange(q) != channel
-        arrival = Arrival(y, fresh, jnp.full(q, AGE), jnp.ones(q, int), g.note, jnp.asarray(AGE))
+        y, mask = jnp.ones(q).at[channel].set(value), jnp.arange(q) != channel
+        arrival = Arrival(y, mask, jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
         jumped = o.jump(gains, memory, present(p, jnp.asarray(TICK), False), arrival)
         return o.estimate(gains, jumped), o.estimate(gains, o.flow(gains, jumped, present(p, jnp.asarray(TICK), True)))
 
@@ -153,7 +153,7 @@ def _not_fresh(t: Trial, case: Case) -> None:
         require(
             all(map(np.array_equal, *results)),
             f"no peeking: got an estimate that changes with the value of channel {channel + 1} where fresh is False, expected "
-            "it to be ignored; take values by jnp.where(arrival.fresh, ...).",
+            "it to be ignored; take values by jnp.where(arrival.mask, ...).",
         )
 
 

@@ -23,7 +23,7 @@ from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
 from pcbench.study import fits, times
 from pcbench.study.cells import cell_of
-from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
 NEAR = 1e-7  # of the spread of a start: there a plant is its linear model
 SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
@@ -34,7 +34,7 @@ class Case(NamedTuple):
     """One schedule: what a designer is told of it, and the run's numbers with the gains that were designed."""
 
     name: str
-    setting: Setting
+    setting: DesignContext
     problem: Problem
 
 
@@ -82,19 +82,19 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
             delay=measured.delay if usual else (seconds[1],) * at_once,
             noise_std=measured.noise_std,
         ),
-        horizon=SPAN * every * scenario.dt,
-    ).having(xhat0=x0, assumed_delay_error=0.0, start_box=(), tail=scenario.dt)
+        duration=SPAN * every * scenario.dt,
+    ).having(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
     named = {"the scenario's own": plain}
     for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
         whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
         named[name] = plain.having(delay=(whole,) * at_once)
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
-        named["varying intervals"] = named["one period late"].having(profile=turn)
+        named["varying intervals"] = named["one period late"].having(sampling_pattern=turn)
     found = [_case(name, each, None, size) for name, each in named.items()]
     if takes in VARYING:
         found.append(_case("samples that overtake", named["one period late"], every, size))
-    most = reduce(Setting.roomier, (c.setting for c in found))
+    most = reduce(DesignContext.roomier, (c.setting for c in found))
     return [c._replace(setting=c.setting.roomier(most)) for c in found]
 
 

@@ -34,7 +34,7 @@ def plant(name: str) -> Description:
     return plant_of(PLANTS[name])
 
 
-def plant_of(p: plants.Entry) -> Description:
+def plant_of(p: plants.PlantSpec) -> Description:
     """Return any plant likewise."""
     return {
         "summary": p.summary,
@@ -49,7 +49,7 @@ def observer(name: str) -> Description:
     return observer_of(OBSERVERS[name])
 
 
-def observer_of(o: observers.Entry) -> Description:
+def observer_of(o: observers.ObserverSpec) -> Description:
     """Return any observer likewise."""
     return {
         "summary": o.summary,
@@ -65,7 +65,7 @@ def controller(name: str) -> Description:
     return controller_of(CONTROLLERS[name])
 
 
-def controller_of(c: controllers.Entry) -> Description:
+def controller_of(c: controllers.ControllerSpec) -> Description:
     """Return any controller likewise, its own options before those that all laws have."""
     said, mine = options(c.options), get_annotations(c.options)
     order = sorted(said, key=lambda name: name not in mine)
@@ -114,7 +114,11 @@ def scenario(name: str) -> Description:
 def sheet(s: Scenario, study: Study | None = None) -> Description:
     """Return any scenario likewise, with every field that is not as usual; of a `study` with its observers and axes."""
     signals = signals_in(s)
-    bounds = (s.scoring.bound,) * len(signals) if isinstance(s.scoring.bound, float) else s.scoring.bound
+    bounds = (
+        (s.scoring.divergence_threshold,) * len(signals)
+        if isinstance(s.scoring.divergence_threshold, float)
+        else s.scoring.divergence_threshold
+    )
     return {
         "summary": s.summary,
         "source": s.source,
@@ -126,8 +130,8 @@ def sheet(s: Scenario, study: Study | None = None) -> Description:
         "delay": ["one interval" if d == INTERVAL else d for d in s.sampling.delay],
         "noise_std": list(s.sampling.noise_std),
         "tick": s.dt,
-        "horizon": s.horizon,
-        "tail": s.scoring.tail,
+        "duration": s.duration,
+        "steady_start": s.scoring.steady_start,
         "signals": [
             {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
             for (n, u), band, bound in zip(signals, s.scoring.settle_band, bounds, strict=True)
@@ -169,10 +173,11 @@ def choice(name: str) -> Description:
 
 METRICS = {
     "pooled_rmse": "square root of the mean of e^2 over ticks and runs: it weighs bad runs more than the mean of rmse does",
-    "tail_pooled_rmse": "the same from the tail start on",
-    "efficiency": "the least tail_pooled_rmse that any causal estimator can have, on average over x(0), over the observer's",
-    "divergence": "fraction of runs whose error became non-finite or left the scenario's bound",
-    "unsettled": "fraction of the other runs whose error left its band in the tail",
+    "steady_pooled_rmse": "the same from the tail start on",
+    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, on average over x(0), over the "
+    "observer's",
+    "divergence_rate": "fraction of runs whose error became non-finite or left the scenario's divergence threshold",
+    "unsettled_rate": "fraction of the other runs whose error left its band in the tail",
 }
 CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Description]]] = {
     "observers": (tuple(OBSERVERS), observer),
@@ -181,7 +186,7 @@ CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Description]]] = {
     "controllers": (tuple(CONTROLLERS), controller),
     "studies": (tuple(STUDIES), study),
     "axes": (AXES, axis),
-    "metrics": ((*RUN_METRICS, *POOLED, "efficiency", "divergence", "unsettled"), metric),
+    "metrics": ((*RUN_METRICS, *POOLED, "rms_efficiency", "divergence_rate", "unsettled_rate"), metric),
     "choices": (tuple(Choices.model_fields), choice),
 }
 OWN: dict[str, tuple[str, Callable[[Any], Description]]] = {  # kinds of what may be a user's own

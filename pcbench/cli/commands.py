@@ -31,9 +31,9 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
     "tables": (tables.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
-    "suffices": (sufficing.suffices, "the largest period, delay, noise that keeps an error small"),
-    "trace": (runs.trace, "one run tick by tick, as a file"),
-    "log": (logs.log, "what is in a recorded log: rates, gaps, delays"),
+    "find-limit": (sufficing.find_limit, "the largest period, delay, noise that keeps an error small"),
+    "simulate": (runs.simulate, "one run tick by tick, as a file"),
+    "info": (logs.info, "what is in a recorded log: rates, gaps, delays"),
     "replay": (logs.replay, "observers on recorded data, as it arrived"),
     "status": (datasets.status, "how far a study is, and whether it is whole"),
     "verify": (datasets.verify, "check every file, compute some runs again"),
@@ -42,9 +42,9 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
     "export": (exporting.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
-    "draws": (guests.draws, "what every run measures and when, for a program in any language"),
-    "score": (guests.score, "estimates made elsewhere, as one more observer"),
-    "guest": (guests.guest, "an observer in Python, one run at a time, on the same draws"),
+    "external prepare": (guests.prepare, "what every run measures and when, for a program in any language"),
+    "external score": (guests.score, "estimates made elsewhere, as one more observer"),
+    "external run": (guests.run, "an observer in Python, one run at a time, on the same draws"),
     "check": (checking.check, "check what is your own: observer, plant, controller, study"),
     "cite": (tables.cite, "BibTeX of what a study used"),
     "reproduce": (papers.reproduce, "what five papers print, against what comes out"),
@@ -78,5 +78,13 @@ def whole(
     """
 
 
+external = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=NAMES)
 for name, (function, line) in ALL.items():
-    app.command(name, short_help=line)(function)
+    group, _, command = name.rpartition(" ")
+    (external if group else app).command(command, short_help=line)(function)
+app.add_typer(
+    external,
+    name="external",
+    help="Score an observer that lives elsewhere on a study's draws: prepare them, then run it or score its estimates.",
+    short_help="observers that live elsewhere, on the same draws",
+)

@@ -15,7 +15,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 BASE = "cart/white"  # of a scenario to start from
 FILES = {"observer": (".py",), "plant": (".py", ".toml"), "controller": (".py",), "scenario": (".toml",)}
 NEXT = {
-    "observer": ("pcbench check {name}.py:{name}", "pcbench run cart/white --observers {name}.py:{name},dkf"),
+    "observer": ("pcbench check {name}.py:{name}", "pcbench run cart/white --observers {name}.py:{name},kf"),
     "plant": ("pcbench check {name}.py:{name}", "pcbench check {name}.toml", "pcbench run {name}.toml"),
     "controller": (
         "pcbench check {name}.py:{name} --set period=0.02",

@@ -31,7 +31,7 @@ def export(
     If there is a C compiler, the program is compiled and run. A table shows how far its estimates are from those of the
     simulation, or with --log from those of `pcbench replay`.
 
-    Example: pcbench export cart/white dkf --out dkf-in-c
+    Example: pcbench export cart/white kf --out kf-in-c
     """
     setup()
     from pcbench.export import files

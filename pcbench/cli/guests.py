@@ -10,7 +10,7 @@ from pcbench.cli.stopping import stoppable
 Name = Annotated[str, typer.Option(help="what the tables call it")]
 
 
-def draws(
+def prepare(
     study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
     folder: Annotated[str, out("folder, which becomes the study's")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
@@ -23,7 +23,7 @@ def draws(
 ) -> None:
     """Write what every run measures and when it arrives, for a program in any language.
 
-    Example: pcbench draws cart/white --seeds 16 --out cart
+    Example: pcbench external prepare cart/white --seeds 16 --out cart
     """
     setup()
     from pcbench.cli.screen.progress import bar
@@ -46,7 +46,7 @@ def score(
 ) -> None:
     """Add estimates made elsewhere to a study's tables, as one more observer.
 
-    Example: pcbench score cart estimates.parquet --name matlab-ekf
+    Example: pcbench external score cart estimates.parquet --name matlab-ekf
     """
     setup()
     from pcbench.cli.screen.progress import bar
@@ -57,7 +57,7 @@ def score(
     _shown(result, folder, metric, signal, quiet)
 
 
-def guest(
+def run(
     folder: Folder,
     reference: Annotated[str, typer.Argument(metavar="MODULE:NAME", help="make(cell, xhat0), such as mine.py:make")],
     name: Name,
@@ -67,7 +67,7 @@ def guest(
 ) -> None:
     """Run an object in Python on a study's draws, one run at a time, and add it to the tables as one more observer.
 
-    Example: pcbench guest cart mine.py:make --name filterpy-kf
+    Example: pcbench external run cart mine.py:make --name filterpy-kf
     """
     setup()
     from pcbench.cli.screen.progress import bar

@@ -50,7 +50,9 @@ def show(
     ] = False,
     with_costs: Annotated[
         bool,
-        typer.Option("--costs", help="what its observers cost: multiplications a sample and a tick, bytes of memory"),
+        typer.Option(
+            "--operations", help="what its observers cost: multiplications a sample and a tick, bytes of memory"
+        ),
     ] = False,
     changes: Set = None,
     as_json: AsJson = False,
@@ -68,7 +70,9 @@ def show(
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
     if with_costs:
-        require_effect({"--toml": as_toml}, "with --costs", "a study file, or what its observers cost; leave one out")
+        require_effect(
+            {"--toml": as_toml}, "with --operations", "a study file, or what its observers cost; leave one out"
+        )
         _costs(scenario, changes, as_json)
         return
     study = read.outline(scenario, changes or [])
@@ -102,7 +106,7 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     """Print what the observers of a scenario or a study cost."""
     from pcbench import api
 
-    table = api.costs(study, overrides=changes)
+    table = api.operation_counts(study, overrides=changes)
     _say_excluded(table.attrs["excluded"])
     if as_json:
         print(table.to_json(orient="records", indent=2))

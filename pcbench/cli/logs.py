@@ -13,7 +13,7 @@ File = Annotated[
 ]
 
 
-def log(
+def info(
     file: File,
     delay: Late = None,
     picture: Annotated[str | None, out("picture of the delays to write: .svg, .pdf, .png")] = None,
@@ -21,13 +21,13 @@ def log(
 ) -> None:
     """Say what is in a log: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
 
-    Example: pcbench log flight.toml --out delays.svg
+    Example: pcbench info flight.toml --out delays.svg
     """
     from pcbench.cli.screen import logs
     from pcbench.cli.screen.json import readable
     from pcbench.logs import described
 
-    table = described.log(file, delay=delay)
+    table = described.info(file, delay=delay)
     if picture is not None:
         from pcbench.plots import delays, save
 
@@ -54,7 +54,7 @@ def replay(
 ) -> None:
     """Run observers on what was measured, when it arrived, and say what can be known of them.
 
-    Example: pcbench replay flight.toml --plant motor.toml --observers dkf,pccebo,ukf --out replayed
+    Example: pcbench replay flight.toml --plant motor.toml --observers kf,pccebo,ukf --out replayed
     """
     setup()
     from pcbench.cli.screen import logs

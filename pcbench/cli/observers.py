@@ -13,9 +13,7 @@ from pcbench.errors import UserError
 def design(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Argument(help="an observer's name")],
-    method: Annotated[
-        str | None, typer.Option(help="a way to find gains, e.g. h2 of pccebo [default: its own]")
-    ] = None,
+    gain: Annotated[str | None, typer.Option(help="a way to find gains, e.g. h2 of pccebo [default: its own]")] = None,
     sweep: Annotated[
         str | None, typer.Option(metavar="OPTION=A,B,...", help="the trade-off: what is promised for each of these")
     ] = None,
@@ -27,7 +25,7 @@ def design(
 ) -> None:
     """Find an observer's gains and prove them: the inequality, its margin, the solver, the decay rate promised.
 
-    Example: pcbench design cart/gaussian pccebo --method h2 --sweep decay=0.2,0.5,1,2
+    Example: pcbench design cart/gaussian pccebo --gain h2 --sweep decay=0.2,0.5,1,2
     """
     setup()
     from pcbench.cli.screen import gains
@@ -40,7 +38,7 @@ def design(
     if sweep is not None:
         if file is not None:
             as_file.kind_of(file)
-        table = design.trade_off(scenario, observer, *_values(sweep), method=method, overrides=changes)
+        table = design.trade_off(scenario, observer, *_values(sweep), gain=gain, overrides=changes)
         if file is not None:
             as_file.put(file, gains.arrow(table))
         if as_json:
@@ -51,7 +49,7 @@ def design(
     if file is not None:
         _may_write(Path(file))
     with process.float64():
-        study, cell, found = design.design(scenario, observer, method=method, overrides=changes)
+        study, cell, found = design.design(scenario, observer, gain=gain, overrides=changes)
         text = design.to_toml(design.as_study(study, cell, observer, found)) if file is not None else ""
     if file is not None:
         target = store.target(Path(file).parent)

@@ -13,18 +13,18 @@ def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
     figures: Annotated[str | None, typer.Option(help="folder for the pictures as files, in place of the page")] = None,
-    kinds: Annotated[str | None, typer.Option(help="of --figures, with commas [default: svg,pdf,png]")] = None,
+    formats: Annotated[str | None, typer.Option(help="of --figures, with commas [default: svg,pdf,png]")] = None,
     width: Annotated[float | None, typer.Option(help="of --figures: inches of a column [default: 3.75]")] = None,
     size: Annotated[float | None, typer.Option(help="of --figures: points of text [default: 9]")] = None,
     font: Annotated[str | None, typer.Option(help="of --figures: its family [default: DejaVu Sans]")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
-    cell: Annotated[
+    grid_point: Annotated[
         int | None,
         typer.Option(help="at which pictures stand: number in stats.parquet [default: the one that tells most]"),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="of the run shown in time [default: the study's first]")] = None,
-    below: Annotated[
+    threshold: Annotated[
         float | None,
         typer.Option(help="limit of --metric, to say what suffices over each axis [default: twice the least]"),
     ] = None,
@@ -32,9 +32,9 @@ def report(
 ) -> None:
     """Make one HTML page of a study's results that opens anywhere, or its pictures as files.
 
-    Example: pcbench report results/quick --metric tail_rmse --signal velocity
+    Example: pcbench report results/quick --metric steady_rmse --signal velocity
     """
-    of_figures = {"--kinds": kinds, "--width": width, "--size": size, "--font": font}
+    of_figures = {"--formats": formats, "--width": width, "--size": size, "--font": font}
     if figures is None:
         require_effect(of_figures, "without --figures", "both; add --figures, or leave it out")
     setup()
@@ -45,25 +45,27 @@ def report(
     from pcbench.report.pictures import Shown
 
     statistics.compared(metric, "--metric")
-    if below is not None and not below > 0:
-        raise UserError(f"--below: got {below:g}, expected a positive limit of {metric}; write --below 0.05.")
+    if threshold is not None and not threshold > 0:
+        raise UserError(
+            f"--threshold: got {threshold:g}, expected a positive limit of {metric}; write --threshold 0.05."
+        )
     if file is not None and figures is not None:
         raise UserError(
             f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
         )
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
-    shown = Shown(metric=metric, signals=chosen(signal), cell=cell, seed=seed, below=below)
+    shown = Shown(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
     with process.float64(), bar(quiet) as drawn:
         progress = stoppable(drawn)
         if figures is not None:
-            from pcbench.dataset.result import opened
+            from pcbench.dataset.result import open_result
             from pcbench.report import figures as pictures
 
-            known = pictures.kinds_of("svg,pdf,png" if kinds is None else kinds)
+            known = pictures.kinds_of("svg,pdf,png" if formats is None else formats)
             paper = Paper(
                 3.75 if width is None else width, 9.0 if size is None else size, "DejaVu Sans" if font is None else font
             ).checked()
-            made = pictures.write(opened(folder), figures, progress, shown._replace(paper=paper), known)
+            made = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), known)
             where, said = figures, f"{len(made)} figures as {', '.join(k.upper() for k in known)} in {figures}"
         else:
             from pcbench.report import page

@@ -36,11 +36,11 @@ def run(
     folder: Annotated[
         str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
     ] = None,
-    exact: Annotated[
-        bool, typer.Option("--exact", help="exact expected values, without a seed, of all that has them")
-    ] = False,
-    fresh: Annotated[
-        bool, typer.Option("--fresh", help="remove what an earlier run left there, and start over")
+    evaluation: Annotated[
+        str | None, typer.Option(help="runs, exact (expected values, without a seed) or both [default: the study's]")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="remove what an earlier run left there, and start over")
     ] = False,
     until_se: Annotated[
         str | None, typer.Option(metavar="METRIC=VALUE", help="add seeds until every standard error is so small")
@@ -53,11 +53,11 @@ def run(
     memory: Annotated[
         str | None, typer.Option(help="what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
     ] = None,
-    block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
+    block_size: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
     costs: Annotated[
-        bool, typer.Option("--costs", help="say in the tables what observers cost: multiplications and bytes")
+        bool, typer.Option("--operations", help="say in the tables what observers cost: multiplications and bytes")
     ] = False,
     timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
     quiet: Quiet = False,
@@ -69,11 +69,11 @@ def run(
     """
     began = perf_counter()
     drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
-    simulated = drawn | {"--block": block}, "exact values without seeds, or simulated runs; leave one out"
-    if exact:
-        require_effect(simulated[0], "with --exact", simulated[1])
+    simulated = drawn | {"--block-size": block_size}, "exact values without seeds, or simulated runs; leave one out"
+    if evaluation == "exact":
+        require_effect(simulated[0], "with --evaluation exact", simulated[1])
     if quiet or as_json:
-        tables, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
+        tables, beside = {"--operations": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
         require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench import api, statistics
@@ -84,8 +84,8 @@ def run(
     statistics.compared(metric, "--metric")
     asked, where = read.outline(study, changes or []), chosen(signal)
     read.require_signals(asked, where, "--signal")
-    if exact or asked.method == "exact":
-        require_effect(simulated[0], 'with a study of method "exact"', simulated[1])
+    if "exact" in (evaluation, asked.evaluation if evaluation is None else None):
+        require_effect(simulated[0], 'with a study of evaluation "exact"', simulated[1])
         _require_exact(metric)
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
     with bar(quiet or as_json, "designing gains") as progress:
@@ -95,19 +95,19 @@ def run(
             seeds=seeds,
             first_seed=first_seed,
             observers=None if observers is None else names(observers),
-            method="exact" if exact else None,
+            evaluation=evaluation,
             out=into,
-            fresh=fresh,
+            overwrite=overwrite,
             until_se=until_se,
             max_seeds=max_seeds,
             dask=dask,
             workers=workers,
-            block=block,
+            block_size=block_size,
             memory=memory,
             progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
             say=say,
         )
-    if result.study.use and find_spec("matplotlib"):
+    if result.study.custom_observers and find_spec("matplotlib"):
         from pcbench.report import pictures
 
         shown = pictures.Shown(metric=metric, signals=where)
@@ -124,7 +124,7 @@ def run(
         from pcbench.cli.screen import results, took
 
         screen = console()
-        results.closing(result, screen, metric, where, api.costs(result.study) if costs else None)
+        results.closing(result, screen, metric, where, api.operation_counts(result.study) if costs else None)
         if result.fair is not None:
             from pcbench.cli.screen import gains
 
@@ -141,7 +141,9 @@ def _require_exact(metric: str) -> None:
     from pcbench.statistics import COMPARED
 
     def has_one(metric: str) -> bool:
-        pooled = f"tail_pooled_{metric[5:]}" if metric.startswith("tail_") else f"pooled_{metric}"
+        pooled = (
+            f"steady_pooled_{metric.removeprefix('steady_')}" if metric.startswith("steady_") else f"pooled_{metric}"
+        )
         return metric not in RUNS_ONLY or pooled in ORDER
 
     if not has_one(metric):
@@ -151,7 +153,7 @@ def _require_exact(metric: str) -> None:
         )
 
 
-def trace(
+def simulate(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Option(help="an observer's name, several with commas, or all that can run")],
     file: Annotated[str, out("file to write, .parquet or .csv")],
@@ -163,7 +165,7 @@ def trace(
 ) -> None:
     """Write one run tick by tick, as Parquet or CSV.
 
-    Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.csv
+    Example: pcbench simulate cart/white --observer kfbo --seed 3 --out trace.csv
     """
     setup()
     from pcbench import api
@@ -173,7 +175,7 @@ def trace(
     from pcbench.study import read
 
     as_file.kind_of(file)
-    frame = api.trace(scenario, names(observer), seed=seed, overrides=changes, log=log)
+    frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     for sentence in all_observers.sentences(frame.attrs["excluded"]):
         say(sentence)
     as_file.put(file, traced.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))

@@ -8,8 +8,8 @@ from pcbench.scenarios.scenario import RECORDS
 from pcbench.scenarios.sources import Table, Wave
 
 SAID = {  # fields of a scenario that `sheet` names itself
-    *("sampling_period", "delay", "noise_std", "tail", "controller"),
-    *("settle_band", "bound", "signals", "unknowns"),
+    *("sampling_period", "delay", "noise_std", "steady_start", "controller"),
+    *("settle_band", "divergence_threshold", "signals", "unknowns"),
 }
 
 

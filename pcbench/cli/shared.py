@@ -36,7 +36,7 @@ Signals = Annotated[
     typer.Option("--signal", help="which signals to show, with commas, or all [default: those a scenario is known by]"),
 ]
 Metric = Annotated[str, typer.Option(help="metric that ranks observers: pcbench list metrics")]
-RANKS = "tail_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
+RANKS = "steady_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
 
 
 def out(text: str, *names: str) -> Any:

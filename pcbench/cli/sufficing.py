@@ -10,10 +10,10 @@ from pcbench.cli.shared import RANKS, AsJson, Quiet, Set, console, names, out, s
 from pcbench.cli.stopping import stoppable
 
 
-def suffices(
+def find_limit(
     study: Annotated[str, typer.Argument(help="a study of one scenario, a scenario or a TOML file")],
-    below: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
-    over: Annotated[
+    threshold: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
+    axis: Annotated[
         list[str],
         typer.Option(
             metavar="AXIS",
@@ -31,7 +31,7 @@ def suffices(
             help="where to search, of two axes the first [default: as the study or the scenario suggests]",
         ),
     ] = None,
-    within: Annotated[
+    tol: Annotated[
         float | None, typer.Option(help="how precisely, in the axis' unit [default: 5 % of the value]")
     ] = None,
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each value")] = None,
@@ -43,13 +43,13 @@ def suffices(
     folder: Annotated[
         str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
     ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="remove what stands there, and start over")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="remove what stands there, and start over")] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the largest period, delay, loss ... at which an error surely stays below a limit, for each observer.
 
-    Example: pcbench suffices cart/white --below 0.1 --over sampling_period
+    Example: pcbench find-limit cart/white --threshold 0.1 --axis sampling_period
     """
     setup()
     from pcbench.cli.screen import sufficing
@@ -60,25 +60,25 @@ def suffices(
 
     name = read.outline(study, changes or []).name
     into = (
-        str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{'-'.join(over)}").strip("-"))
+        str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{'-'.join(axis)}").strip("-"))
         if folder is None
         else folder
     )
     with bar(quiet or as_json, "designing gains") as progress:
-        table = asking.suffices(
+        table = asking.find_limit(
             study,
-            over=over[0] if len(over) == 1 else over,
-            below=below,
+            axis=axis[0] if len(axis) == 1 else axis,
+            threshold=threshold,
             metric=metric,
             signal=signal,
             between=between,
-            within=within,
+            tol=tol,
             seeds=seeds,
             max_seeds=max_seeds,
             observers=None if observers is None else names(observers),
             out=into,
             overrides=changes,
-            fresh=fresh,
+            overwrite=overwrite,
             progress=stoppable(progress),
             say=say,
         )
@@ -86,7 +86,7 @@ def suffices(
         print(readable(table.attrs | {"answers": table.to_dict("records")}))
     elif quiet:
         print(into)
-    elif len(over) > 1:
+    elif len(axis) > 1:
         screen = console()
         sufficing.frontier(table, screen)
         screen.print(f"Each value has its own study in {into}", highlight=False, markup=False, soft_wrap=True)

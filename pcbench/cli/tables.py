@@ -26,11 +26,11 @@ def tables(
     Example: pcbench tables results/quick --latex --signal all --out tables.tex
     """
     form = _form({"latex": latex or plain, "markdown": markdown, "csv": csv}, file)
-    from pcbench.dataset.result import opened
+    from pcbench.dataset.result import open_result
     from pcbench.tables import latex as tex
     from pcbench.tables import layout, text
 
-    found = layout.tables(opened(folder), metric, chosen(signal))
+    found = layout.tables(open_result(folder), metric, chosen(signal))
     if not found:
         raise UserError(f"--metric: got {metric}, which the signals asked for do not have; take another.")
     said = {

@@ -22,13 +22,18 @@ def tune(
         str | None, typer.Option(help="metric of the tables to make small [default: rmse; exact: pooled_rmse]")
     ] = None,
     signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
-    method: Annotated[str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")] = None,
-    exact: Annotated[
-        bool, typer.Option("--exact", help="its expected value over all noise: no training seeds, no judging seeds")
+    optimizer: Annotated[
+        str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")
+    ] = None,
+    exact_objective: Annotated[
+        bool,
+        typer.Option(
+            "--exact-objective", help="its expected value over all noise: no training seeds, no judging seeds"
+        ),
     ] = False,
     only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
-    train: SeedRange = None,
-    judge: SeedRange = None,
+    training_seeds: SeedRange = None,
+    validation_seeds: SeedRange = None,
     log: Annotated[
         str | None, typer.Option(help="tune noise intensities by the likelihood of this log, judged on its last part")
     ] = None,
@@ -42,13 +47,25 @@ def tune(
 
     Or, with --log, its noise intensities on a recording.
 
-    Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
-    Example: pcbench tune motor.toml dkf --log flight --out tuned
+    Example: pcbench tune cart/gaussian pccebo --objective steady_rmse --out tuned
+    Example: pcbench tune motor.toml kf --log flight --out tuned
     """
     setup()
     if log is not None:
-        others = {"--objective": objective, "--signal": signal, "--method": method, "--train": train, "--judge": judge}
-        _alone([name for name, value in (others | {"--exact": exact or None}).items() if value is not None])
+        others = {
+            "--objective": objective,
+            "--signal": signal,
+            "--optimizer": optimizer,
+            "--training-seeds": training_seeds,
+            "--validation-seeds": validation_seeds,
+        }
+        _alone(
+            [
+                name
+                for name, value in (others | {"--exact-objective": exact_objective or None}).items()
+                if value is not None
+            ]
+        )
         _on_log(log, scenario, observer, budget, only, delay, changes, folder, quiet, as_json)
         return
     if delay is not None:
@@ -64,11 +81,11 @@ def tune(
             budget=tune.BUDGET if budget is None else budget,
             objective=objective,
             signal=signal,
-            method=method,
-            exact=exact,
+            optimizer=optimizer,
+            exact_objective=exact_objective,
             only=None if only is None else names(only),
-            training=_seeds(train, "--train", tune.TRAINING),
-            judges=_seeds(judge, "--judge", tune.JUDGES),
+            training=_seeds(training_seeds, "--training-seeds", tune.TRAINING),
+            judges=_seeds(validation_seeds, "--validation-seeds", tune.JUDGES),
             out=folder,
             overrides=changes,
             progress=stoppable(progress),

@@ -7,35 +7,34 @@ from pydantic import BaseModel
 
 from pcbench.controllers import lqr, pd, pid, state_feedback
 from pcbench.controllers.parts.sizes import Sizes
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.protocols import Controller
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.lqr import Law
 
 
-class Entry(NamedTuple):
+class ControllerSpec(NamedTuple):
     """A controller, its options, and how its numbers are made."""
 
     controller: Callable[[Any], Controller] | Controller  # options -> the law; or the law, whatever the options
     options: type[BaseModel]
-    prepare: Callable[[Any, Told], Any]  # options -> params
+    prepare: Callable[[Any, ControllerContext], Any]  # options -> params
     summary: str
     check: Callable[[Any, Sizes], None] | None = (
         None  # raises UserError where options do not fit; None: it is for one plant
     )
-    linear: Callable[[Any, Told], Law | None] | None = None  # the law about its set point, as eigenvalues need it
+    linear: Callable[[Any, ControllerContext], Law | None] | None = (
+        None  # the law about its set point, as eigenvalues need it
+    )
 
 
-ControllerEntry = Entry  # its name in `pcbench`, where `Entry` is an observer's
-
-
-def _pd(options: Any, told: Told) -> Any:
+def _pd(options: Any, told: ControllerContext) -> Any:
     return pd.prepare(options, told.delay, told.dt, told.rows, told.ticks, told.field, told.inverse)
 
 
 CONTROLLERS = {
-    "pd": Entry(pd.controller, pd.Options, _pd, "PD of two angles along a path, for the helicopter"),
-    "state-feedback": Entry(
+    "pd": ControllerSpec(pd.controller, pd.Options, _pd, "PD of two angles along a path, for the helicopter"),
+    "state-feedback": ControllerSpec(
         state_feedback.controller,
         state_feedback.Options,
         state_feedback.prepare,
@@ -43,20 +42,22 @@ CONTROLLERS = {
         state_feedback.check,
         state_feedback.linear,
     ),
-    "lqr": Entry(
+    "lqr": ControllerSpec(
         lqr.controller, lqr.Lqr, lqr.prepare, "state feedback by weights, for the sampled plant", lqr.check, lqr.linear
     ),
-    "pid": Entry(pid.controller, pid.Options, pid.prepare, "PID on the outputs of the estimate", pid.check, pid.linear),
+    "pid": ControllerSpec(
+        pid.controller, pid.Options, pid.prepare, "PID on the outputs of the estimate", pid.check, pid.linear
+    ),
 }
 
 
-def law_of(entry: Entry, options: Any) -> Controller:
+def law_of(entry: ControllerSpec, options: Any) -> Controller:
     """Return the law that the options ask for."""
     return entry.controller if isinstance(entry.controller, Controller) else entry.controller(options)
 
 
-def entry_of(scenario: Scenario) -> Entry:
+def entry_of(scenario: Scenario) -> ControllerSpec:
     """Return the controller of a scenario's loop: the one that it carries itself, or else the one of its name."""
     mine = scenario.own.get("controller")
-    found: Entry = mine.entry if mine else CONTROLLERS[scenario.loop.controller]
+    found: ControllerSpec = mine.entry if mine else CONTROLLERS[scenario.loop.controller]
     return found

@@ -4,7 +4,7 @@
 
 K is `synthesis.lqr.gain`; law, set points and times as in `state_feedback`. By default it knows the (mean) delay of its
 command: acting on the predicted state is then optimal, the delay costs what cannot be helped. The delay of the measurements is
-the observer's: what is fed back is its estimate of the present. The weights are those of the metric `cost` too.
+the observer's: what is fed back is its estimate of the present. The weights are those of the metric `lq_cost` too.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from pcbench.controllers.parts import common
 from pcbench.controllers.parts import sizes as fit
 from pcbench.controllers.parts.common import Weight
 from pcbench.controllers.parts.sizes import Sizes
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis import lqr
 
@@ -33,7 +33,7 @@ def check(options: Lqr, sizes: Sizes) -> None:
     fit.require_common(options, sizes, definite=True)
 
 
-def gain(options: Lqr, told: Told) -> Matrix:
+def gain(options: Lqr, told: ControllerContext) -> Matrix:
     """Return K [m, n]; raise DesignError where there is none."""
     (Phi, Gamma), (n, m) = told.tick, told.model.B.shape
     sizes = Sizes(told.states, m, len(told.model.C), told.dt, "controller")
@@ -41,12 +41,12 @@ def gain(options: Lqr, told: Told) -> Matrix:
     return lqr.gain(*lqr.over_period((Phi, Gamma), told.every(options.period)), Q1, Q2, "controller lqr")
 
 
-def prepare(options: Lqr, told: Told) -> state_feedback.Params:
+def prepare(options: Lqr, told: ControllerContext) -> state_feedback.Params:
     """Return the law's numbers."""
     return state_feedback.numbers(options, told, gain(options, told))
 
 
-def linear(options: Lqr, told: Told) -> lqr.Law:
+def linear(options: Lqr, told: ControllerContext) -> lqr.Law:
     """Return the law about its set point."""
     return state_feedback.of_gain(np.asarray(gain(options, told)))
 

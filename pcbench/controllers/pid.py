@@ -23,7 +23,7 @@ from pcbench.controllers.parts import sizes as fit
 from pcbench.controllers.parts.common import Number, Rows
 from pcbench.controllers.parts.set_points import reference
 from pcbench.controllers.parts.sizes import Sizes
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.protocols import Controller, Leaf, Now
 from pcbench.synthesis import lqr
 
@@ -76,7 +76,7 @@ def check(options: Options, sizes: Sizes) -> None:
     fit.require_common(options, sizes)
 
 
-def prepare(options: Options, told: Told) -> Params:
+def prepare(options: Options, told: ControllerContext) -> Params:
     """Return the law's numbers."""
     (q, _), (_, m) = told.model.C.shape, told.model.B.shape
     sizes, every = Sizes(told.states, m, q, told.dt, "controller"), told.every(options.period)
@@ -100,7 +100,7 @@ def prepare(options: Options, told: Told) -> Params:
     )
 
 
-def linear(options: Options, told: Told) -> lqr.Law:
+def linear(options: Options, told: ControllerContext) -> lqr.Law:
     """Return the law about its set point, of the state; it keeps (I, y_last, D)."""
     p = prepare(options, told)
     q, m, f = len(p.C), len(p.Kp), float(p.filter)

@@ -25,7 +25,7 @@ from pcbench.controllers.parts import sizes as fit
 from pcbench.controllers.parts.common import Rows
 from pcbench.controllers.parts.set_points import reference
 from pcbench.controllers.parts.sizes import Sizes
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.protocols import Controller, Leaf, Now
 from pcbench.synthesis import lqr
 
@@ -56,12 +56,12 @@ def check(options: Options, sizes: Sizes) -> None:
     fit.require_common(options, sizes)
 
 
-def prepare(options: Options, told: Told) -> Params:
+def prepare(options: Options, told: ControllerContext) -> Params:
     """Return the law's numbers."""
     return numbers(options, told, np.array(options.K, float))
 
 
-def numbers(options: Any, told: Told, K: np.ndarray) -> Params:
+def numbers(options: Any, told: ControllerContext, K: np.ndarray) -> Params:
     """Return the numbers of a law with the gain K, for options that have what all laws have."""
     Phi, Gamma = told.tick
     aims = reference(options.set_point, told.states, (Phi, Gamma), told.dt, told.ticks + 1 + told.ahead)
@@ -79,7 +79,7 @@ def numbers(options: Any, told: Told, K: np.ndarray) -> Params:
     )
 
 
-def linear(options: Options, told: Told) -> lqr.Law:
+def linear(options: Options, told: ControllerContext) -> lqr.Law:
     """Return the law about its set point."""
     return of_gain(np.array(options.K, float))
 

@@ -16,12 +16,12 @@ from scipy.special import ndtri, stdtr
 
 from pcbench.dataset import block_files, ownership, store
 from pcbench.dataset.exact import Exact
-from pcbench.dataset.result import opened
+from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
 from pcbench.study.cells import Grid
 
 KEY = ["scenario", "cell", "observer", "signal", "metric"]
-METRICS = ("mae", "mse", "final", "tail_mae", "tail_mse", "cost", "tail_cost", "nees", "signal_nees")
+METRICS = ("mae", "mse", "final_error", "steady_mae", "steady_mse", "lq_cost", "steady_lq_cost", "nees", "signal_nees")
 LEVEL = 1e-3
 FEW = 64
 ROUNDING = 1e-9
@@ -66,25 +66,25 @@ def check(out: str | Path) -> Checked:
     owned = ownership.opened(target, run=True)
     if not block_files.present(target):
         raise UserError(
-            f"{target.name}: has no runs to be compared with exact values; run the study with method = 'runs'."
+            f"{target.name}: has no runs to be compared with exact values; run the study with evaluation = 'runs'."
         )
-    stats = opened(out).stats
+    stats = open_result(out).stats
     runs = stats[(stats.method == "runs") & stats.metric.isin(METRICS) & (stats.diverged == 0)]
     if not (runs.n >= FEW).any():
         raise UserError(f"{target.name}: has fewer than {FEW} runs a cell, expected more; add some with --seeds.")
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules).stats
     refused = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
     known = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
-    peaks = stats[stats.metric == "peak"][[*KEY[:-1], "mean"]].rename(columns={"mean": "peak"})
+    peaks = stats[stats.metric == "max_abs_error"][[*KEY[:-1], "mean"]].rename(columns={"mean": "max_abs_error"})
     both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(known, on=KEY).merge(peaks, on=KEY[:-1], how="left")
     return Checked(judged(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
 
 
 def judged(both: pd.DataFrame) -> pd.DataFrame:
-    """Return matched means with their z, and how far apart they are where runs do not vary; `peak` is of the same signal."""
+    """Return matched means with their z, and how far apart they are where runs do not vary."""
     apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
     error = np.hypot(both.se, both.exact_se)
-    squares, lost = both.metric.str.endswith("mse"), LOST * both.peak.fillna(0.0)
+    squares, lost = both.metric.str.endswith("mse"), LOST * both.max_abs_error.fillna(0.0)
     zero = np.where(squares, np.maximum(ZERO, lost) ** 2, np.maximum(ZERO, lost))  # below it all is rounding
     left = np.where(squares, 2 * np.sqrt(size) * lost + lost**2, lost)
     varies = (error > 1e-12 * size) & (size > zero)

@@ -116,7 +116,7 @@ def _frames(
 
 
 def _known(about: dict[str, Any]) -> dict[str, bool | None]:
-    return {"carries_input": about["carries_input"], "certified": is_certified(about["certificate"])}
+    return {"predicts_unknown_input": about["predicts_unknown_input"], "certified": is_certified(about["certificate"])}
 
 
 def _bounds(cell: Cell, found: Found) -> dict[str, statistics.Values | None]:

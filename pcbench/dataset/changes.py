@@ -12,13 +12,13 @@ Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest 
 GROWS = (
     "seeds",
     "first_seed",
-    "method",
+    "evaluation",
     "schedules",
     "axes",
     "observers",
     "excluded",
     "tuned",
-    "use",
+    "custom_observers",
     "scenarios",
     "scenario",
     "tables",
@@ -78,7 +78,8 @@ def _recoded(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fi
                 yield f"the code of {name}: {_changed(a, b)} since"
                 continue
             where = [
-                study.get("use", {}).get(name, f"{own.FOLDER}/{d}") for study, d in ((there, digest), (here, new[name]))
+                study.get("custom_observers", {}).get(name, f"{own.FOLDER}/{d}")
+                for study, d in ((there, digest), (here, new[name]))
             ]
             yield f"the code of {name}: {where[0]} there, {where[1]} here"
 

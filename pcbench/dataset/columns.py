@@ -16,9 +16,9 @@ AXIS_UNITS = {
     "delay": "s",
     "actuator_delay": "s",
     "noise_std": "unit of the output",
-    "drift": "1",
-    "profile": "",
-    "jitter": "s",
+    "parameter_drift": "1",
+    "sampling_pattern": "",
+    "sampling_jitter": "s",
     "delay_jitter": "s",
     "loss": "1",
     "assumed_delay_error": "s",
@@ -39,18 +39,21 @@ MEANING = {
     "or no loop",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
     "process_std": "standard deviation of a tick's noise on the states; a list where they differ",
-    "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and the helicopter its "
+    "parameter_drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and "
+    "the helicopter its "
     "amplitude",
-    "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
-    "jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
+    "sampling_pattern": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals "
+    "[s] in turn",
+    "sampling_jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
     "delay_jitter": "a sample arrives up to this much later (uniform over whole ticks)",
     "loss": "probability that a sample never arrives",
     "assumed_delay_error": "observers believe every sample to be so much older than it is",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
-    "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
+    "predicts_unknown_input": "whether the observer's prediction to the present carries the unknown input it has "
+    "found; null: it finds "
     "none, or predicts nothing",
-    **{f"carries_input_{one}": f"carries_input of observer_{one}" for one in "ab"},
+    **{f"predicts_unknown_input_{one}": f"predicts_unknown_input of observer_{one}" for one in "ab"},
     "certified": "whether something proves the observer's gains in this cell (an inequality, checked again, with a margin "
     "above 0); null: it has no gains",
     **{f"certified_{one}": f"certified of observer_{one}" for one in "ab"},
@@ -58,23 +61,23 @@ MEANING = {
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
     "mse": "mean of e^2 over ticks 0 .. N-1 [unit squared]",
-    "peak": "largest |e| over ticks 0 .. N-1",
-    "final": "e at tick N-1, signed",
+    "max_abs_error": "largest |e| over ticks 0 .. N-1",
+    "final_error": "e at tick N-1, signed",
     "settling_time": "time [s] of the last exit of |e| from the scenario's band; the horizon where it is still outside",
     "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next one or "
     "the horizon, the longest of all jumps from the scenario's tail start on; null where there is none",
-    "tail_mae": "mean |e| from the scenario's tail start on",
-    "tail_rmse": "square root of the mean of e^2 from the tail start on",
-    "tail_mse": "mean of e^2 from the tail start on [unit squared]",
-    "tail_peak": "largest |e| from the tail start on",
+    "steady_mae": "mean |e| from the scenario's tail start on",
+    "steady_rmse": "square root of the mean of e^2 from the tail start on",
+    "steady_mse": "mean of e^2 from the tail start on [unit squared]",
+    "steady_max_abs_error": "largest |e| from the tail start on",
     "tracking_rmse": "root of the mean square of set point less state, in a closed loop; null of what has no set point",
-    "tail_tracking_rmse": "the same from the tail start on",
+    "steady_tracking_rmse": "the same from the tail start on",
     "status": "diverged; or unsettled: the error of this signal left its band after the tail had started; or settled",
-    "diverged": "runs: the error became non-finite or left the scenario's bound (its metrics are null); "
+    "diverged": "runs: the error became non-finite or left the scenario's divergence threshold (its metrics are null); "
     "stats: how many such runs, none of them averaged",
-    "first_bad_time": "time [s] at which a diverged run left the bound; null elsewhere",
-    "metric": "a metric of `runs`; or pooled_rmse, tail_pooled_rmse (root of the mean square over runs); or efficiency "
-    "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
+    "divergence_time": "time [s] at which a diverged run left the bound; null elsewhere",
+    "metric": "a metric of `runs`; or pooled_rmse, steady_pooled_rmse (root of the mean square over runs); or efficiency "
+    "(bound / steady_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
     "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
     "tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
     "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
@@ -100,11 +103,22 @@ INTERVALS = (
     "mean exp(-+ t se / mean); final and mean_diff, which have a sign: Student's; fractions: Wilson's; quantiles: Nyblom's of "
     "order statistics"
 )
-TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
-TEXT |= {"status", "method", "reason", "delay_steps", "delay_turns", "delay_share"}
+TEXT = {
+    "sampling_pattern",
+    "study",
+    "scenario",
+    "plant",
+    "observer",
+    "observer_a",
+    "observer_b",
+    "signal",
+    "unit",
+    "metric",
+}
+TEXT |= {"status", "method", "reason", "delay_values", "delay_sequence", "delay_weights"}
 WHOLE = {"cell", "seed", "n"}
-YES_OR_NO = {name + end for name in ("carries_input", "certified") for end in ("", "_a", "_b")}
-SECONDS = {"settling_time", "recovery_time", "first_bad_time"}
+YES_OR_NO = {name + end for name in ("predicts_unknown_input", "certified") for end in ("", "_a", "_b")}
+SECONDS = {"settling_time", "recovery_time", "divergence_time"}
 
 
 def unit_of(metric: str, unit: str) -> str:
@@ -196,7 +210,18 @@ def axes_of(row: dict[str, Any]) -> list[str]:
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "carries_input", "certified"]
+    head = [
+        "study",
+        "scenario",
+        "plant",
+        "observer",
+        "cell",
+        *axes,
+        "signal",
+        "unit",
+        "predicts_unknown_input",
+        "certified",
+    ]
     return [
         *head,
         "metric",
@@ -222,8 +247,8 @@ def pairs_order(axes: list[str]) -> list[str]:
         *axes,
         "observer_a",
         "observer_b",
-        "carries_input_a",
-        "carries_input_b",
+        "predicts_unknown_input_a",
+        "predicts_unknown_input_b",
         "certified_a",
         "certified_b",
     ]

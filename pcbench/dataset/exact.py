@@ -123,7 +123,11 @@ class Exact:
         for label in m.signals:
             mine = described.described(m, label, m.why[label], bound)
             units, at = [signals[i][1] for i in mine["signal"]], mine["metric"]
-            about = {"plant": cell.scenario.plant, "observer": label, "carries_input": p.carries_input[label]}
+            about = {
+                "plant": cell.scenario.plant,
+                "observer": label,
+                "predicts_unknown_input": p.predicts_unknown_input[label],
+            }
             about |= {"certified": is_certified(p.certificates[label]._asdict())}
             mine |= {name: [value] * len(at) for name, value in (head | about).items()}
             mine |= {"signal": [signals[i][0] for i in mine["signal"]]}

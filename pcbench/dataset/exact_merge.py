@@ -28,7 +28,7 @@ def pieces(targets: list[store.Target], holdings: list[Owned], whole: Owned) -> 
             if not agree(table, _read(other, whole)):
                 raise UserError(
                     f"{other[0].name}/{other[3]}: differs from {first[0].name}/{first[3]} by more than rounding, expected "
-                    "equal numbers; run the study of one of them again with --fresh."
+                    "equal numbers; run the study of one of them again with --overwrite."
                 )
         yield name, table
 

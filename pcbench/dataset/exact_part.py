@@ -38,7 +38,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
     mark = of(owned)
     there = whole(target)
-    if there is not None and not owned.fresh and (there.schema.metadata or {}).get(OF) == mark:
+    if there is not None and not owned.overwrite and (there.schema.metadata or {}).get(OF) == mark:
         return False
     ownership.begin(target, owned)
     for name in [n for n in store.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
@@ -140,10 +140,10 @@ def rows_by_cell(target: store.Target) -> RowsByCell:
 
 def simulated(target: store.Target, owned: Owned) -> Owned:
     """Return the study with what is left of it to simulate: all of it, nothing, or what has no exact number."""
-    method = owned.study.method
-    if method == "runs":
+    evaluation = owned.study.evaluation
+    if evaluation == "runs":
         return owned
-    if method == "exact":
+    if evaluation == "exact":
         return owned._replace(cells=[])
     there = whole(target)
     rows = there.select(["scenario", "cell", "observer", "method"]).to_pylist() if there is not None else []
@@ -175,7 +175,7 @@ def pairs(known: dict[str, list[Any]], order: list[str]) -> dict[str, list[Any]]
     return {name: found[name] if name in found else [known[name][first] for first, _ in both] for name in order}
 
 
-ABOUT = ("observer", "carries_input", "certified")
+ABOUT = ("observer", "predicts_unknown_input", "certified")
 
 
 def place(scenario: str, cell: int) -> str:

@@ -40,7 +40,7 @@ Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
 class Sizes(NamedTuple):
     """How a study is run: of no influence on any number."""
 
-    block: int | None = None  # seeds a block
+    block_size: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
 
 
@@ -74,7 +74,7 @@ def whole(target: store.Target, owned: Owned, say: Callable[[str], None]) -> lis
         if wrong == block_files.OTHER_SCHEMA:
             raise UserError(
                 f"{target.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
-                "--fresh."
+                "--overwrite."
             )
     good = [b for b, wrong in zip(there, found, strict=True) if not wrong]
     kept = block_files.settled(good)
@@ -126,8 +126,8 @@ def _simulated(owned: Owned, todo: Gaps) -> None:
                 many = runs_in({cell.key: {label: todo[cell.key][label]}})
                 raise UserError(
                     f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
-                    "elsewhere; write their draws with pcbench draws, estimate them, and give "
-                    "them to pcbench score, or leave it out."
+                    "elsewhere; write their draws with pcbench external prepare, estimate them, and give "
+                    "them to pcbench external score, or leave it out."
                 )
 
 
@@ -222,9 +222,9 @@ def _alike(report: task.Report) -> None:
 
 def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
-    if sizes.block:
+    if sizes.block_size:
         one = task.bytes_of_a_block(cell, 1)
-        return int(max(min(sizes.block, sizes.memory / one), 1))
+        return int(max(min(sizes.block_size, sizes.memory / one), 1))
     many = wanted(cell).many
     size, pairs = planning.width(cell), sum(len(c.options) for c in owned.cells)
 

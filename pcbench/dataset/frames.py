@@ -12,7 +12,7 @@ from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, Described, Judged, P
 
 Head = dict[str, Any]  # what rows have in common, by column
 Known = list[dict[str, Head]]  # [C] what is known of each observer in a cell: KNOWN
-KNOWN = ("carries_input", "certified")
+KNOWN = ("predicts_unknown_input", "certified")
 
 
 class Frame(NamedTuple):

@@ -85,7 +85,7 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
 def _asked(a: Owned, b: Owned) -> Iterator[str]:
     """Yield what a study may change in its folder, but parts must share: how its numbers are found."""
     for name, one, other in (
-        ("method", a.study.method, b.study.method),
+        ("evaluation", a.study.evaluation, b.study.evaluation),
         ("schedules", a.study.schedules, b.study.schedules),
     ):
         if one != other:

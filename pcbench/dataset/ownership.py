@@ -33,23 +33,23 @@ class Owned(NamedTuple):
     study: Study
     cells: list[Cell]
     text: str  # of study.toml
-    fresh: bool = False  # what an older run left goes when this one begins
+    overwrite: bool = False  # what an older run left goes when this one begins
 
 
-def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
+def claim(target: store.Target, grid: Grid, overwrite: bool = False) -> Owned:
     """Return the study with its cells numbered as in a target; raise UserError where that holds another study. Writes nothing.
 
-    With `fresh` a study that stands there is to be removed.
+    With `overwrite` a study that stands there is to be removed.
     """
     said = store.text(target, TEXT)
     blocks = block_files.present(target)
-    begun = toml_text.parse(said).get("engine") if said is not None and _readable(said) and not fresh else None
-    if begun is None and blocks and not fresh:  # its text is lost
+    begun = toml_text.parse(said).get("engine") if said is not None and _readable(said) and not overwrite else None
+    if begun is None and blocks and not overwrite:  # its text is lost
         begun = {"defined": "definition", "lifted": "products"}.get(
             block_files.about_block(target, blocks[0]).get("flow", "")
         )
     study, every = grid = with_engine(grid, begun)
-    if fresh and (blocks or said is not None):
+    if overwrite and (blocks or said is not None):
         if said is not None and not blocks:
             read_text(target, said)
             _require_ours(target, (TEXT, *CLOSING, *EXACT, *WRITTEN, "code/"))
@@ -70,7 +70,7 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         raise UserError(
             f"{target.name}: holds the results of another study ({'; '.join(changed[:SHOWN])}{more}), expected the same one, "
-            "or one with more seeds, cells or observers; give a new folder with --out, or start over with --fresh."
+            "or one with more seeds, cells or observers; give a new folder with --out, or start over with --overwrite."
         )
     if changed:  # nothing was finished there
         every = grid.cells
@@ -121,11 +121,11 @@ def _mirrored(change: str) -> str:
 
 
 def begin(target: store.Target, owned: Owned) -> None:
-    """Prepare the folder: delete the closing tables of an earlier run (with `fresh` its blocks too), then write study.toml."""
+    """Delete the closing tables of an earlier run (with `overwrite` its blocks too), then write study.toml."""
     store.make(target)
     for name in CLOSING:
         store.remove(target, name)
-    if owned.fresh:
+    if owned.overwrite:
         for name in store.names(target, "runs"):
             if block_files.block_of(name):
                 store.remove(target, name)

@@ -20,7 +20,7 @@ from pcbench.study.cells import Cell
 MARGIN = 1.05  # the standard error is an estimate itself
 GROWTH = 16  # times as many seeds a round at most
 BUDGET = 100  # times the study's seeds, where no budget is given
-METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence", "unsettled")
+METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence_rate", "unsettled_rate")
 
 
 class Precision(NamedTuple):
@@ -123,7 +123,7 @@ def _error(
 
 def _half(row: statistics.Row) -> float:
     """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
-    fraction = row["metric"] in ("divergence", "unsettled")
+    fraction = row["metric"] in ("divergence_rate", "unsettled_rate")
     if not fraction:
         return nan if row["se"] is None else float(row["se"])
     return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95))

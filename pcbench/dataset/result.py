@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pyarrow.dataset as ds
 
 
-def opened(out: str | Path) -> "Result":
+def open_result(out: str | Path) -> "Result":
     """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
     target = store.target(str(out))
     owned = ownership.opened(target)
@@ -78,7 +78,7 @@ class Result:
         """One row per cell, observer, seed and signal."""
         if not block_files.present(self._target):
             raise UserError(
-                f"{self._target.name}: has no runs, its numbers are exact; run the study with method = 'runs'."
+                f"{self._target.name}: has no runs, its numbers are exact; run the study with evaluation = 'runs'."
             )
         whole = self._read()
         first = ["study", "scenario", "observer", "cell"]
@@ -118,7 +118,7 @@ class Result:
 
     def ranks(self, metric: str) -> str:
         """Return the metric that ranks observers where that is asked for: in exact results, of a root its pooled form."""
-        late, plain = ("tail_", metric.removeprefix("tail_")) if metric.startswith("tail_") else ("", metric)
+        late, plain = ("steady_", metric.removeprefix("steady_")) if metric.startswith("steady_") else ("", metric)
         pooled = f"{late}pooled_{plain}"
         return pooled if self.exact and plain in ("rmse", "tracking_rmse", "input_rms") else metric
 

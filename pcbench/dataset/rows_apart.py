@@ -7,7 +7,17 @@ import pyarrow as pa
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
-ERRORS = ("mae", "rmse", "mse", "peak", "final", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
+ERRORS = (
+    "mae",
+    "rmse",
+    "mse",
+    "max_abs_error",
+    "final_error",
+    "steady_mae",
+    "steady_rmse",
+    "steady_mse",
+    "steady_max_abs_error",
+)
 
 
 class Difference(NamedTuple):
@@ -65,11 +75,11 @@ def _unequal(a: pa.Table, b: pa.Table) -> list[tuple[str, np.ndarray, np.ndarray
 
 def _in_unit_of(name: str, size: np.ndarray) -> np.ndarray:
     """The size of errors in the unit of a column."""
-    return size**2 if name in ("mse", "tail_mse") else size
+    return size**2 if name in ("mse", "steady_mse") else size
 
 
 def _sizes(table: pa.Table) -> np.ndarray:
     """The largest error of its signal, for every row: at least 1e-11, below which an error is zero."""
-    peaks = np.fmax(np.nan_to_num(table["peak"].to_numpy()), ZERO)
+    peaks = np.fmax(np.nan_to_num(table["max_abs_error"].to_numpy()), ZERO)
     _, signal = np.unique(table["signal"].to_numpy().astype(str), return_inverse=True)
     return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]

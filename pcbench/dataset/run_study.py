@@ -23,13 +23,13 @@ Say = Callable[[str], None]
 class How(NamedTuple):
     """How a study is run: no number depends on it but through how many runs there are. See `pcbench.run`."""
 
-    fresh: bool = False
+    overwrite: bool = False
     until_se: str | None = None
     max_seeds: int | None = None
     devices: int | None = None
     dask: str | None = None
     workers: int | None = None
-    block: int | None = None
+    block_size: int | None = None
     memory: str | int | None = None
     progress: Progress = SILENT
     say: Say = lambda sentence: None
@@ -37,7 +37,7 @@ class How(NamedTuple):
 
     def checked(self) -> "How":
         """Return it; raise UserError for a value that is none, before any work."""
-        for count, where in ((self.block, "--block"), (self.workers, "--workers"), (self.devices, "devices")):
+        for count, where in ((self.block_size, "--block-size"), (self.workers, "--workers"), (self.devices, "devices")):
             if count is not None and count < 1:
                 raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
         executors.share(self.memory, self.dask, self.workers, self.devices)
@@ -53,16 +53,16 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
         target = store.target(keep.name if keep else str(out))
-        owned = ownership.claim(target, grid, how.fresh)
+        owned = ownership.claim(target, grid, how.overwrite)
         precision.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        sizes = fill.Sizes(how.block, share)
+        sizes = fill.Sizes(how.block_size, share)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
-        there = [] if owned.fresh else fill.whole(target, owned, say)
+        there = [] if owned.overwrite else fill.whole(target, owned, say)
         exact, exactly = Cost(), perf_counter()
-        if grid.study.method != "runs" and exact_part.made(target, owned, say, how.progress):
-            owned, there = owned._replace(fresh=False), block_files.settled(block_files.present(target))
+        if grid.study.evaluation != "runs" and exact_part.made(target, owned, say, how.progress):
+            owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
             exact = Cost(exact_seconds=perf_counter() - exactly)
         left = exact_part.simulated(target, owned)
         wanted = fill.everything(left, there, how.more)

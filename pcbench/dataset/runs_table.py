@@ -21,15 +21,15 @@ def common_columns(
     return out | {"seed": rows, "signal": words(names, at), "unit": words(units, at)}
 
 
-def runs_table(common: dict[str, pa.Array], results: dict[str, Any], carries_input: bool | None) -> pa.Table:
+def runs_table(common: dict[str, pa.Array], results: dict[str, Any], predicts_unknown_input: bool | None) -> pa.Table:
     """Return the runs of one observer in one cell, with the `common_columns` of the signals that it estimates."""
     (many, seeds), bad = results["mae"].shape, np.broadcast_to(results["diverged"], results["unsettled"].shape)
     columns = {
-        "carries_input": pa.repeat(pa.scalar(carries_input, pa.bool_()), many * seeds),
+        "predicts_unknown_input": pa.repeat(pa.scalar(predicts_unknown_input, pa.bool_()), many * seeds),
         **{m: _column(results.get(m), many, seeds) for m in loop_columns.shown(results)},
         "status": words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
         "diverged": np.repeat(results["diverged"], many),
-        "first_bad_time": np.repeat(results["first_bad_time"], many),
+        "divergence_time": np.repeat(results["divergence_time"], many),
     }
     return table(common | columns, bools=("diverged",))
 

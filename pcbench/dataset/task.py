@@ -170,7 +170,7 @@ def block(
         "first": seeds.first,
         "last": seeds.stop,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
-        "carries_input": p.carries_input[label],
+        "predicts_unknown_input": p.predicts_unknown_input[label],
         "bound": bound,
         "certificate": {
             "inequality": c.inequality,
@@ -184,7 +184,7 @@ def block(
     common = {} if common is None else common
     if many not in common:
         common[many] = runs_table.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
-    table = runs_table.runs_table(common[many], results, p.carries_input[label])
+    table = runs_table.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
     return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))

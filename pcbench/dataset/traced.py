@@ -20,7 +20,7 @@ def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa
         meaning = "set point" if name.startswith("target.") else meaning
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
         about = {"unit": unit, "meaning": meaning}
-        for what in ("carries_input", "certified") if "." in name else ():
+        for what in ("predicts_unknown_input", "certified") if "." in name else ():
             known = frame.attrs.get(what, {}).get(name.partition(".")[0])
             about |= {} if known is None else {what: str(known).lower()}
         fields.append(pa.field(name, pa.float64(), metadata=about))

@@ -36,7 +36,7 @@ class Model(NamedTuple):
         return np.zeros((len(self.C), self.B.shape[1])) if self.D is None else self.D
 
 
-def held(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
+def discretize_zoh(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
     """Return Phi = e^{A h} and Gamma = int_0^h e^{A s} ds B, exact for an input held over h seconds; A may be singular.
 
     Remembered, as cells of one study ask for the same again and again.
@@ -58,7 +58,7 @@ def _exponential(A: bytes, n: int, h: float) -> Matrix:
 
 def one_tick(model: Model, h: float) -> tuple[Matrix, Matrix]:
     """Return Phi and Gamma of one tick of h seconds, exactly: x(t + h) = Phi x(t) + Gamma u."""
-    return (model.A, model.B) if model.discrete else held(model.A, model.B, h)
+    return (model.A, model.B) if model.discrete else discretize_zoh(model.A, model.B, h)
 
 
 def bits_for(ticks: int) -> int:

@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
-from pcbench.engine.steps import Happen, any_is_notified, jump, measure, note, notify_sampled
+from pcbench.engine.steps import Happen, any_is_notified, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.sample_noise import Noise
@@ -29,7 +29,7 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
 def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
     """Make rings of ring + 1 packets, and put those on the network that were taken before tick 0: they have measured x(0).
 
-    If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the note of the start.
+    If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the snapshot of the start.
     """
     one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
@@ -63,10 +63,10 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
         return measure(layout, p, k, state, lane_array.split(noise(channels, plan.sample[k])))
 
     def noted() -> Notes:
-        return note(layout, p, k, state)
+        return snapshot(layout, p, k, state)
 
     values, notes = state.flight
-    flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.note[k], noted))
+    flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.snapshot[k], noted))
     for more in range(plan.also.shape[1]):
         flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
 
@@ -78,8 +78,8 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
     def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
-        fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
-        row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
+        mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.believed[k, slot])
+        row = Row(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
 
         def jumped(memories: Any) -> Any:
             after = jump(layout, p, k, state._replace(memories=memories), row, packet)

@@ -50,7 +50,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     )
     size = {label: found.shape[0] for label, found in steps.estimates(layout, p, state).items()}
     state = state._replace(
-        flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.note(layout, p, k, state)),
+        flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
         streams={label: metrics.start(many) for label, many in size.items()},
         watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
@@ -69,7 +69,7 @@ def _tables(commands: network.Commands) -> network.Commands:
 
 def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
     """x(0) [n], random about x0 where the layout says so."""
-    if not layout.random_start:
+    if not layout.random_initial_state:
         return p.x0
     n = p.x0.shape[0]
     normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
@@ -95,13 +95,15 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
     """The observers' memories of xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
     begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
-    drawing = [(label, o.seeded) for label, o in layout.observers if o.seeded]
+    drawing = [(label, o.init_random) for label, o in layout.observers if o.init_random]
     if not drawing:
         return begun
     words = lane_array.split(draws.words(root_seed, seeds))
 
     def own(memories: Any, words: Array, xhat0: Array) -> Any:
-        return memories | {label: seeded(p.gains[label], memories[label], words, xhat0) for label, seeded in drawing}
+        return memories | {
+            label: init_random(p.gains[label], memories[label], words, xhat0) for label, init_random in drawing
+        }
 
     return vmap_entrywise(own)(begun, words, xhat0)
 
@@ -115,10 +117,10 @@ def _everything(layout: Layout, p: Problem) -> steps.Happen:
     row = jax.tree.map(lambda a: lane_array.broadcast(a, layout.width), row) if random else row
 
     def happen(k: Array, state: State) -> State:
-        packet = Packet(steps.measure(layout, p, k, state, noise), steps.note(layout, p, k, state))
+        packet = Packet(steps.measure(layout, p, k, state, noise), steps.snapshot(layout, p, k, state))
         before = state.memories
         if steps.any_is_notified(layout):
-            state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.fresh))
+            state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.mask))
         memories = steps.jump(layout, p, k, state, row, packet)
         if random:  # what a jump changes at all, it changes in some lanes only
             memories = lane_array.unless_same(memories, before, layout.width)

@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
-from pcbench.engine.steps import any_is_notified, flow, jump, measure, note, notify_sampled
+from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, Row, State
 from pcbench.simulation.schedule.agenda import Agenda, agenda
@@ -103,7 +103,7 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
         form=packing.packing(
             lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories
         ),
-        first_notes=note(layout, p, zero, state),
+        first_notes=snapshot(layout, p, zero, state),
     )
     early = (stamped.when < 0).sum()  # believed to be from before tick 0: the start is noted
     rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
@@ -122,7 +122,7 @@ def _take(events: Events, k: Array, state: State) -> State:
         (flight, memories), done = c, c[0].done
         sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
-        notes = _write(flight.notes, noted, note(events.layout, events.p, k, _taken_out(events, state, noted)))
+        notes = _write(flight.notes, noted, snapshot(events.layout, events.p, k, _taken_out(events, state, noted)))
         if telling:
             memories = _notified(events, k, state._replace(memories=memories), sensed)
         done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
@@ -211,10 +211,10 @@ def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
     plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
     return Row(
-        fresh=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
+        mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
         age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
         number=lane_array.split(number),
-        since=lane_array.split(_at(plan.since, c.row, c.lane)),
+        ticks_since_arrival=lane_array.split(_at(plan.ticks_since_arrival, c.row, c.lane)),
     )
 
 

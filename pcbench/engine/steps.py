@@ -77,24 +77,24 @@ def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) 
     return vmap_entrywise(one_lane)(k, state.x, state.drawn, noise)
 
 
-def note(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
+def snapshot(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
     """Return what every observer notes at tick k."""
     return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
-def notify_sampled(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
+def notify_sampled(layout: Layout, p: Problem, k: Array, state: State, mask: PerLane) -> Memories:
     """Return the memories after those observers that ask for it were notified which channels [q] are sampled at tick k."""
 
-    def one_lane(k: Array, lane: Lane, fresh: Array) -> Memories:
-        after = simulate_runs.notify(layout, p, k, lane.run, fresh)
+    def one_lane(k: Array, lane: Lane, mask: Array) -> Memories:
+        after = simulate_runs.notify(layout, p, k, lane.run, mask)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    return vmap_entrywise(one_lane)(k, seen(layout, state), fresh)
+    return vmap_entrywise(one_lane)(k, seen(layout, state), mask)
 
 
 def any_is_notified(layout: Layout) -> bool:
     """Whether any observer asks to be notified at sampling time."""
-    return any(o.sampled for _, o in layout.observers)
+    return any(o.on_sample for _, o in layout.observers)
 
 
 # 2. deliver
@@ -104,7 +104,9 @@ def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: P
     """Return the memories after a packet that arrives at tick k."""
 
     def one_lane(k: Array, lane: Lane, row: Row, packet: Packet) -> Memories:
-        arrival = partial(Arrival, packet.values, row.fresh, row.age, row.number, since=row.since)
+        arrival = partial(
+            Arrival, packet.values, row.mask, row.age, row.number, ticks_since_arrival=row.ticks_since_arrival
+        )
         after = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 

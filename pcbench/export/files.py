@@ -27,7 +27,7 @@ from pcbench.replaying.replay import asked, replay
 from pcbench.study.cells import Cell
 from pcbench.study.raw import Described
 from pcbench.study.read import one_cell
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, DesignContext
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
@@ -61,7 +61,7 @@ class Chosen(NamedTuple):
     observer: Observer
     gains: Any
     xhat0: Any
-    setting: Setting
+    setting: DesignContext
     certificate: Certificate
     rows: int  # of past inputs
     ring: int  # packets that may be on their way
@@ -90,7 +90,7 @@ def exported(
                 f"{asked.name}: got a scenario that measures continuously, expected samples, which alone come to a program; "
                 "take one with a sampling period."
             )
-        if cell.entry(observer).observer.seeded:
+        if cell.entry(observer).observer.init_random:
             raise UserError(
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
@@ -123,7 +123,7 @@ def _recorded(
 ) -> Chosen:
     a = asked(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
-    p, run = recorded.recorded(a, a.cell.entry(label).observer.sampled is not None)
+    p, run = recorded.recorded(a, a.cell.entry(label).observer.on_sample is not None)
     estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
     expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
@@ -150,7 +150,7 @@ def _exported(c: Chosen) -> Exported:
     now = functions.present(
         jnp.asarray(0.0), zero, jnp.asarray(c.setting.dt), *map(jnp.zeros, (m, (1, m))), decided=False
     )
-    noted = jax.eval_shape(lambda: o.note(gains, o.init(gains, xhat0), now)).shape[0]
+    noted = jax.eval_shape(lambda: o.snapshot(gains, o.init(gains, xhat0), now)).shape[0]
     s = functions.source(library.identifier(c.label), o, gains, xhat0, functions.Shapes(m, q, noted, c.rows))
     signals = signals_of(c.cell.scenario)[: s.estimates]
     about = About(
@@ -178,7 +178,7 @@ def _exported(c: Chosen) -> Exported:
     return Exported(about, files, np.abs(c.run.expected).max(0))
 
 
-def _rows(cell: Cell, label: str, known: Setting) -> int:
+def _rows(cell: Cell, label: str, known: DesignContext) -> int:
     """How many past inputs an observer may ask for: those since the oldest sample that it may still use."""
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs

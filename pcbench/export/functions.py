@@ -77,10 +77,10 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         "now": _named(("t", "tick", "dt", "u", "past"), now),
         "a": _named(Arrival._fields, arrival),
     }
-    vectors = {"xhat0": _named(("xhat0",), [xhat0]), "fresh": _named(("fresh",), [flags])}
+    vectors = {"xhat0": _named(("xhat0",), [xhat0]), "mask": _named(("mask",), [flags])}
     out = []
     for name, (f, args, changes) in _asked(o, shapes.noted).items():
-        values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "fresh": flags}
+        values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "mask": flags}
         closed = jax.make_jaxpr(f)(*(values[each] for each in args))
         entries = [
             entry
@@ -138,11 +138,11 @@ def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
     now = [kind(float), kind(int), kind(float), kind(float, m), kind(float, rows, m)]
     arrival = Arrival(
         value=kind(float, q),
-        fresh=kind(bool, q),
+        mask=kind(bool, q),
         age=kind(int, q),
         index=kind(int, q),
-        note=kind(float, r),
-        since=kind(int),
+        snapshot=kind(float, r),
+        ticks_since_arrival=kind(int),
     )
     return now, arrival, kind(bool, q)
 
@@ -159,9 +159,13 @@ def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple
 
     out: dict[str, tuple[Callable[..., Any], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
     if noted:
-        out["note"] = (lambda g, m, now: jnp.asarray(o.note(g, m, undecided(now))), ("g", "m", "now"), "note")
-    if told := o.sampled:
-        out["sampled"] = (lambda g, m, now, fresh: told(g, m, undecided(now), fresh), ("g", "m", "now", "fresh"), "m")
+        out["snapshot"] = (
+            lambda g, m, now: jnp.asarray(o.snapshot(g, m, undecided(now))),
+            ("g", "m", "now"),
+            "snapshot",
+        )
+    if told := o.on_sample:
+        out["sampled"] = (lambda g, m, now, mask: told(g, m, undecided(now), mask), ("g", "m", "now", "mask"), "m")
     out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), _complete(a)), ("g", "m", "now", "a"), "m")
     out["estimate"] = (lambda g, m: jnp.asarray(o.estimate(g, m)), ("g", "m"), "xhat")
     if spread := o.covariance:
@@ -172,8 +176,8 @@ def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple
 
 def _complete(a: Arrival) -> Arrival:
     """An arrival with 0 for the value and the age of the others for that of a channel that does not arrive."""
-    oldest = jnp.max(jnp.where(a.fresh, a.age, 0))
-    return a._replace(value=jnp.where(a.fresh, a.value, 0.0), age=jnp.where(a.fresh, a.age, oldest))
+    oldest = jnp.max(jnp.where(a.mask, a.age, 0))
+    return a._replace(value=jnp.where(a.mask, a.value, 0.0), age=jnp.where(a.mask, a.age, oldest))
 
 
 def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str, refuses: bool) -> list[str]:
@@ -206,7 +210,7 @@ def _head(label: str, args: tuple[str, ...], changes: str) -> str:
         "now": f"const {label}_now *now",
         "a": f"const {label}_arrival *a",
         "xhat0": "const real *xhat0",
-        "fresh": "const bool *fresh",
+        "mask": "const bool *mask",
     }
     made = [said["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
     return ", ".join([*(said[each] for each in args), *made])

@@ -34,8 +34,8 @@ long {label}_products = 0;
 #define SIGN(x) ((x) != (x) ? (x) : ((x) > 0) - ((x) < 0))
 """
 ORDER = """   At tick k, in this order:
-     1. where a sample is taken now: {label}_note (keep what it writes with the sample){sampled};
-     2. for each sample that arrives now, the oldest first: {label}_jump, with the note of its own tick;
+     1. where a sample is taken now: {label}_snapshot (keep what it writes with the sample){sampled};
+     2. for each sample that arrives now, the oldest first: {label}_jump, with the snapshot of its own tick;
      3. {label}_estimate: the estimate of now;
      4. decide the input, and {label}_hold(&now, u);
      5. {label}_flow; then {label}_next(&now).
@@ -44,10 +44,10 @@ ORDER = """   At tick k, in this order:
    {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. A
    measurement may arrive after at most {macro_newer} = {newer} newer ones; after more of them {label}_jump may return 1. It
    returns 1 if the inputs since the last measurement are no longer stored: begin again with {label}_begin and {label}_init.
-   A value that is not finite makes the estimates so for good: set fresh to 0 for it."""
+   A value that is not finite makes the estimates so for good: set mask to 0 for it."""
 OLDEST, NEWER = "{macro}_OLDEST_AGE", "{macro}_MAX_NEWER"
 ADMITTED = """    for (int j = 0; j < {outputs}; j++) {{
-        if (a->fresh[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{
+        if (a->mask[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{
             return 1;
         }}
     }}"""
@@ -118,7 +118,7 @@ def header(about: About, s: Source) -> str:
                 "s",
                 "from 0",
                 "s, of one tick",
-                "held over the tick that has begun; in note, sampled and jump that of the tick before",
+                "held over the tick that has begun; in snapshot, sampled and jump that of the tick before",
                 f"inputs of the last {about.rows} ticks, tick n in row n mod {about.rows}",
             ),
             strict=True,
@@ -139,8 +139,8 @@ def header(about: About, s: Source) -> str:
     )
     order = (
         order
-        if _has(s, "note")
-        else order.replace(f"{label}_note (keep what it writes with the sample)", "nothing to note")
+        if _has(s, "snapshot")
+        else order.replace(f"{label}_snapshot (keep what it writes with the sample)", "no snapshot to keep")
     )
     past = PAST.format(rows=about.rows, inputs=about.inputs) if s.looks_back else ""
     lines = [

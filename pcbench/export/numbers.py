@@ -9,11 +9,11 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.export import functions, structs
 from pcbench.export.library import About
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 def described(
-    about: About, known: Setting, certificate: Certificate, options: dict[str, Any], gains: Any
+    about: About, known: DesignContext, certificate: Certificate, options: dict[str, Any], gains: Any
 ) -> dict[str, Any]:
     """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
     Phi, Gamma = linear.one_tick(known.model, known.dt)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.export.vector import JUMP, NOTE, SAMPLED, Event, Vector
+from pcbench.export.vector import JUMP, SAMPLED, SNAPSHOT, Event, Vector
 from pcbench.logs.windows import Window
 from pcbench.plants import signals_of
 from pcbench.replaying import feed
@@ -37,32 +37,32 @@ def recorded(a: Asked, tells: bool) -> tuple[Prepared, Vector]:
 
 def happening(first: int, w: Window, tells: bool) -> list[Event]:
     """Return the events of a part that begins at tick `first`, in the order of a tick."""
-    out, q = [], w.fresh.shape[2]
+    out, q = [], w.mask.shape[2]
     none = np.zeros(q, int)
     for k in map(int, np.flatnonzero(w.event)):
         quiet = Event(
             tick=first + k,
-            what=NOTE,
+            what=SNAPSHOT,
             packet=int(w.sense[k]),
             value=np.zeros(q),
-            fresh=np.zeros(q, bool),
+            mask=np.zeros(q, bool),
             age=none,
             index=none,
-            since=0,
+            ticks_since_arrival=0,
         )
         if w.sense[k] >= 0:
             out.append(quiet)
         if tells and w.sense[k] >= 0:
-            out.append(quiet._replace(what=SAMPLED, fresh=w.sampled[k]))
+            out.append(quiet._replace(what=SAMPLED, mask=w.sampled[k]))
         for slot in map(int, np.flatnonzero(w.arrive[k] >= 0)):
             arrived = quiet._replace(
                 what=JUMP,
                 packet=int(w.arrive[k, slot]),
                 value=w.value[k, slot],
-                fresh=w.fresh[k, slot],
+                mask=w.mask[k, slot],
                 age=np.full(q, first + k - int(w.taken[k, slot])),
                 index=w.number[k, slot].astype(int),
-                since=int(w.since[k, slot]),
+                ticks_since_arrival=int(w.ticks_since_arrival[k, slot]),
             )
             out.append(arrived)
     return out

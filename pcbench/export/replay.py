@@ -19,7 +19,7 @@ extern long {label}_products;
 #else
 static long {label}_products = 0;
 #endif
-static {label}_real notes[RING][NOTED];
+static {label}_real snapshots[RING][NOTED];
 
 int main(int argc, char **argv)
 {{
@@ -27,7 +27,7 @@ int main(int argc, char **argv)
     static {label}_now now;
     double largest[SIGNALS] = {{0}}, square[SIGNALS] = {{0}}, error[SIGNALS] = {{0}};
     long known[SIGNALS] = {{0}}, refused = 0;
-    long sample[3] = {{0}}, tick = 0, e = 0; /* products: of a note, of telling, of a jump */
+    long sample[3] = {{0}}, tick = 0, e = 0; /* products: of a snapshot, of telling, of a jump */
     (void)argv;
     {label}_begin(&now);
 {before}    {label}_init(&{label}_nominal, first, &memory);
@@ -36,15 +36,15 @@ int main(int argc, char **argv)
         for (; e < EVENTS && events[e].tick <= k; e++) {{
             const event *v = &events[e];
             start = {label}_products;
-{note}{sampled}            if (v->what == 2) {{
+{snapshot}{sampled}            if (v->what == 2) {{
                 {label}_arrival a;
                 for (int j = 0; j < OUTPUTS; j++) {{
                     a.value[j] = ({label}_real)v->value[j];
-                    a.fresh[j] = v->fresh[j];
+                    a.mask[j] = v->mask[j];
                     a.age[j] = v->age[j];
                     a.index[j] = v->index[j];
                 }}
-{carry}                a.since = v->since;
+{carry}                a.ticks_since_arrival = v->ticks_since_arrival;
                 refused += {label}_jump(&{label}_nominal, &memory, &now, &a);
             }}
             sample[v->what] = {label}_products - start;
@@ -86,16 +86,16 @@ int main(int argc, char **argv)
     return refused > 0;
 }}
 """
-NOTE = """            if (v->what == 0) {{
-                {label}_note(&{label}_nominal, &memory, &now, notes[v->packet % RING]);
+SNAPSHOT = """            if (v->what == 0) {{
+                {label}_snapshot(&{label}_nominal, &memory, &now, snapshots[v->packet % RING]);
             }}
 """
 SAMPLED = """            if (v->what == 1) {{
-                {label}_sampled(&{label}_nominal, &memory, &now, v->fresh);
+                {label}_sampled(&{label}_nominal, &memory, &now, v->mask);
             }}
 """
 CARRY = """                for (int j = 0; j < NOTED; j++) {{
-                    a.note[j] = notes[v->packet % RING][j];
+                    a.snapshot[j] = snapshots[v->packet % RING][j];
                 }}
 """
 HOLD = """        {label}_real u[INPUTS];
@@ -121,7 +121,7 @@ def main(about: About, s: Source, noted: int) -> str:
     before = BEFORE.format(label=about.label, past=PAST.format(label=about.label) if s.looks_back else "")
     parts = {
         "before": before,
-        "note": NOTE if "note" in has else "",
+        "snapshot": SNAPSHOT if "snapshot" in has else "",
         "sampled": SAMPLED if "sampled" in has else "",
         "carry": CARRY if noted else "",
         "hold": HOLD,
@@ -149,11 +149,11 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         "",
         "typedef struct {",
         "    int64_t tick;",
-        "    int what; /* 0 note, 1 sampled, 2 jump */",
+        "    int what; /* 0 snapshot, 1 sampled, 2 jump */",
         "    int64_t packet;",
         f"    double value[{q}];",
-        f"    bool fresh[{q}];",
-        f"    int64_t age[{q}], index[{q}], since;",
+        f"    bool mask[{q}];",
+        f"    int64_t age[{q}], index[{q}], ticks_since_arrival;",
         "} event;",
         "",
         f"static const char *const names[] = {{{', '.join(_quoted(name) for name, _ in about.signals[:s])}}};",
@@ -164,8 +164,8 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         *_table("expected", s, v.expected),
         "static const event events[] = {",
         *(
-            f"    {{{e.tick}, {e.what}, {e.packet}, {{{_row(e.value)}}}, {{{_row(e.fresh)}}}, {{{_row(e.age)}}}, "
-            f"{{{_row(e.index)}}}, {e.since}}},"
+            f"    {{{e.tick}, {e.what}, {e.packet}, {{{_row(e.value)}}}, {{{_row(e.mask)}}}, {{{_row(e.age)}}}, "
+            f"{{{_row(e.index)}}}, {e.ticks_since_arrival}}},"
             for e in v.events
         ),
         *([] if v.events else ["    {0}"]),

@@ -14,7 +14,7 @@ from pcbench.planning.padding import Plan
 from pcbench.simulation import measured, trace
 from pcbench.simulation.problem import Layout, Problem, present
 
-NOTE, SAMPLED, JUMP = 0, 1, 2
+SNAPSHOT, SAMPLED, JUMP = 0, 1, 2
 Floats = NDArray[np.float64]
 
 
@@ -22,13 +22,13 @@ class Event(NamedTuple):
     """What happens at a tick, in the order in which it does; q outputs."""
 
     tick: int
-    what: int  # NOTE, SAMPLED or JUMP
-    packet: int  # whose note is written or read
-    value: Floats  # [q] 0 where not fresh
-    fresh: NDArray[np.bool_]  # [q] that arrive, or are sampled
+    what: int  # SNAPSHOT, SAMPLED or JUMP
+    packet: int  # whose snapshot is written or read
+    value: Floats  # [q] 0 where not in mask
+    mask: NDArray[np.bool_]  # [q] that arrive, or are sampled
     age: NDArray[np.int64]  # [q]
     index: NDArray[np.int64]  # type: ignore[assignment]  # [q]
-    since: int
+    ticks_since_arrival: int
 
 
 class Vector(NamedTuple):
@@ -53,7 +53,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     many = 1 + max(int(schedule.sample.max(initial=0)), int(schedule.early.max(initial=0)))
     seen = measured.compiled()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
     values = packets(schedule, *(np.asarray(each)[..., 0] for each in seen))
-    events = happening(schedule, values, p.layout.observers[0][1].sampled is not None)
+    events = happening(schedule, values, p.layout.observers[0][1].on_sample is not None)
     expected = out.estimates[name]
     truth = out.x[:, : expected.shape[1]]
     return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
@@ -84,29 +84,36 @@ def packets(schedule: Any, clean: Floats, noise: Floats) -> Floats:
 
 
 def happening(schedule: Any, values: Floats, tells: bool) -> list[Event]:
-    """Return the events of a schedule in the order of a tick: notes, what is sampled, what arrives."""
+    """Return the events of a schedule in the order of a tick: snapshots, what is sampled, what arrives."""
     q = values.shape[1]
     none = np.zeros(q, int)
     nothing = Event(
-        tick=-1, what=NOTE, packet=-1, value=np.zeros(q), fresh=np.zeros(q, bool), age=none, index=none, since=0
+        tick=-1,
+        what=SNAPSHOT,
+        packet=-1,
+        value=np.zeros(q),
+        mask=np.zeros(q, bool),
+        age=none,
+        index=none,
+        ticks_since_arrival=0,
     )
     out = [nothing._replace(packet=i) for i in range(len(schedule.early))]
     for k in map(int, np.flatnonzero(schedule.event)):
-        if schedule.note[k] >= 0:
-            out.append(nothing._replace(tick=k, packet=int(schedule.note[k])))
+        if schedule.snapshot[k] >= 0:
+            out.append(nothing._replace(tick=k, packet=int(schedule.snapshot[k])))
         if tells and schedule.sense[k] >= 0:
-            out.append(nothing._replace(tick=k, what=SAMPLED, fresh=schedule.sample[k] >= 0))
+            out.append(nothing._replace(tick=k, what=SAMPLED, mask=schedule.sample[k] >= 0))
         for slot in np.flatnonzero(schedule.arrive[k] >= 0):
-            packet, fresh = int(schedule.arrive[k, slot]), schedule.fresh[k, slot]
+            packet, mask = int(schedule.arrive[k, slot]), schedule.mask[k, slot]
             arrived = Event(
                 tick=k,
                 what=JUMP,
                 packet=packet,
-                value=np.where(fresh, values[packet], 0.0),
-                fresh=fresh,
+                value=np.where(mask, values[packet], 0.0),
+                mask=mask,
                 age=np.full(q, k - schedule.believed[k, slot]),
                 index=schedule.number[k, slot].astype(int),
-                since=int(schedule.since[k, slot]),
+                ticks_since_arrival=int(schedule.ticks_since_arrival[k, slot]),
             )
             out.append(arrived)
     return out

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from pcbench.errors import UserError, unknown
 from pcbench.machine import process
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
 from pcbench.planning import designed, setting
 from pcbench.study import Study
@@ -26,17 +26,17 @@ HIDDEN = ("P", "P1", "P2", "shared_P")  # what proves, not what is promised
 
 
 def design(
-    scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
+    scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> tuple[Study, Cell, Design]:
-    """Return an observer's design in a scenario's one cell; `method` is one of the observer's ways to find gains.
+    """Return an observer's design in a scenario's one cell; `gain` is one of the observer's ways to find gains.
 
     Raises UserError for another word, DesignError where the gains are not certified.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     label = label_of(observer)
-    if method is not None:
-        way = _way(cell.entry(label), label, method)
-        study, cell = one_cell(_changed(study, label, {way: method}), [label], [])
+    if gain is not None:
+        way = _way(cell.entry(label), label, gain)
+        study, cell = one_cell(_changed(study, label, {way: gain}), [label], [])
     return study, cell, designed(label, cell.entry(label), setting(cell), cell.options[label])
 
 
@@ -80,7 +80,7 @@ def trade_off(
     option: str,
     values: list[Any],
     *,
-    method: str | None = None,
+    gain: str | None = None,
     overrides: list[str] | None = None,
 ) -> pd.DataFrame:
     """Return a row for each value of one option of a design: what is promised there, or why it is refused.
@@ -106,7 +106,7 @@ def trade_off(
         }
         try:
             with process.float64():
-                c = design(_changed(study, observer, {name: value}), observer, method=method)[2].certificate
+                c = design(_changed(study, observer, {name: value}), observer, gain=gain)[2].certificate
             row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback}
             row |= {"certified": is_certified(c._asdict())} | _entries(c.numbers)
         except UserError as error:
@@ -123,19 +123,19 @@ def _changed(study: Study, observer: str, options: dict[str, Any]) -> Study:
     return study.model_copy(update={"options": study.options | {observer: given | options}})
 
 
-def _way_of(entry: Entry) -> list[str]:
+def _way_of(entry: ObserverSpec) -> list[str]:
     """The option that says how an observer's gains are found, if it has one."""
     return [name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)]
 
 
-def _way(entry: Entry, observer: str, method: str) -> str:
-    """The option to set for a method; raise UserError where the observer has no such."""
+def _way(entry: ObserverSpec, observer: str, gain: str) -> str:
+    """The option to set for a way to find gains; raise UserError where the observer has no such."""
     names = _way_of(entry)
     if not names:
-        raise UserError(f"--method: got '{method}', but {observer} has one way to find its gains; leave it out.")
+        raise UserError(f"--gain: got '{gain}', but {observer} has one way to find its gains; leave it out.")
     valid = get_args(entry.options.model_fields[names[0]].annotation)
-    if method not in valid:
-        raise unknown("--method", f"way to find gains of {observer}", method, valid)
+    if gain not in valid:
+        raise unknown("--gain", f"way to find gains of {observer}", gain, valid)
     return names[0]
 
 

@@ -1,4 +1,4 @@
-"""How the objective of a tuning is evaluated, and by which method."""
+"""How the objective of a tuning is evaluated, and by which optimizer."""
 
 from collections.abc import Callable
 from typing import Any
@@ -37,7 +37,7 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
 def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
     """Return descent where there is a gradient, or else search; raise UserError where descent is asked for without one."""
     if asked not in (None, *METHODS):
-        raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
+        raise UserError(f"{where}: --optimizer: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
         f"{aim.metric} has no gradient": not aim.smooth,
         "its steps cannot be differentiated": not p.cell.entry(p.labels[0]).smooth,
@@ -46,7 +46,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
     }
     reasons = [reason for reason, holds in against.items() if holds]
     if asked == "descent" and reasons:
-        raise UserError(f"{where}: --method: got descent, but {reasons[0]}; expected search; leave it out.")
+        raise UserError(f"{where}: --optimizer: got descent, but {reasons[0]}; expected search; leave it out.")
     return asked or ("search" if reasons else "descent")
 
 

@@ -23,8 +23,8 @@ from pcbench.moments.realised import Realised
 from pcbench.planning.padding import Plan
 from pcbench.statistics import POOLED
 
-SQUARES = {"mse": ("square", 0), "tail_mse": ("square", 1)}
-SIZES = {"mae": ("absolute", 0), "tail_mae": ("absolute", 1)}
+SQUARES = {"mse": ("square", 0), "steady_mse": ("square", 1)}
+SIZES = {"mae": ("absolute", 0), "steady_mae": ("absolute", 1)}
 SUMS = SQUARES | SIZES  # of `moments.sums`, and which of its two: over the horizon, or over the tail
 OFFERED = (*SUMS, *POOLED)
 INSTEAD = "leave exact out, and it is tuned on runs"
@@ -60,7 +60,7 @@ def check(aim: Objective, p: Plan, where: str) -> Realised:
 def method_for(asked: str | None, where: str) -> str:
     """Return descent, or what is asked for: every exact objective has a gradient."""
     if asked not in (None, *METHODS):
-        raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
+        raise UserError(f"{where}: --optimizer: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     return asked or "descent"
 
 

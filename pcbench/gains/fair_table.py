@@ -21,8 +21,8 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
     square) with their standard errors, `training` of an exact tuning the expected value; `gap` is held_out less training,
-    `efficiency` the bound over tail_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
-    `certified` is that of stats; `note` says where a start was kept, and why. With `out` the table stands there as
+    `rms_efficiency` the bound over steady_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
+    `certified` is that of stats; `snapshot` says where a start was kept, and why. With `out` the table stands there as
     fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
     if made.aim is None:
@@ -44,13 +44,17 @@ def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_
     for cell in held_out.cell.unique():
         for v in versions:
             a, b = (_row(stats, cell, v.label, aim, aim.metric) for stats in (training, held_out))
-            share = _row(held_out, cell, v.label, aim, "efficiency")
+            share = _row(held_out, cell, v.label, aim, "rms_efficiency")
             rows.append(
                 {"scenario": b["scenario"], "cell": cell, "observer": v.observer, "tuning": v.tuning, "label": v.label}
                 | {"signal": aim.name, "metric": aim.metric, "unit": b["unit"]}
                 | {"training": a["mean"], "training_se": a["se"], "held_out": b["mean"], "held_out_se": b["se"]}
                 | {"gap": b["mean"] - a["mean"], "gap_se": float(np.hypot(a["se"], b["se"])), "diverged": b["diverged"]}
-                | {"efficiency": share["mean"], "efficiency_low": share["ci_low"], "efficiency_high": share["ci_high"]}
+                | {
+                    "rms_efficiency": share["mean"],
+                    "efficiency_low": share["ci_low"],
+                    "efficiency_high": share["ci_high"],
+                }
                 | {"certified": b["certified"], "note": v.note}
             )
     return pd.DataFrame(rows)

@@ -48,7 +48,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
         found = differentiable.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
-        peaks = found[label]["peak"]
+        peaks = found[label]["max_abs_error"]
         lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
         return jnp.sum(found[label][goal.base][goal.signal] * weights), lost
 

@@ -32,7 +32,7 @@ class Objective(NamedTuple):
     @property
     def smooth(self) -> bool:
         """Return whether it has a gradient."""
-        return self.base.removeprefix("tail_") in differentiable.SMOOTH
+        return self.base.removeprefix("steady_") in differentiable.SMOOTH
 
     def of(self, mean: float) -> float:
         """Return the objective from the mean of its base over runs."""
@@ -56,7 +56,7 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
 
     Raises UserError for an unknown one.
     """
-    ticks = whole(scenario.horizon, scenario)
+    ticks = whole(scenario.duration, scenario)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
     there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
     there = [m for m in there if m not in OF_RUN]  # of no signal

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import TUNABLE, extra
 
 Vector = NDArray[np.float64]
@@ -47,13 +47,18 @@ class Free(NamedTuple):
         return (many + self.shape[0]) // 2 if self.kind == "covariance" else many
 
 
-def tunable(entry: Entry) -> list[str]:
+def tunable(entry: ObserverSpec) -> list[str]:
     """Return the names of the options of an observer that may be tuned."""
     return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
 
 
 def start(
-    label: str, entry: Entry, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+    label: str,
+    entry: ObserverSpec,
+    options: BaseModel,
+    designed: Mapping[str, Any],
+    names: list[str] | None,
+    where: str,
 ) -> tuple[list[Free], Vector]:
     """Return the free parameters and where they start.
 
@@ -87,7 +92,7 @@ def start(
     return found, np.concatenate(values)
 
 
-def _free(entry: Entry, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+def _free(entry: ObserverSpec, name: str, value: Any, first: int) -> tuple[Free, Vector]:
     """One parameter, and its numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
     kind, edges = _kind(field), extra(field)[TUNABLE]

@@ -20,7 +20,7 @@ from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.planning import padding
 from pcbench.study import Study, given, read
 from pcbench.study.as_toml import digest
@@ -28,7 +28,7 @@ from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.options import own_options
 from pcbench.study.references import absolute
-from pcbench.synthesis.certificate import Design, Setting, is_certified
+from pcbench.synthesis.certificate import Design, DesignContext, is_certified
 
 BUDGET = 60
 TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
@@ -62,8 +62,8 @@ def tune(
     budget: int = BUDGET,
     objective: str | None = None,
     signal: str | None = None,
-    method: str | None = None,
-    exact: bool = False,
+    optimizer: str | None = None,
+    exact_objective: bool = False,
     only: list[str] | None = None,
     training: Seeds = TRAINING,
     judges: Seeds = JUDGES,
@@ -74,25 +74,25 @@ def tune(
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). `exact` takes the expected value over
-    all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With `out`, a folder, the history
-    stands there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever
-    the user can mend.
+    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). `exact_objective` takes the expected
+    value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With `out`, a folder, the
+    history stands there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for
+    whatever the user can mend.
     """
     where = f"tune {observer}"
     training, judges = Seeds(*training), Seeds(*judges)
-    _check(budget, training, judges, exact, where)
+    _check(budget, training, judges, exact_objective, where)
     with process.float64(), ending.temporary_folder() as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"
-        aim = objective_of(objective or default(exact), cell.scenario, signal, where)
-        draws = "exact" if exact else f"seeds {training}"
-        how_far = f"{method or 'the method that fits'}, {draws}, {', '.join(only or ['all'])} free"
+        aim = objective_of(objective or default(exact_objective), cell.scenario, signal, where)
+        draws = "exact" if exact_objective else f"seeds {training}"
+        how_far = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
         asked = own_options(study, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
-        whole = f"{about}, {budget} points" + ("" if exact else f", judged on {judges}")
+        whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {judges}")
         target = store.target(str(out) if out is not None else spare)
         basis = history.basis_of(asked, cell)
         if done := history.finished(target, whole, about, basis):
@@ -107,18 +107,18 @@ def tune(
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         evaluation.check_estimates(p, aim, where)
-        if exact:
-            how, one = expected.method_for(method, where), expected.check(aim, p, where)
+        if exact_objective:
+            how, one = expected.method_for(optimizer, where), expected.check(aim, p, where)
             evaluate = expected.evaluator(p, one, aim, len(start), design, where)
         else:
-            how = evaluation.method_for(method, aim, p, where)
+            how = evaluation.method_for(optimizer, aim, p, where)
             evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(target, about, parameters.entries(every), basis)
         progress.begin("points", budget)
         progress.note("compiling")
         descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
-        if exact:
+        if exact_objective:
             judged, kept = [expected.judgement(aim, trials.points[0].value, trials.best.value)], ""
         else:
             progress.note("judging on other seeds")
@@ -135,7 +135,7 @@ def tune(
             method=how,
             objective=aim,
             certified=is_certified(planning.designed(observer, entry, known, chosen).certificate._asdict()),
-            exact=exact,
+            exact=exact_objective,
         )
         history.finish(target, whole, tuned)
         return tuned
@@ -146,7 +146,7 @@ def default(exact: bool) -> str:
     return "pooled_rmse" if exact else "rmse"
 
 
-def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, Cell, Design]:
+def _startable(study: Study, cell: Cell, observer: str, known: DesignContext) -> tuple[Study, Cell, Design]:
     """The study and its cell with their observer's design; a decay is asked for a little slower.
 
     A gain found for a rate stands at its edge, where another proof of the same rate may fail.
@@ -163,8 +163,8 @@ def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple
 
 def freed(
     observer: str,
-    entry: Entry,
-    known: Setting,
+    entry: ObserverSpec,
+    known: DesignContext,
     options: BaseModel,
     designed: Design,
     only: list[str] | None,
@@ -223,10 +223,10 @@ def _check(budget: int, training: Seeds, judges: Seeds, exact: bool, where: str)
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
     if exact and (training, judges) != (TRAINING, JUDGES):
         raise UserError(
-            f"{where}: --exact: got seeds to train or judge on, expected none: an expected value needs no runs; leave --train "
-            "and --judge out, or --exact."
+            f"{where}: --exact-objective: got seeds to train or judge on, expected none: an expected value needs no runs; "
+            "leave --training-seeds and --validation-seeds out, or --exact-objective."
         )
-    for name, seeds in (("--train", training), ("--judge", judges)):
+    for name, seeds in (("--training-seeds", training), ("--validation-seeds", judges)):
         if seeds.many < 2 or seeds.first < 0 or seeds.stop > 2**32:
             raise UserError(f"{where}: {name}: got {seeds}, expected two seeds or more of 0:4294967296.")
     if common(training, judges).many:

@@ -60,13 +60,13 @@ class ExplicitStudy(NamedTuple):
         return self.grid.study
 
 
-def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> ExplicitStudy:
+def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progress = SILENT) -> ExplicitStudy:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
     """
     study = grid.study
-    if study.tunings == ["paper"]:
+    if study.tunings == ["published"]:
         return ExplicitStudy(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
@@ -80,10 +80,10 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     aim = objective_of(
         study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
     )
-    if study.tune.exact:
+    if study.tune.exact_objective:
         expected.offered(aim, f"{study.name}: tune")
     _apart(study)
-    _ours(study, out, fresh)
+    _ours(study, out, overwrite)
     scenario = scenarios_of(study)[study.scenarios[0]]
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
     named.require_tunable(study, list(paper))
@@ -166,7 +166,7 @@ def _versions_in(points: list[dict[str, Any]], gains: list[_Gains]) -> list[Vers
         for each in gains:
             mine = [v.note for v in each.versions if v.label == label]
             if not mine:
-                each.options[label] = each.options[f"{version.observer}-paper"]
+                each.options[label] = each.options[f"{version.observer}-published"]
             notes.append(mine[0] if mine else "nothing to tune, so gains as printed")
         at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
         several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
@@ -180,7 +180,7 @@ def _with(
     observers: list[str] | None = None,
     record: TunedOptions | None = None,
 ) -> Grid:
-    changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
+    changes: dict[str, Any] = {"options": study.options | options, "tuning": "published"}
     return grid_of(study, changes | {"observers": observers, "tuned": record and record.model_dump()}, [])
 
 
@@ -199,15 +199,15 @@ def _at(study: Study, point: dict[str, Any]) -> Study:
 
 def trained_on(study: Study) -> Study:
     """Return the study on what gains are tuned on: the training runs, or expected values."""
-    if study.tune.exact:
-        return study.model_copy(update={"method": "exact"})
+    if study.tune.exact_objective:
+        return study.model_copy(update={"evaluation": "exact"})
     its = _training(study)
     return study.model_copy(update={"first_seed": its.first, "seeds": its.many})
 
 
 def _apart(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on."""
-    if study.tune.exact:  # it is tuned on none
+    if study.tune.exact_objective:  # it is tuned on none
         return
     mine = counted(study.first_seed, study.seeds)
     for its in (_training(study), JUDGES):
@@ -222,8 +222,8 @@ def _training(study: Study) -> Seeds:
     return counted(tune.TRAINING.first, study.tune.training)
 
 
-def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
-    """Raise UserError where a folder holds something else, before anything is written; `fresh` removes earlier tunings."""
+def _ours(study: Study, out: str | Path | None, overwrite: bool) -> None:
+    """Raise UserError where a folder holds something else, before anything is written; `overwrite` removes earlier tunings."""
     if out is None:
         return
     target = store.target(str(out))
@@ -233,13 +233,13 @@ def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
         raise UserError(
             f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
         )
-    if said is not None and not any(name.startswith(BESIDE) for name in names) and not fresh:
+    if said is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
         raise UserError(
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
-            "start over with --fresh."
+            "start over with --overwrite."
         )
     ours = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
-    for name in [name for name in names if fresh and ours.fullmatch(name)]:
+    for name in [name for name in names if overwrite and ours.fullmatch(name)]:
         store.remove(target, name)
 
 
@@ -248,7 +248,7 @@ def _untuned(study: Study, papers: dict[str, dict[str, Any]]) -> tuple[list[Vers
     versions: list[Version] = []
     options: dict[str, dict[str, Any]] = {}
     for observer, paper in papers.items():
-        ways: dict[str, Mapping[str, Any] | None] = {"paper": {}, "design": entry_in(study, observer).designed}
+        ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
         for tuning, more in ways.items():
             if more is not None:
                 versions.append(Version(f"{observer}-{tuning}", observer, tuning))
@@ -282,7 +282,7 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     only = named.only(study, version.observer)
     if not parameters.tunable(entry_in(study, version.observer)) or only == []:
         return False
-    here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "paper"})
+    here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "published"})
     cell = one_cell(here, [version.observer], [])[1]
     known, chosen = planning.setting(cell), cell.options[version.observer]
     entry = cell.entry(version.observer)
@@ -304,7 +304,7 @@ def _tuned(
     options = study.options | {observer: start}
     changes: dict[str, Any] = {
         "options": options,
-        "tuning": "paper",
+        "tuning": "published",
         "observers": [observer],
         "seeds": 1,
         "first_seed": 0,
@@ -317,15 +317,15 @@ def _tuned(
             budget=study.tune.budget,
             objective=study.tune.objective,
             signal=study.tune.signal,
-            exact=study.tune.exact,
+            exact_objective=study.tune.exact_objective,
             only=named.only(study, observer),
-            training=tune.TRAINING if study.tune.exact else _training(study),
-            judges=tune.JUDGES if study.tune.exact else JUDGES,
+            training=tune.TRAINING if study.tune.exact_objective else _training(study),
+            judges=tune.JUDGES if study.tune.exact_objective else JUDGES,
             out=folder and f"{folder}/{observer}",
             progress=renamed,
         )
     except tune.NoStart:
         return "no start of it works on the training runs", {}
     except AnotherTuning as error:
-        raise UserError(f"{str(error).removesuffix('.')}, or start over with --fresh.") from None
+        raise UserError(f"{str(error).removesuffix('.')}, or start over with --overwrite.") from None
     return found.kept_start, {} if found.kept_start else found.found

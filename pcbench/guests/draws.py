@@ -1,4 +1,4 @@
-"""`pcbench draws`: what every run of a study measures and when it arrives, as files that any program reads.
+"""`pcbench external prepare`: what every run of a study measures and when it arrives, as files that any program reads.
 
 Nothing in them says what is true: an estimate made of them cannot have seen it.
 """
@@ -69,7 +69,7 @@ CELL = {
 }
 README = """# What every run measures, and when it arrives
 
-Written by `pcbench draws`. Ticks are whole numbers. With `--csv` each table is a `.csv` file too.
+Written by `pcbench external prepare`. Ticks are whole numbers. With `--csv` each table is a `.csv` file too.
 
 `samples.parquet`, a row for each sample of each channel:
 
@@ -90,7 +90,7 @@ At tick k a run goes: samples are taken, samples arrive (the oldest first), **th
 u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
 
 Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario,
-cell, seed, tick, and one for each signal by its name. Then: `pcbench score DIR estimates.parquet --name my-observer`.
+cell, seed, tick, and one for each signal by its name. Then: `pcbench external score DIR estimates.parquet --name my-observer`.
 """
 
 

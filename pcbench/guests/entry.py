@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from pydantic import BaseModel, ConfigDict
 
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting, uncertified
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 ONE_AT_A_TIME = "guest: one run at a time"
 REFERENCE = "pcbench.guests.entry:GUEST"  # by which a study names it
@@ -17,15 +17,15 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Return no gains: a guest has none here."""
-    return Design((), uncertified(ONE_AT_A_TIME))
+    return Design((), no_certificate(ONE_AT_A_TIME))
 
 
-GUEST = Entry(
+GUEST = ObserverSpec(
     observer=Observer(
         init=lambda gains, xhat0: xhat0,
-        note=lambda gains, memory, now: jnp.zeros(0),
+        snapshot=lambda gains, memory, now: jnp.zeros(0),
         jump=lambda gains, memory, now, arrival: memory,
         flow=lambda gains, memory, now: memory,
         estimate=lambda gains, memory: memory,

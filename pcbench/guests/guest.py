@@ -1,4 +1,4 @@
-"""`pcbench guest`: an object in Python that estimates, run on a study's draws in a process of its own, and scored."""
+"""`pcbench external run`: an object in Python that estimates, run on a study's draws in a process of its own, and scored."""
 
 import os
 import subprocess
@@ -19,7 +19,9 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
     It has a process of its own: what it imports, and what it does to it, is not pcbench's.
     """
     if not (Path(folder) / "draws" / "cells.json").is_file():
-        raise UserError(f"{folder}: holds no draws, expected a folder that pcbench draws has written; name that one.")
+        raise UserError(
+            f"{folder}: holds no draws, expected a folder that pcbench external prepare wrote; name that one."
+        )
     with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
         out = f"{place}/estimates.parquet"
         progress.note("a guest estimates, one run at a time")

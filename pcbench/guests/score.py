@@ -1,4 +1,4 @@
-"""`pcbench score`: estimates made elsewhere as one more observer of a study, with the same metrics and pairs.
+"""`pcbench external score`: estimates made elsewhere as one more observer of a study, with the same metrics and pairs.
 
 That an estimate uses nothing that had not arrived cannot be seen in it: this is trusted, and said.
 """
@@ -24,7 +24,7 @@ from pcbench.plants import signals_of
 from pcbench.study import own, read
 from pcbench.study.cells import Grid
 from pcbench.study.labels import LABEL
-from pcbench.synthesis.certificate import uncertified
+from pcbench.synthesis.certificate import no_certificate
 
 TRUSTED = (
     "that estimates use only what had arrived by their tick cannot be checked of such made elsewhere, and is trusted."
@@ -73,17 +73,17 @@ def grown(target: store.Target, name: str) -> Grid:
     said = store.text(target, ownership.TEXT)
     if said is None:
         raise UserError(
-            f"{target.name}: holds no study, expected a folder that pcbench draws has written; name that one."
+            f"{target.name}: holds no study, expected a folder that pcbench external prepare has written; name that one."
         )
     there = ownership.read_text(target, said)
     raw = {k: v for k, v in there.items() if k != "resolved"}
-    taken = dict(raw.get("use", {}))
+    taken = dict(raw.get("custom_observers", {}))
     labels = list(
         raw.get("observers") or dict.fromkeys(o for names in there["resolved"]["observers"].values() for o in names)
     )
     if name in labels and taken.get(name) != REFERENCE:
         raise UserError(f"--name: got '{name}', which the study has as an observer of its own; give another name.")
-    raw["use"] = taken | {name: REFERENCE}
+    raw["custom_observers"] = taken | {name: REFERENCE}
     raw["observers"] = labels if name in labels else [*labels, name]
     return read.grid(raw, f"{target.name}/{ownership.TEXT}", kept_code.gate(target, there, True))
 
@@ -118,7 +118,9 @@ def _results(p: Plan, root_seed: int, seeds: Seeds, given: Any, progress: Progre
 
 def _marked(p: Plan, name: str) -> Plan:
     """The plan as if it had the guest among its observers."""
-    return p._replace(certificates={name: uncertified(ONE_AT_A_TIME)}, carries_input={name: None}, labels=(name,))
+    return p._replace(
+        certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
+    )
 
 
 def _without(target: store.Target, name: str) -> None:

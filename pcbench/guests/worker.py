@@ -29,7 +29,7 @@ class Arrived(NamedTuple):
     sampled: float  # [s]
     tick: int  # at which it was taken
     value: Floats  # [q] NaN where not fresh
-    fresh: NDArray[np.bool_]  # [q]
+    mask: NDArray[np.bool_]  # [q]
 
 
 def main(folder: str, reference: str, out: str) -> None:

@@ -7,7 +7,7 @@ and r the sum of all smaller gaps:
     two clocks:   g > FACTOR r   and   g > HOUR, or g > DAY if one column has times on both sides
 
 So the limit is relative to the time that the log covers, and a log that passes lasts at most FACTOR times as long as its rows
-do, or a few days. Not claimed: that clocks that differ by less are found; `pcbench log` shows their delays.
+do, or a few days. Not claimed: that clocks that differ by less are found; `pcbench info` shows their delays.
 """
 
 from collections.abc import Sequence

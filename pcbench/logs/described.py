@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def log(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
+def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
     """Return what is in a log, a row a channel: rate, gaps and delays [s], samples out of order or doubled, stamps that drift.
 
     `name` is a folder or file of tables, or a TOML that says what of a bag is which channel; `delay` [s] stands for arrivals

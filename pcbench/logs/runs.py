@@ -26,7 +26,7 @@ def tables_of(
         )
     last = len(recording.x) - 1
     every = sorted((s for s in samples if s.taken <= last), key=lambda s: (s.taken, s.channel))
-    k, slot, channel = np.nonzero(schedule.fresh)
+    k, slot, channel = np.nonzero(schedule.mask)
     brought = recording.brought[k, slot, channel]
     value = dict(
         zip(zip(channel.tolist(), schedule.number[k, slot, channel].tolist(), strict=True), brought, strict=True)
@@ -39,5 +39,5 @@ def tables_of(
         row=np.arange(1, len(every) + 1),
     )
     t = np.arange(last + 1) * dt
-    channels = [f"y{i + 1}" for i in range(schedule.fresh.shape[2])]
+    channels = [f"y{i + 1}" for i in range(schedule.mask.shape[2])]
     return writing.as_tables(batch, channels, (t, recording.u), (signals, t, recording.x))

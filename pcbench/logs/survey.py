@@ -2,7 +2,7 @@
 
 Intervals are between successive stamps of a channel. A *gap* is an interval of more than five medians. A delay is arrival less
 stamp; it *jumps* where it differs from the one before by more than ten times the middle half of all delays and half an
-interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis stamp_drift:
+interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis clock_skew:
 minus the slope of the line through all delays.
 A sample is *out of order* where one with a later stamp stands before it, *doubled* where its stamp stands there twice.
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
@@ -157,7 +157,7 @@ def jumps(seen: Seen) -> NDArray[Any]:
 
 
 def described(found: Survey) -> list[dict[str, Any]]:
-    """Return what `pcbench log` says of every channel, times in seconds, ready for JSON: NaN is None."""
+    """Return what `pcbench info` says of every channel, times in seconds, ready for JSON: NaN is None."""
     return [
         {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in _row(name, seen).items()}
         for name, seen in found.channels.items()

@@ -22,10 +22,10 @@ class Window(NamedTuple):
     sampled: NDArray[np.bool_]  # [K, q] the channels in it
     arrive: Whole  # [K, S] the packets that arrive
     taken: Whole  # [K, S] the tick at which it was taken
-    fresh: NDArray[np.bool_]  # [K, S, q]
+    mask: NDArray[np.bool_]  # [K, S, q]
     number: Whole  # [K, S, q] which sample of its channel
     value: Floats  # [K, S, q]
-    since: Whole  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
+    ticks_since_arrival: Whole  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: NDArray[np.bool_]  # [K]
 
 
@@ -48,10 +48,10 @@ def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Wi
         sampled=np.zeros((many, channels), bool),
         arrive=np.full((many, slots), -1, np.int32),
         taken=np.zeros((many, slots), np.int32),
-        fresh=np.zeros((many, slots, channels), bool),
+        mask=np.zeros((many, slots, channels), bool),
         number=np.full((many, slots, channels), -1, np.int32),
         value=np.zeros((many, slots, channels)),
-        since=np.zeros((many, slots), np.int32),
+        ticks_since_arrival=np.zeros((many, slots), np.int32),
         event=np.zeros(many, bool),
     )
     at = s.taken.taken - s.first
@@ -60,12 +60,12 @@ def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Wi
     tick, slot = coming.arrives - s.first, slots_of(coming)
     out.arrive[tick, slot] = coming.packet
     out.taken[tick, slot] = coming.taken
-    out.fresh[tick, slot, coming.channel] = True
+    out.mask[tick, slot, coming.channel] = True
     out.number[tick, slot, coming.channel] = coming.number
     out.value[tick, slot, coming.channel] = coming.value
     when = np.unique(coming.arrives)
-    since = np.diff(when, prepend=last_arrival)
-    out.since[tick, slot] = since[np.searchsorted(when, coming.arrives)]
+    ticks_since_arrival = np.diff(when, prepend=last_arrival)
+    out.ticks_since_arrival[tick, slot] = ticks_since_arrival[np.searchsorted(when, coming.arrives)]
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
     return out, int(when[-1]) if when.size else last_arrival
 

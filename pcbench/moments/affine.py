@@ -1,9 +1,8 @@
 """Is a cell's answer exact? Found by trying, cell by cell and observer by observer, for ours and a user's alike.
 
 A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
-it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign
-satisfies too. A run that may leave the scenario's bound counts as diverged and enters no average, so there the moments of all
-runs are no answer.
+it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign satisfies too. A run that may leave the
+scenario's divergence threshold counts as diverged and enters no average, so there the moments of all runs are no answer.
 """
 
 import numpy as np
@@ -14,7 +13,7 @@ from pcbench.moments.solve import CellMoments
 from pcbench.moments.sums import strayed
 from pcbench.plants import signals_of
 
-INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
+INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
 
 
 def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
@@ -24,11 +23,11 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if chance := p.cell.scenario.sampling.outlier_probability:
         return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {instead}."
-    if degrees := p.cell.scenario.sampling.noise_tail:
+    if np.isfinite(degrees := p.cell.scenario.sampling.student_t_dof):
         return (
             f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
         )
-    if any(p.cell.scenario.sampling.resolution):
+    if any(p.cell.scenario.sampling.quantization_step):
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
     if said := digits.lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."

@@ -14,7 +14,7 @@ KEY = 20190131  # of where it is looked: no result depends on it
 def bent(p: Plan) -> float:
     """Return f(x + d) + f(x - d) - 2 f(x) of a tick as a part of its size, the largest of some; 0 where no noise reaches x."""
     layout, problem = p.layout, p.problem
-    reached = layout.controller or layout.random_start or len(problem.process_std)
+    reached = layout.controller or layout.random_initial_state or len(problem.process_std)
     if not reached or layout.drifting:
         return 0.0
     n, m, params = len(problem.x0), problem.inputs.shape[1], jax.tree.map(jnp.asarray, problem.params)

@@ -17,29 +17,36 @@ from pcbench.statistics.estimates import Estimate, positive, reached, root, stud
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES
 
-POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
-OF_LOOP = ("pooled_tracking_rmse", "tail_pooled_tracking_rmse")
-OF_RUN = ("cost", "tail_cost", "pooled_input_rms", "tail_pooled_input_rms")
+POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}
+OF_LOOP = ("pooled_tracking_rmse", "steady_pooled_tracking_rmse")
+OF_RUN = ("lq_cost", "steady_lq_cost", "pooled_input_rms", "steady_pooled_input_rms")
 RUNS_ONLY = {
     "rmse": "the mean of a root is not the root of the mean: pooled_rmse is exact",
-    "tail_rmse": "the mean of a root is not the root of the mean: tail_pooled_rmse is exact",
-    "peak": "the largest of many ticks depends on all of them together",
-    "tail_peak": "the largest of many ticks depends on all of them together",
+    "steady_rmse": "the mean of a root is not the root of the mean: steady_pooled_rmse is exact",
+    "max_abs_error": "the largest of many ticks depends on all of them together",
+    "steady_max_abs_error": "the largest of many ticks depends on all of them together",
     "settling_time": "the last of many ticks depends on all of them together",
     "recovery_time": "the last of many ticks depends on all of them together",
-    "unsettled": "the last of many ticks depends on all of them together",
-    "divergence": "the first of many ticks depends on all of them together",
+    "unsettled_rate": "the last of many ticks depends on all of them together",
+    "divergence_rate": "the first of many ticks depends on all of them together",
 }
 ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
 NUMBERS = Estimate._fields[1:]
 ORDER = (
-    *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
-    *("tail_mae", "tail_rmse", "tail_mse", "tail_peak", *OF_LOOP, *OF_RUN),
-    *("nees", "nees_states", "signal_nees"),
-    *(*POOLED, "divergence", "unsettled", "efficiency", *INSIDE),
+    *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
+    *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error", *OF_LOOP, *OF_RUN),
+    *("nees", "nees_dof", "signal_nees"),
+    *(*POOLED, "divergence_rate", "unsettled_rate", "rms_efficiency", *INSIDE),
 )
-ALWAYS = ("mae", "mse", "final", "tail_mae", "tail_mse", *POOLED)  # of every signal that has an exact answer at all
-NORMAL = ("mae", "tail_mae", *INSIDE)  # of a normal error alone
+ALWAYS = (
+    "mae",
+    "mse",
+    "final_error",
+    "steady_mae",
+    "steady_mse",
+    *POOLED,
+)  # of every signal that has an exact answer at all
+NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
 
 
 Columns = dict[str, list[Any]]
@@ -97,7 +104,7 @@ def _which(
             if not (there or metric in RUNS_ONLY or (why and metric in ALWAYS)):
                 continue
             blank = bool(said) or metric not in found
-            if metric == "final" and not said and normal:
+            if metric == "final_error" and not said and normal:
                 final.append(len(rows))
             rows.append((i, metric, said or None, (len(found) if blank else found.index(metric)) * many + i))
     signal, metrics, reason, places = map(list, zip(*rows, strict=True))
@@ -108,8 +115,8 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Est
     """Every metric that is exact, of signals."""
     mine, s = cell.signals[label], cell.sums
     n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
-    out: dict[str, Estimate] = {"final": _over(cell, s.mean[mine], True)}
-    for i, (prefix, count) in enumerate((("", n), ("tail_", n - tail))):
+    out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[mine], True)}
+    for i, (prefix, count) in enumerate((("", n), ("steady_", n - tail))):
         squares = _over(cell, s.square[i, mine] / count)
         pooled = root(squares)
         out |= {prefix + "mae": _over(cell, s.absolute[i, mine] / count), prefix + "mse": squares}
@@ -118,12 +125,12 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Est
             out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
             out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
             if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):
-                out[prefix + "cost"] = _over(cell, s.cost[i][None] / count)
+                out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
-            out["efficiency"] = reached(bound[: len(pooled.mean)], pooled)
+            out["rms_efficiency"] = reached(bound[: len(pooled.mean)], pooled)
     if label in cell.last:
         b = cell.last[label]
-        for metric, values in zip(("nees", "signal_nees", "nees_states"), believed.squares(b), strict=True):
+        for metric, values in zip(("nees", "signal_nees", "nees_dof"), believed.squares(b), strict=True):
             out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
         out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, believed.inside(b), strict=True)}
     return out

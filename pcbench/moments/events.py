@@ -59,9 +59,9 @@ def sense(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
-def tell(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, fresh: Array) -> Run:
+def tell(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, mask: Array) -> Run:
     """Return the run after observers were told which channels [q] are sampled now, where any is."""
-    return _updated(jnp.any(fresh), simulate_runs.notify(layout, p, k, run, fresh), run)
+    return _updated(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
 
 
 def jump(layout: Layout, p: Any, k: Array, run: Run, packet: Array, rest: Any) -> Run:
@@ -72,7 +72,14 @@ def jump(layout: Layout, p: Any, k: Array, run: Run, packet: Array, rest: Any) -
     for label, _ in layout.observers:
         notes[label] = packet[at : at + found[label].shape[0]]
         at += found[label].shape[0]
-    arrival = partial(Arrival, packet[: p.noise_std.shape[0]], row.fresh, row.age, row.number, since=row.since)
+    arrival = partial(
+        Arrival,
+        packet[: p.noise_std.shape[0]],
+        row.mask,
+        row.age,
+        row.number,
+        ticks_since_arrival=row.ticks_since_arrival,
+    )
     return _updated(there, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
 
 
@@ -89,16 +96,16 @@ def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     """
     q = by.std.shape[0]
     m = merged(by.form, by.mix, k, m) if by.mix else m
-    number = jnp.stack([now.sense] * q + [now.note] * (m.flight.shape[2] - q))
+    number = jnp.stack([now.sense] * q + [now.snapshot] * (m.flight.shape[2] - q))
     rows = jnp.arange(m.flight.shape[1])[:, None, None]
     here = rows == _place(number, m)[None]
     for more in now.also:
         noted = rows == _place(more, m)[None, None]
         here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
     m = taken(by, k, m, here)
-    m = told(by, k, now.sampled, m) if any(o.sampled for _, o in by.layout.observers) else m
+    m = told(by, k, now.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
 
-    arriving = now.arrive, now.believed, now.fresh, now.index, now.since
+    arriving = now.arrive, now.believed, now.mask, now.index, now.ticks_since_arrival
 
     def deliver(slot: Array, m: Moving) -> Moving:
         return _delivered(by, k, jax.tree.map(lambda a: a[slot], arriving), m, noise[:, slot])
@@ -125,11 +132,11 @@ def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
     return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def told(by: Means, k: Array, fresh: Array, m: Moving) -> Moving:
+def told(by: Means, k: Array, mask: Array, m: Moving) -> Moving:
     """Tell the observers of each cell what is sampled now, [q, C]."""
     nothing = jnp.zeros((0, by.std.shape[1]))
-    M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, fresh)
-    runs = jax.vmap(lambda run: by.over(partial(tell, by.layout))(k, run, nothing, fresh))(m.runs)
+    M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, mask)
+    runs = jax.vmap(lambda run: by.over(partial(tell, by.layout))(k, run, nothing, mask))(m.runs)
 
     def rows(P: Array) -> Array:
         return jnp.concatenate([product(M, P[: len(M)]), P[len(M) :]])
@@ -140,9 +147,9 @@ def told(by: Means, k: Array, fresh: Array, m: Moving) -> Moving:
 def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> Moving:
     """Hand one packet of each cell over."""
     q, form = by.std.shape[0], by.form
-    number, believed, fresh, index, since = arriving
-    row = Row(fresh, k - believed, index, since)
-    row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
+    number, believed, mask, index, ticks_since_arrival = arriving
+    row = Row(mask, k - believed, index, ticks_since_arrival)
+    row = row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape))
     rest = number >= 0, row
     place = _place(number, m)
     here = (jnp.arange(m.flight.shape[1])[:, None] == place[None])[:, None]

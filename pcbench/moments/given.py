@@ -24,13 +24,13 @@ class Event(NamedTuple):
     """What happens in C cells at one tick; of E of them, [E, ...]."""
 
     sense: Any  # [C] the packet taken; -1: none
-    note: Any  # [C]
+    snapshot: Any  # [C]
     sampled: Any  # [q, C] which channels are
     arrive: Any  # [S, C]
     believed: Any  # [S, C]
-    fresh: Any  # [S, q, C]
+    mask: Any  # [S, q, C]
     index: Any  # [S, q, C]
-    since: Any  # [S, C]
+    ticks_since_arrival: Any  # [S, C]
     also: Any  # [M, C] more packets that are noted
 
 
@@ -79,13 +79,13 @@ def _room(many: int) -> int:
 def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
     return Event(
         sense=s.sense[at],
-        note=s.note[at],
+        snapshot=s.snapshot[at],
         sampled=s.sample[at] >= 0,
         arrive=s.arrive[at],
         believed=s.believed[at],
-        fresh=s.fresh[at],
+        mask=s.mask[at],
         index=s.number[at],
-        since=s.since[at],
+        ticks_since_arrival=s.ticks_since_arrival[at],
         also=s.also[at],
     )
 

@@ -1,9 +1,9 @@
 """Delays that are random from sample to sample, as modes: the delays of the newest samples, and what leads from mode to mode.
 
-How much later sample i arrives is w_i, a Markov chain over a few values (`delay_steps`, `delay_stay`), drawn by itself
-(`delay_share`, `delay_gamma`, `delay_jitter`), or both. What happens from the tick of sample i up to that of sample i + 1
-depends on w_i .. w_(i-L+1), where samples i - L and before have arrived by then. Those L numbers are the mode: within it the
-schedule is known and the error affine in normals, with mean m and covariance P given the mode. At the next sample
+How much later sample i arrives is w_i, a Markov chain over a few values (`delay_values`, `delay_self_transition`), drawn by
+itself (`delay_weights`, `delay_gamma_mean`, `delay_jitter`), or both. What happens from the tick of sample i up to that of
+sample i + 1 depends on w_i .. w_(i-L+1), where samples i - L and before have arrived by then. Those L numbers are the mode:
+within it the schedule is known and the error affine in normals, with mean m and covariance P given the mode. At the next sample
 
     m+_b = sum_a q(a | b) m_a,   P+_b = sum_a q(a | b) (P_a + d_a d_a'),   d_a = m_a - m+_b
 
@@ -14,7 +14,7 @@ tick, and a mean over schedules is one over modes. Overtaking is covered: L grow
 Covered is one sensor whose instants are not random and whose modes are at most `MOST`, which cost no more than as many drawn
 schedules. What an observer remembers besides numbers that noise reaches (which sample was the newest, a covariance) must
 depend on the mode alone: that is looked at wherever modes meet (`merging`). A filter that puts samples in order does so, as all
-that is older has arrived; one whose covariance tells of every delay there ever was (`kf-now`) does not, and is averaged over
+that is older has arrived; one whose covariance depends on all delays (`kf-ignore-delay`) does not, and is averaged over
 drawn schedules, with the error that remains. So are losses and random instants beside such delays, and more modes.
 """
 

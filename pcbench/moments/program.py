@@ -83,7 +83,7 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     places, f, A = layout.ring + 1, first.shape[0], B.shape[0]
     D = A + places * f * form.flight
     flight = jnp.zeros((1 + many, places, f, cells))
-    random = [at for at in range(2 * n) if (layout.random_start if at < n else layout.scattered)]
+    random = [at for at in range(2 * n) if (layout.random_initial_state if at < n else layout.scattered)]
     shifts = jnp.concatenate([jnp.sum(B[None] * drawn[:, None], 2), jnp.moveaxis(B[:, random], 1, 0)])
     apart = jnp.zeros((len(shifts), D, cells)).at[:, :A].set(shifts)
     unlike = jnp.zeros(cells) if by.mix else ()

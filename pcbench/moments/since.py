@@ -1,4 +1,4 @@
-"""Does an observer ask when the last arrival was (`Arrival.since`)? A look at its jump, which is traced and not run.
+"""Whether an observer asks when the last arrival was (`ticks_since_arrival`): a look at its jump, which is traced and not run.
 
 Where it does, what it makes of an arrival depends on which sample came before, on losses too.
 """
@@ -31,7 +31,7 @@ def _asks(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> bool:
 
     def jump(since: Any, p: Any, run: Any, notes: Any) -> Any:
         none = jnp.zeros(q, int)
-        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, since=since)
+        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, ticks_since_arrival=since)
         return simulate_runs.jump(layout, p, zero, run, notes, arrival)
 
     made = jax.make_jaxpr(jump)(zero, p, run, notes).jaxpr

@@ -13,7 +13,7 @@ from pcbench.simulation.simulate_runs import Run
 def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any) -> Run:
     """Return the state before tick 0 of one cell; drawn [2 n], of mean 0 and variance 1, for the plant and for the estimate."""
     n = p.x0.shape[0]
-    x = p.x0 + p.spread0 @ drawn[:n] if layout.random_start else jnp.asarray(p.x0) * 1.0
+    x = p.x0 + p.spread0 @ drawn[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0
     scatter = p.scatter * drawn[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # of a uniform number in -1 .. 1
     xhat0 = p.xhat0 + scatter
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}

@@ -1,25 +1,25 @@
 """The observers, one file each, and the dict that names them."""
 
-from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
+from pcbench.observers import chain, ekf, equal_delay, high_gain, kf, kfbo, model_only, no_delay, pccebo, pco, pio, smo
 from pcbench.observers.delay_family import DELAYS
-from pcbench.observers.entry import Entry
+from pcbench.observers.entry import ObserverSpec
 from pcbench.observers.late_family import LATE
 from pcbench.observers.nonlinear_family import NONLINEAR
 
-__all__ = ["DELAYS", "LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "Entry", "base_of", "entry_of"]
+__all__ = ["DELAYS", "LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "ObserverSpec", "base_of", "entry_of"]
 
 LONGEST = 80  # characters of a label, which names a folder
 OBSERVERS = {
-    "pccebo": Entry(
+    "pccebo": ObserverSpec(
         observer=pccebo.OBSERVER,
         options=pccebo.Options,
         design=pccebo.design,
         knows_schedule=True,
-        summary="current estimator, predicted to now; gain by LMI or Riccati",
+        summary="current estimator, predictor; gain by LMI or Riccati",
         takes="one clock",
         designed={"gain": "riccati"},
     ),
-    "kfbo": Entry(
+    "kfbo": ObserverSpec(
         observer=kfbo.OBSERVER,
         options=kfbo.Options,
         design=kfbo.design,
@@ -28,16 +28,16 @@ OBSERVERS = {
         takes="one constant delay",
         designed={"R": "noise"},
     ),
-    "pco": Entry(
+    "pco": ObserverSpec(
         observer=pco.OBSERVER,
         options=pco.Proportional,
         design=pco.design,
         knows_schedule=True,
-        summary="piecewise continuous, reduced order; gain given or by LMI",
+        summary="piecewise continuous, reduced order; given or by LMI",
         takes="one clock",
         designed={"Kp": "lmi"},
     ),
-    "pi-pco": Entry(
+    "pi-pco": ObserverSpec(
         observer=pco.OBSERVER,
         options=pco.ProportionalIntegral,
         design=pco.design,
@@ -46,16 +46,16 @@ OBSERVERS = {
         takes="one clock",
         designed={"Kp": "lmi", "Ki": "lmi"},
     ),
-    "chain": Entry(
+    "chain": ObserverSpec(
         observer=chain.OBSERVER,
         options=chain.Options,
         design=chain.design,
         knows_schedule=True,
-        summary="a link for each delay, latest sensor first; poles or Riccati",
+        summary="one link per delay; gains by poles or Riccati",
         takes="constant delays",
         designed={"gain": "riccati"},
     ),
-    "equal-delay": Entry(
+    "equal-delay": ObserverSpec(
         observer=equal_delay.OBSERVER,
         options=equal_delay.Options,
         design=equal_delay.design,
@@ -63,57 +63,57 @@ OBSERVERS = {
         summary="pretends one delay for all channels",
         takes="constant delays",
     ),
-    "no-delay": Entry(
+    "no-delay": ObserverSpec(
         observer=no_delay.OBSERVER,
         options=no_delay.Options,
         design=no_delay.design,
         knows_schedule=False,
-        summary="the classical observer, designed as if nothing were late",
+        summary="classical observer, designed without the delay",
         takes="constant delays",
     ),
-    "smo": Entry(
+    "smo": ObserverSpec(
         observer=smo.OBSERVER,
         options=smo.Options,
         design=smo.design,
         knows_schedule=True,
-        summary="sliding mode; injects the unknown input; printed or by LMI",
+        summary="sliding mode with unknown input; printed or by LMI",
         takes="one constant delay",
         smooth=False,
         designed={"gains": "design"},
     ),
-    "pio": Entry(
+    "pio": ObserverSpec(
         observer=pio.OBSERVER,
         options=pio.Options,
         design=pio.design,
         knows_schedule=True,
-        summary="PI with a sign; injects the unknown input; printed or by LMI",
+        summary="PI and sign with unknown input; printed or by LMI",
         takes="one constant delay",
         smooth=False,
         designed={"gains": "design"},
     ),
-    "high-gain": Entry(
+    "high-gain": ObserverSpec(
         observer=high_gain.OBSERVER,
         options=high_gain.Options,
         design=high_gain.design,
         knows_schedule=True,
-        summary="positions, rates, parameters; predicts y; printed or robust",
+        summary="high gain with output predictor; printed or robust",
         takes="any schedule",
         nonlinear=True,
     ),
-    "ekf": Entry(
+    "ekf": ObserverSpec(
         observer=ekf.OBSERVER,
         options=ekf.Options,
         design=ekf.design,
         knows_schedule=True,
-        summary="extended Kalman filter at a sample's own time; parameters too",
+        summary="extended Kalman filter at each sample's own time",
         takes="any schedule",
         nonlinear=True,
         smooth=False,
     ),
-    "dkf": Entry(
-        observer=dkf.OBSERVER,
-        options=dkf.Options,
-        design=dkf.design,
+    "kf": ObserverSpec(
+        observer=kf.OBSERVER,
+        options=kf.Options,
+        design=kf.design,
         knows_schedule=True,
         summary="delay-compensated Kalman filter, the fair baseline",
         takes="any schedule",
@@ -121,10 +121,10 @@ OBSERVERS = {
     **NONLINEAR,
     **LATE,
     **DELAYS,
-    "open-loop": Entry(
-        observer=open_loop.OBSERVER,
-        options=open_loop.Options,
-        design=open_loop.design,
+    "model-only": ObserverSpec(
+        observer=model_only.OBSERVER,
+        options=model_only.Options,
+        design=model_only.design,
         knows_schedule=True,
         summary="the model alone, never corrected: the floor",
         takes="any schedule",
@@ -141,6 +141,6 @@ def base_of(label: str) -> str | None:
     return max(found, key=len, default=None) if plain else None
 
 
-def entry_of(label: str) -> Entry:
+def entry_of(label: str) -> ObserverSpec:
     """Return the entry of the observer that a label names; raise KeyError where there is none."""
     return OBSERVERS[base_of(label) or label]

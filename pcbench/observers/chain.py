@@ -31,7 +31,7 @@ from pcbench.observers.parts.options import tunable, way
 from pcbench.observers.parts.per_sample import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain, chain_lyapunov
-from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import sampled
 
@@ -65,7 +65,7 @@ class Memory(NamedTuple):
     arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of a channel by when it was sampled
     known: tuple[Bool[Array, " ring"], ...]  # [q] it has arrived
     value: Float[Array, " q"]  # what has arrived since the last tick, so reduced
-    fresh: Bool[Array, " q"]
+    mask: Bool[Array, " q"]
 
 
 class Options(BaseModel):
@@ -96,15 +96,15 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(per_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
     """Note what the model alone expects of the sample, C xbar."""
     return gains.model.C @ memory.run.xbar
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Keep what arrives, less what is known of it."""
-    y = arrival.value - known_input(gains.model.D, now, arrival.age) - arrival.note
-    return memory._replace(value=jnp.where(arrival.fresh, y, memory.value), fresh=memory.fresh | arrival.fresh)
+    y = arrival.value - known_input(gains.model.D, now, arrival.age) - arrival.snapshot
+    return memory._replace(value=jnp.where(arrival.mask, y, memory.value), mask=memory.mask | arrival.mask)
 
 
 def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
@@ -127,7 +127,7 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
     sample, new = memory.run.sample - age, age == gains.tau[j]
-    known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample)) & (sample >= 0)
+    known = jnp.where(new, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
     return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
@@ -143,9 +143,9 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         run,
         past,
         tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in each),
-        tuple(write(memory.known[j], k - gains.tau[j], memory.fresh[j], due) for j in each),
+        tuple(write(memory.known[j], k - gains.tau[j], memory.mask[j], due) for j in each),
         memory.value,
-        memory.fresh & ~due,
+        memory.mask & ~due,
     )
 
 
@@ -154,21 +154,21 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.run.xbar + memory.run.carried @ links(gains, memory)[-1]
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Find every link's gains and certify the map of one sample; refuse what is no chain."""
     where, plant = f"chain in {setting.scenario}", sampled(setting, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
             f"{where}: got a (believed) delay of 0 in every channel, expected one above 0: without delays there is nothing "
-            "to chain; take dkf or pccebo."
+            "to chain; take kf or pccebo."
         )
     each_tick = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
     found = chain.links(plant, options.gain, pole, each_tick, options.output, where)
-    certificate = certified(chain.certify(found, plant.C, options.gain), where)
+    certificate = require_certified(chain.certify(found, plant.C, options.gain), where)
     certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:
         extra = chain_lyapunov.check(found, plant.scale)

@@ -7,7 +7,7 @@ arrival of a sample taken at t_m: tick by tick from the posterior of the sample 
 
 then the update at t_m in Joseph form, one channel after the other (where y is not linear in z, by its Jacobian at the
 prediction), then the mean alone rolls forward to now under the stored inputs, and flows on. p is clipped to the plant's range
-after every update and tick. Where the model is linear the tick is its exact map, F its matrix, and the filter is `dkf` done
+after every update and tick. Where the model is linear the tick is its exact map, F its matrix, and the filter is `kf` done
 tick by tick; where a plant is given by its step, that is the tick, F its Jacobian.
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
@@ -30,8 +30,8 @@ from pcbench.observers.parts.guard import Known
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, at, carried, seen, sensed, value_of, within
 from pcbench.observers.parts.reordering import Buffer, Measurement
-from pcbench.protocols import Arrival, Now, Observer, Surprise
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import Arrival, InnovationStats, Now, Observer
+from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Memory(NamedTuple):
@@ -56,7 +56,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(reordering.start(first, gains.room, q, 0), z)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the inputs are stored."""
     return jnp.zeros(0)
 
@@ -66,15 +66,15 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     z, P = carried(gains, now, before, sample.taken)
     value = value_of(gains, sample.value)
     if gains.sensor is not None:
-        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.fresh, value)
+        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.mask, value)
         return guard.after(before, within(gains, z), P, sample.taken, left_out)
     left_out = []
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
+        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
-        found = guard.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, fresh)
+        found = guard.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
         K = kalman.gain(Pc, c @ Pc[:n] + found.r, found.used)
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), found.r)
@@ -82,7 +82,7 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     return guard.after(before, within(gains, z), P, sample.taken, left_out)
 
 
-def by_slope(gains: Gains, there: Now, before: Any, fresh: Array, value: Array) -> tuple[Array, Array, list[Array]]:
+def by_slope(gains: Gains, there: Now, before: Any, mask: Array, value: Array) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
     P, left_out = before.P, []
@@ -92,7 +92,7 @@ def by_slope(gains: Gains, there: Now, before: Any, fresh: Array, value: Array) 
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - predicted)
-        found = guard.looked(gains.guard, before, channel, nu, c @ Pc + r, r, fresh[channel])
+        found = guard.looked(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
         K = kalman.gain(Pc, c @ Pc + found.r, found.used)
         z = z + K * nu
         P = kalman.covariance(P, K, c, found.r)
@@ -128,11 +128,11 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
     return carried(gains, now, newest(gains, memory, now), now.tick)[1]
 
 
-def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
     buffer, sample = memory.buffer, reordering.sample_of(now, arrival, gains.D)
     first, N = buffer.before, gains.P0.shape[0]
-    fresh, marker = sample.fresh & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
+    mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
 
     def copy(state: Known, sample: Measurement) -> Known:
         z, P = carried(gains, now, state, sample.taken)
@@ -151,16 +151,16 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surp
     for channel in range(C.shape[0]):
         c, r = C[channel], gains.R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r
-        total = kalman.judged(total, nu, s, fresh[channel])
-        K = kalman.gain(P @ c, s, fresh[channel])
+        total = kalman.judged(total, nu, s, mask[channel])
+        K = kalman.gain(P @ c, s, mask[channel])
         z, P = z + K * nu, kalman.covariance(P, K, c, r)
     return total
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate, covariance=covariance, innovation=innovation)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
     gains, proof = nonlinear_model.told(setting, options, "ekf")
     gains = gains._replace(guard=guard.of(options.gate, options.gate_opens, options.huber))

@@ -12,7 +12,7 @@ Then x_b is carried to now. Before L ticks have passed b = 0.
 
 Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is
 always biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
-both: the first samples are used at slopes of the wrong time, and what they seem to tell is believed for ever. `bank` is not.
+both: the first samples are used at slopes of the wrong time, and the error that they leave stays. `mmae-delay` is not.
 Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt. The process noise
 between b and a sample's time is not counted, so with much of it the filter is over-confident.
 Time index: the estimate is of now, after the jump. Samples of any age and in any order: each lies ahead of b.
@@ -29,8 +29,8 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.unknown_delay import Gains, Moves, carried, read, spread
-from pcbench.protocols import Arrival, Now, Observer, together
-from pcbench.synthesis.certificate import Design, Setting, uncertified
+from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 
 class Memory(NamedTuple):
@@ -55,7 +55,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(jnp.append(xhat0, gains.delay), P, jnp.asarray(0), xhat0)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the inputs are stored."""
     return jnp.zeros(0)
 
@@ -105,17 +105,17 @@ def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     H = jnp.concatenate([gains.C @ ((1 - part) * Fa + part * Fb), -(gains.C @ (xb - xa) / gains.dt)[:, None]], 1)
     y, start = gains.C @ ((1 - part) * xa + part * xb), z
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = H[channel], gains.R[channel], arrival.fresh[channel]
+        c, r, mask = H[channel], gains.R[channel], arrival.mask[channel]
         nu = arrival.value[channel] - y[channel] - c @ (z - start)
-        K = kalman.gain(P @ c, c @ P @ c + r, fresh)
-        z, P = z + jnp.where(fresh, K * nu, 0.0), kalman.covariance(P, K, c, r)
+        K = kalman.gain(P @ c, c @ P @ c + r, mask)
+        z, P = z + jnp.where(mask, K * nu, 0.0), kalman.covariance(P, K, c, r)
     z = z.at[n].set(jnp.clip(z[n], 0.0, gains.longest * gains.dt))
     return Memory(z, P, base, seen.x + seen.F @ (z[:n] - start[:n]))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Update state and delay by what arrives, and go to now."""
-    after: Memory = together(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
+    after: Memory = vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
     return after
 
 
@@ -136,15 +136,15 @@ def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals s
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what is believed of the error now."""
-    P: Array = together(lambda memory: _believed(gains, memory, now))(memory)
+    P: Array = vmap_as_unit(lambda memory: _believed(gains, memory, now))(memory)
     return P
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate, covariance=covariance)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; a delay among the states makes it nonlinear, and nothing proves it."""
     gains = unknown_delay.design(setting, options, "ekf-delay")
     walk = np.asarray(options.delay_walk * setting.dt)
-    return Design(gains._replace(own=walk), uncertified("a delay among the states: the filter is nonlinear"))
+    return Design(gains._replace(own=walk), no_certificate("a delay among the states: the filter is nonlinear"))

@@ -6,12 +6,12 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
 
 
-class Entry(NamedTuple):
+class ObserverSpec(NamedTuple):
     """An observer, the options a study may give it, and how its gains are found.
 
     `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together;
@@ -20,7 +20,7 @@ class Entry(NamedTuple):
 
     observer: Observer
     options: type[BaseModel]
-    design: Callable[[Setting, Any], Design]
+    design: Callable[[DesignContext, Any], Design]
     knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
     summary: str
     takes: Takes = "one constant delay"

@@ -23,7 +23,7 @@ from pcbench.observers.parts import believed_age
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.per_sample import Pole
 from pcbench.synthesis import chain
-from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import ROWS, by_poles, delayed_radius, power, sampled
 
@@ -39,7 +39,7 @@ class Options(BaseModel):
     pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: F = pole I, or distinct poles where C is not invertible")
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Design for the believed delay and certify that alone; the delays as they are enter as a disturbance."""
     where, plant = f"equal-delay in {setting.scenario}", sampled(setting, "equal-delay")
     d, A = options.delay or max(min(plant.tau), 1), plant.A
@@ -60,4 +60,4 @@ def design(setting: Setting, options: Options) -> Design:
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
     if set(plant.tau) == {d}:  # otherwise the delays as they are disturb it, and no rate is promised
         certificate = certificate._replace(rate=rate_of(rate, plant.period * setting.dt))
-    return Design(gains, certified(certificate, where))
+    return Design(gains, require_certified(certificate, where))

@@ -33,7 +33,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import high_gain
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 S0 = 1e-3
 FASTEST = 5.0  # rad/s, of the robust observer
@@ -77,15 +77,15 @@ def init(gains: Gains, xhat0: Float[Array, " 2*d"]) -> Memory:
     return Memory(jnp.concatenate([xhat0, gains.start]), jnp.zeros(d), S, jnp.zeros(d), jnp.full(d, -1, int))
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " d"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " d"]:
     """Note C z - al."""
     return memory.z[: memory.al.shape[0]] - memory.al
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Take c of what arrived, unless it is older than what has come."""
-    newer = arrival.fresh & (arrival.index > memory.newest)
-    c = jnp.where(newer, arrival.note - arrival.value, memory.c)
+    newer = arrival.mask & (arrival.index > memory.newest)
+    c = jnp.where(newer, arrival.snapshot - arrival.value, memory.c)
     return memory._replace(c=c, newest=jnp.where(newer, arrival.index, memory.newest))
 
 
@@ -132,10 +132,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3*d"]:
     return memory.z
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather the tuning; the certificate shows how far it is from the linear limit of the sampling period."""
     if setting.parts is None:
         raise UserError(

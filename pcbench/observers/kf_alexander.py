@@ -9,10 +9,10 @@ P is that of a filter to which nothing comes late. xhat(t_m) is what was estimat
 
 Source: Alexander 1991, printed for one late sample at a time. Keeps xhat(t_m) and M_m K_m for each sample on its way, n x
 (1 + q) numbers; costs one update when a sample is taken and one product when it arrives. Found: it must be told at
-sampling time that a sample will come. Once nothing is on its way it is `dkf` to rounding, with any number of late samples
+sampling time that a sample will come. Once nothing is on its way it is `kf` to rounding, with any number of late samples
 between; while one is, the others are used with gains that count on it, and it lies above. A sample that is lost was
 counted on for ever: it is over-confident then (`test_late_samples`). Where more than one is on its way at all times it
-never is `dkf`.
+never is `kf`.
 Time index: the estimate is of now, after the jump.
 """
 
@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.observers.parts import clones, kalman, linear_filter, prediction, reordering
 from pcbench.protocols import Arrival, Gains, Now, Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
@@ -70,14 +70,14 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
     return memory._replace(P=covariance_after(powers, gains.noise, age, memory.P), K=K, at=now.tick)
 
 
-def sampled(gains: Gains, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
+def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Update the covariance by what is taken now, and keep its gain until it arrives."""
     memory = carried(gains, memory, now)
-    mine = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(fresh)
+    mine = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
     P, L = memory.P, jnp.where(mine[:, None, None], 0.0, memory.K)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
-        K = kalman.gain(P @ c, c @ P @ c + r, fresh[channel])
+        K = kalman.gain(P @ c, c @ P @ c + r, mask[channel])
         P = kalman.covariance(P, K, c, r)
         L = L - K[None, :, None] * jnp.einsum("n,jnq->jq", c, L)[:, None, :]
         own = (jnp.arange(gains.C.shape[0]) == channel)[None, None, :] & mine[:, None, None]
@@ -87,7 +87,7 @@ def sampled(gains: Gains, memory: Memory, now: Now, fresh: Bool[Array, " q"]) ->
         K=L,
         then=jnp.where(mine[:, None], memory.xhat - memory.g, memory.then),
         taken=jnp.where(mine, now.tick, memory.taken),
-        made=memory.made + jnp.any(fresh),
+        made=memory.made + jnp.any(mask),
     )
 
 
@@ -95,8 +95,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add what the late innovations are worth now."""
     sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     mine = (memory.taken == sample.taken).astype(float)
-    expected = gains.C @ (sample.note + mine @ memory.then)
-    e = jnp.where(sample.fresh, linear_filter.value_of(gains, sample) - expected, 0.0)
+    expected = gains.C @ (sample.snapshot + mine @ memory.then)
+    e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
     K = jnp.einsum("j,jnq->nq", mine, memory.K)
     return memory._replace(xhat=memory.xhat + K @ e)
 
@@ -108,11 +108,11 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 
 OBSERVER = Observer(
-    init, prediction.note, jump, prediction.flow, linear_filter.estimate, covariance=covariance, sampled=sampled
+    init, prediction.snapshot, jump, prediction.flow, linear_filter.estimate, covariance=covariance, on_sample=on_sample
 )
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for what is on its way."""
     own, why = clones.room(setting, "kf-alexander"), "its covariance counts on what has not arrived"
     return linear_filter.design(setting, options, "kf-alexander", own=own, unproven=why)

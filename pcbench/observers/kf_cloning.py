@@ -6,28 +6,28 @@ of its time.
 Source: Roumeliotis, Burdick 2002 (stochastic cloning, there for relative measurements); on late measurements the
 augmented state of many. Keeps J + 1 states and their joint covariance, J the samples that can be on their way at once;
 costs an update of all.
-Found: it is `dkf` to rounding whatever is late, lost or overtaking, as said (arXiv 2508.21260); `dkf` gets there with n
+Found: it is `kf` to rounding whatever is late, lost or overtaking, as said (arXiv 2508.21260); `kf` gets there with n
 states. It must be told when a sample is taken, and of a lost one keeps the copy until it is overwritten.
 Time index: the estimate is of now, after the jump.
 """
 
 from pcbench.observers.parts import clones, linear_filter, prediction
 from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 OBSERVER = Observer(
     clones.init,
-    prediction.note,
+    prediction.snapshot,
     clones.jumping(lambda h, s, near: h / s),
     prediction.flow,
     linear_filter.estimate,
     covariance=clones.covariance,
-    sampled=clones.sampled,
+    on_sample=clones.on_sample,
     innovation=clones.innovation,
 )
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for the copies."""
     return linear_filter.design(setting, options, "kf-cloning", own=clones.room(setting, "kf-cloning"))

@@ -8,9 +8,9 @@ own sample alone corrects (`parts/clones`), which is exact for any number of sam
 
 Source: Larsen, Andersen, Ravn, Poulsen 1998. Keeps a copy for each sample on its way; costs `kf-cloning`'s memory here,
 of print n x n each.
-Found: the gain is the best there is for this innovation, so P is true. It is `dkf` where nothing arrives between a
+Found: the gain is the best there is for this innovation, so P is true. It is `kf` where nothing arrives between a
 sample's taking and its arrival. What does arrive there tells of the past too, and the innovation does not know it: it
-lies above `dkf` from two samples on their way on, by how much says `test_late_samples`.
+lies above `kf` from two samples on their way on, by how much says `test_late_samples`.
 Time index: the estimate is of now, after the jump.
 """
 
@@ -19,7 +19,7 @@ from jax import Array
 
 from pcbench.observers.parts import clones, linear_filter, prediction
 from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
@@ -31,16 +31,16 @@ def local(h: Array, s: Array, near: Array) -> Array:
 
 OBSERVER = Observer(
     clones.init,
-    prediction.note,
+    prediction.snapshot,
     clones.jumping(local),
     prediction.flow,
     linear_filter.estimate,
     covariance=clones.covariance,
-    sampled=clones.sampled,
+    on_sample=clones.on_sample,
 )
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for the copies."""
     own, why = clones.room(setting, "kf-larsen"), "an innovation of the past, not smoothed"
     return linear_filter.design(setting, options, "kf-larsen", own=own, unproven=why)

@@ -31,7 +31,7 @@ from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import riccati
-from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 
 
 class Gains(NamedTuple):
@@ -86,7 +86,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(xhat0, jnp.zeros_like(xhat0), xhat0, jnp.zeros(gains.C.shape[0]))
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing."""
     return jnp.zeros(0)
 
@@ -94,7 +94,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold what arrived."""
     Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
-    return memory._replace(Y=jnp.where(arrival.fresh, Y, memory.Y))
+    return memory._replace(Y=jnp.where(arrival.mask, Y, memory.Y))
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -113,10 +113,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.xhat
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Solve the Riccati equation (27), check that A - K C is Hurwitz, and discretise exactly."""
     model, where = setting.model, f"kfbo in {setting.scenario}"
     if model.discrete or len(set(setting.delay)) > 1:
@@ -135,7 +135,7 @@ def design(setting: Setting, options: Options) -> Design:
     else:
         Q = options.Q * B @ B.T
     stationary = riccati.continuous(model, Q, R, where)
-    certificate = certified(stationary.certificate, where)
+    certificate = require_certified(stationary.certificate, where)
     certificate = certificate._replace(numbers={**certificate.numbers, **assumed_noise.option("R", R)})
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
@@ -144,7 +144,7 @@ def design(setting: Setting, options: Options) -> Design:
         )
     lag = delay + (period // 2 if options.lag_aware else 0)
     Phi, Gamma = linear.one_tick(model, h)
-    Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
+    Phi_z, Gammas = linear.discretize_zoh(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
     E = linear.over(linear.doublings(model, h, linear.bits_for(lag)), lag)
     gains = Gains(
         Phi=Phi,

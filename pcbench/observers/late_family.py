@@ -1,49 +1,49 @@
-"""Shortcuts for late samples: Kalman filters as `dkf`, which differ in what they do with what is late."""
+"""Shortcuts for late samples: Kalman filters as `kf`, which differ in what they do with what is late."""
 
 from pcbench.observers import (
     kf_alexander,
     kf_cloning,
-    kf_discard,
-    kf_horizon,
+    kf_delayed_horizon,
+    kf_drop_delayed,
+    kf_ignore_delay,
     kf_larsen,
-    kf_now,
-    kf_rewind,
-    kf_shift,
+    kf_reprocess,
+    kf_shifted_innovation,
     oosm_a1,
     oosm_b1,
     oosm_lag,
 )
-from pcbench.observers.entry import Entry
+from pcbench.observers.entry import ObserverSpec
 
 LATE = {
-    "kf-now": Entry(
-        observer=kf_now.OBSERVER,
-        options=kf_now.Options,
-        design=kf_now.design,
+    "kf-ignore-delay": ObserverSpec(
+        observer=kf_ignore_delay.OBSERVER,
+        options=kf_ignore_delay.Options,
+        design=kf_ignore_delay.design,
         knows_schedule=False,
         summary="takes a late sample for one of now",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-discard": Entry(
-        observer=kf_discard.OBSERVER,
-        options=kf_discard.Options,
-        design=kf_discard.design,
+    "kf-drop-delayed": ObserverSpec(
+        observer=kf_drop_delayed.OBSERVER,
+        options=kf_drop_delayed.Options,
+        design=kf_drop_delayed.design,
         knows_schedule=True,
         summary="drops what is older than a limit",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-rewind": Entry(
-        observer=kf_rewind.OBSERVER,
-        options=kf_rewind.Options,
-        design=kf_rewind.design,
+    "kf-reprocess": ObserverSpec(
+        observer=kf_reprocess.OBSERVER,
+        options=kf_reprocess.Options,
+        design=kf_reprocess.design,
         knows_schedule=True,
         summary="keeps past samples, goes back and filters again",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-cloning": Entry(
+    "kf-cloning": ObserverSpec(
         observer=kf_cloning.OBSERVER,
         options=kf_cloning.Options,
         design=kf_cloning.design,
@@ -52,43 +52,43 @@ LATE = {
         takes="any schedule",
         smooth=False,
     ),
-    "kf-larsen": Entry(
+    "kf-larsen": ObserverSpec(
         observer=kf_larsen.OBSERVER,
         options=kf_larsen.Options,
         design=kf_larsen.design,
         knows_schedule=True,
-        summary="extrapolates the late measurement to now; a gain for that",
+        summary="extrapolates the delayed measurement to the present",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-alexander": Entry(
+    "kf-alexander": ObserverSpec(
         observer=kf_alexander.OBSERVER,
         options=kf_alexander.Options,
         design=kf_alexander.design,
         knows_schedule=True,
-        summary="covariance when a sample is taken, correction when it arrives",
+        summary="updates P at sampling, the estimate at arrival",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-horizon": Entry(
-        observer=kf_horizon.OBSERVER,
-        options=kf_horizon.Options,
-        design=kf_horizon.design,
+    "kf-delayed-horizon": ObserverSpec(
+        observer=kf_delayed_horizon.OBSERVER,
+        options=kf_delayed_horizon.Options,
+        design=kf_delayed_horizon.design,
         knows_schedule=True,
         summary="runs a fixed time behind, and predicts to now",
         takes="any schedule",
         smooth=False,
     ),
-    "kf-shift": Entry(
-        observer=kf_shift.OBSERVER,
-        options=kf_shift.Options,
-        design=kf_shift.design,
+    "kf-shifted-innovation": ObserverSpec(
+        observer=kf_shifted_innovation.OBSERVER,
+        options=kf_shifted_innovation.Options,
+        design=kf_shifted_innovation.design,
         knows_schedule=False,
         summary="a late innovation, shifted by the input's integral",
         takes="any schedule",
         smooth=False,
     ),
-    "oosm-a1": Entry(
+    "oosm-a1": ObserverSpec(
         observer=oosm_a1.OBSERVER,
         options=oosm_a1.Options,
         design=oosm_a1.design,
@@ -97,7 +97,7 @@ LATE = {
         takes="any schedule",
         smooth=False,
     ),
-    "oosm-b1": Entry(
+    "oosm-b1": ObserverSpec(
         observer=oosm_b1.OBSERVER,
         options=oosm_b1.Options,
         design=oosm_b1.design,
@@ -106,7 +106,7 @@ LATE = {
         takes="any schedule",
         smooth=False,
     ),
-    "oosm-lag": Entry(
+    "oosm-lag": ObserverSpec(
         observer=oosm_lag.OBSERVER,
         options=oosm_lag.Options,
         design=oosm_lag.design,

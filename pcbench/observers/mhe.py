@@ -6,11 +6,11 @@ over z_0 .. z_M at the times of the M newest samples and of the one before them.
 it was the newest, P what an extended filter believes of that (the arrival cost). f_i goes from sample to sample tick by tick,
 Q_i is its process noise, carried by the slopes. Gauss-Newton: a fixed number of times f_i and h are replaced by their slopes,
 and what is left is a quadratic program along a chain (`parts/structured_qp`). The estimate is z_M; from there mean and
-covariance go on to now as those of `iekf`, so a sample of any age is used at its own time (`parts/tick_by_tick`).
+covariance go on to now as those of `ekf-iterated`, so a sample of any age is used at its own time (`parts/tick_by_tick`).
 
 `lower`, `upper` are of the states; what is unknown beside them keeps to the plant's range.
 Source: Rao, Rawlings, Mayne 2003, with an arrival cost that is filtered.
-Found: without bounds it is `dkf` on a linear plant, to rounding, whatever M; the window then is for nothing. On a nonlinear one
+Found: without bounds it is `kf` on a linear plant, to rounding, whatever M; the window then is for nothing. On a nonlinear one
 it is worth what looking again at earlier samples and keeping to the bounds are worth.
 Time index: the estimate is of now, after the jump. Not claimed: that Gauss-Newton converges, or that the covariance knows of
 bounds.
@@ -26,13 +26,13 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.errors import UserError, shown
-from pcbench.observers import iekf
+from pcbench.observers import ekf_iterated
 from pcbench.observers.parts import nonlinear_model, reordering, structured_qp, tick_by_tick
 from pcbench.observers.parts.nonlinear_model import Gains, at, seen, started, value_of, within
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 USUAL = 10  # samples of a window
 
@@ -114,7 +114,7 @@ def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -
         f, F, Q = stage(gains, now, z, begin, sample.taken)
         y, H = seen(gains, at(now, sample.taken), next_)
         value = value_of(gains, sample.value) - y + H @ next_
-        return F, f - F @ z, Q, H, value, jnp.where(sample.fresh, 1.0 / gains.R, 0.0)
+        return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / gains.R, 0.0)
 
     rest = lax.map(lambda row: one(*row), (path[:-1], path[1:], since, w.samples))
     head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
@@ -123,7 +123,7 @@ def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -
 
 def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window:
     """Take a sample of the state's tick into the window, the oldest out, and look at all of them again."""
-    z, P, _ = iekf.looked(gains, now, state, sample, state.mean)
+    z, P, _ = ekf_iterated.looked(gains, now, state, sample, state.mean)
 
     def shifted(rows: Array, new: Array) -> Array:
         return jnp.concatenate([rows[1:], jnp.asarray(new)[None]])
@@ -145,10 +145,12 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
 
 
-OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, iekf.tick, update, iekf.mean, iekf.spread, iekf.expected))
+OBSERVER = tick_by_tick.observer(
+    tick_by_tick.Way(first, ekf_iterated.tick, update, ekf_iterated.mean, ekf_iterated.spread, ekf_iterated.expected)
+)
 
 
-def bounds_of(setting: Setting, options: Options, where: str) -> Any:
+def bounds_of(setting: DesignContext, options: Options, where: str) -> Any:
     """Return the bounds of states and unknowns; (): none. Raises UserError where they do not fit, or leave out the start."""
     n = len(setting.model.A)
     ends = []
@@ -176,7 +178,7 @@ def bounds_of(setting: Setting, options: Options, where: str) -> Any:
     return Bounds(low, high, 0.01 * np.where(size > 0, size, 1.0))
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what it assumes; raise UserError for a window that no run fills, and bounds that leave out the start."""
     where = f"mhe in {setting.scenario}"
     gains, proof = nonlinear_model.told(setting, options, "mhe")

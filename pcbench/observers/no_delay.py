@@ -20,7 +20,7 @@ from pcbench.observers.parts import believed_age
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.per_sample import Pole
 from pcbench.synthesis import chain
-from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import by_poles, delayed_radius, sampled
 
@@ -37,7 +37,7 @@ class Options(BaseModel):
     pole: Pole = tunable(1e-4, (-1, 1), description="A - K C = pole I, or distinct poles where C is not invertible")
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Design without delays; certified where the radius with the delays is below 1 as well."""
     where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
@@ -46,10 +46,10 @@ def design(setting: Setting, options: Options) -> Design:
     numbers = {"K": K, "radius_without_delays": undelayed}
     numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
     ignored = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
-    proof = certified(ignored, where)
+    proof = require_certified(ignored, where)
     if delayed < 1:
         proof = proof._replace(rate=rate_of(delayed, plant.period * setting.dt))
     else:
         found = f"{delayed:.4g}, not below 1" if np.isfinite(delayed) else "not computed"
-        proof = uncertified(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
+        proof = no_certificate(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
     return Design(believed_age.corrected_next(setting, plant.A, K, ages), proof)

@@ -1,43 +1,43 @@
 """Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it."""
 
-from pcbench.observers import iekf, mhe, particle, ukf
-from pcbench.observers.entry import Entry
+from pcbench.observers import ekf_iterated, mhe, particle, ukf
+from pcbench.observers.entry import ObserverSpec
 
 NONLINEAR = {
-    "iekf": Entry(
-        observer=iekf.OBSERVER,
-        options=iekf.Options,
-        design=iekf.design,
+    "ekf-iterated": ObserverSpec(
+        observer=ekf_iterated.OBSERVER,
+        options=ekf_iterated.Options,
+        design=ekf_iterated.design,
         knows_schedule=True,
-        summary="ekf that takes the sensor's slope anew where a correction leads",
+        summary="EKF that iterates the linearisation of the sensor",
         takes="any schedule",
         nonlinear=True,
         smooth=False,
     ),
-    "ukf": Entry(
+    "ukf": ObserverSpec(
         observer=ukf.OBSERVER,
         options=ukf.Options,
         design=ukf.design,
         knows_schedule=True,
-        summary="unscented Kalman filter: points in place of slopes; or cubature",
+        summary="unscented (or cubature) Kalman filter",
         takes="any schedule",
         lanes=particle.LANES,
         nonlinear=True,
         smooth=False,
     ),
-    "mhe": Entry(
+    "mhe": ObserverSpec(
         observer=mhe.OBSERVER,
         options=mhe.Options,
         design=mhe.design,
         knows_schedule=True,
-        summary="moving horizon: looks back over a window, within bounds",
+        summary="moving horizon over a window of samples, within bounds",
         takes="any schedule",
         expensive=True,
         nonlinear=True,
         smooth=False,
         loops=False,
     ),
-    "particle": Entry(
+    "particle": ObserverSpec(
         observer=particle.OBSERVER,
         options=particle.Options,
         design=particle.design,

@@ -8,7 +8,7 @@ the sample predicts for t_k without any of them,
 and then as `oosm-a1`. A sample older than the posteriors kept is lost.
 
 Source: Bar-Shalom, Chen, Mallick 2004, the first of its two algorithms. Keeps `keep` past means and covariances; costs
-what `oosm-a1` does, and a solution of n equations. Found: with one step it is `oosm-a1`; with more it lies above `dkf`,
+what `oosm-a1` does, and a solution of n equations. Found: with one step it is `oosm-a1`; with more it lies above `kf`,
 for the noise between two of the updates is not seen by the earlier ones, by 0.1 % in rms on the tests' plant
 (`test_late_excess`). Past posteriors are not mended when a late sample comes. P* must be regular (`test_late_samples`).
 Time index: the estimate is of now, after the jump.
@@ -23,7 +23,7 @@ from pcbench.observers.parts import linear_filter, prediction, retrodiction
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.retrodiction import Last, Memory
 from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(linear_filter.Options):
@@ -45,7 +45,7 @@ def equivalent(gains: Any, memory: Memory, taken: Any) -> Last:
 
 OBSERVER = Observer(
     retrodiction.init,
-    prediction.note,
+    prediction.snapshot,
     retrodiction.jumping(equivalent, zero=False),
     prediction.flow,
     linear_filter.estimate,
@@ -54,7 +54,7 @@ OBSERVER = Observer(
 )
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and the maps back in time."""
     own, why = retrodiction.own(setting, "oosm-lag", options.keep), "several updates are taken for one"
     return linear_filter.design(setting, options, "oosm-lag", own=own, unproven="" if not setting.overtaking else why)

@@ -8,7 +8,7 @@ covariance. Particles go on to now tick by tick, and a sample of any age is used
 that comes after a newer one moves the same particles by the same draws again (`parts/own_draws`). What a sample was expected to
 say is judged by the particles' mean and covariance. p is clipped to the plant's range after every tick.
 Source: Gordon, Salmond, Smith 1993; systematic resampling: Kitagawa 1996.
-Found: on a linear plant its difference from `dkf` falls as 1/N in mean square. Where Q is 0 resampling leaves copies of few
+Found: on a linear plant its difference from `kf` falls as 1/N in mean square. Where Q is 0 resampling leaves copies of few
 particles that never part again, and P does not know.
 Time index: the estimate is of now, after the jump. Not claimed: perfect start, which nothing that is drawn has.
 """
@@ -30,8 +30,8 @@ from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.own_draws import normals, uniforms
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.observers.parts.tick_by_tick import Memory
-from pcbench.protocols import Leaf, Now, Room, Surprise, together
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import InnovationStats, Leaf, Now, Room, vmap_as_unit
+from pcbench.synthesis.certificate import Design, DesignContext
 
 START, PROCESS, RESAMPLING = 0, 1, 2  # kinds of draws; resampling has one for each channel
 LANES = 64  # runs a call, always: sums over particles are rounded as the compiler vectorises over runs
@@ -75,14 +75,14 @@ def first(gains: Gains, xhat0: Array) -> Cloud:
     return drawn(gains, started(gains, xhat0), jnp.zeros(2, jnp.uint32))
 
 
-def seeded(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"]) -> Memory:
+def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at the start of the run of these words."""
 
     def begun(words: Array, xhat0: Array) -> tuple[Cloud, Array]:
         now = drawn(gains, started(gains, xhat0), words)
         return now, mean(gains, now)
 
-    now, z = together(begun)(words, xhat0)
+    now, z = vmap_as_unit(begun)(words, xhat0)
     return Memory(memory.buffer._replace(before=now), now, z)
 
 
@@ -109,11 +109,11 @@ def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weigh the particles by a sample of their tick, and resample where too few are left."""
     off = jnp.square(value_of(gains, sample.value)[None] - seen(gains, now, state.x)) / gains.R[None]
     off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
-    weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.fresh[None], off, 0.0), axis=1)
+    weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     share, S = jnp.exp(weight), weight.shape[0]
     few = 1.0 / jnp.sum(share * share) < gains.own.share * S
-    U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.fresh), sample.taken, ())
+    U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.taken, ())
     from_ = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
     x = jnp.where(few, jnp.take(state.x, from_, axis=0, mode="clip"), state.x)
     return state._replace(x=x, weight=jnp.where(few, -jnp.log(float(S)), weight))
@@ -136,17 +136,19 @@ def spread(gains: Gains, state: Cloud) -> Float[Array, "N N"]:
     return weighted(state.weight, state.x)[1]
 
 
-def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Surprise:
+def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the particles' mean and covariance expect of it."""
     y = seen(gains, now, state.x)
-    lost = jnp.any(~jnp.isfinite(y) & sample.fresh[None], axis=1)  # as in `update`: weight 0
+    lost = jnp.any(~jnp.isfinite(y) & sample.mask[None], axis=1)  # as in `update`: weight 0
     left = jnp.where(lost, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
     both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
     return corrections.by_points(gains, *weighted(weight, both), sample)[2]
 
 
-OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))._replace(seeded=seeded)
+OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))._replace(
+    init_random=init_random
+)
 
 
 def rooted(M: np.ndarray) -> np.ndarray:
@@ -155,7 +157,7 @@ def rooted(M: np.ndarray) -> np.ndarray:
     return np.asarray((V * np.sqrt(np.maximum(values, 0.0))) @ V.T)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what it assumes; raise UserError where so many particles do not fit the memory."""
     gains, proof = nonlinear_model.told(setting, options, "particle")
     each = 8 * (len(gains.P0) + 1) * (setting.overtaking + 3) * LANES

@@ -32,7 +32,7 @@ from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import current_gains, ranges
-from pcbench.synthesis.certificate import Design, Setting, one_clock
+from pcbench.synthesis.certificate import Design, DesignContext, one_clock
 from pcbench.synthesis.ranges import Range
 
 
@@ -70,8 +70,8 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     """Correct at the sample's own time, (8a) and (8b)."""
     free = prediction.at(gains.motion, before, sample.taken)
-    xbar = sample.note + free
-    innovation = jnp.where(sample.fresh, sample.value - gains.C @ xbar, 0.0)
+    xbar = sample.snapshot + free
+    innovation = jnp.where(sample.mask, sample.value - gains.C @ xbar, 0.0)
     return Point(free + gains.L @ innovation, sample.taken)
 
 
@@ -81,10 +81,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 
 
 jump = prediction.jumping(correct, lambda point: point)
-OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
+OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Find L at the (mean) sampling period, or over a range, and certify it; raise DesignError where it cannot be."""
     one_clock(setting, "pccebo")
     where = f"pccebo in {setting.scenario}"

@@ -36,7 +36,7 @@ from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import ranges, reduced_order, units
-from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.synthesis.certificate import Design, DesignContext, one_clock, require_certified
 from pcbench.synthesis.ranges import Range
 
 Given = Literal["lmi"] | float | list[list[float]] | None
@@ -87,12 +87,12 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def reduced(gains: Gains, before: Reduced, sample: Measurement) -> Reduced:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
-    predicted = gains.T @ (sample.note + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
-    nu = jnp.where(sample.fresh, sample.value - predicted[:l], 0.0)
+    predicted = gains.T @ (sample.snapshot + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
+    nu = jnp.where(sample.mask, sample.value - predicted[:l], 0.0)
     push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
     xhat = gains.T_inv @ jnp.concatenate([predicted[:l] + nu, predicted[l:] + push])
-    return Reduced(Point(xhat - sample.note, sample.taken), L, jnp.asarray(True))
+    return Reduced(Point(xhat - sample.snapshot, sample.taken), L, jnp.asarray(True))
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
@@ -101,10 +101,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 
 
 jump = prediction.jumping(reduced, lambda state: state.point)
-OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
+OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
 
 
-def design(setting: Setting, options: Proportional) -> Design:
+def design(setting: DesignContext, options: Proportional) -> Design:
     """Take or find Kp (and Ki) and certify them over the schedule's intervals; raise DesignError where that fails."""
     integral = isinstance(options, ProportionalIntegral)
     name = "pi-pco" if integral else "pco"
@@ -120,7 +120,7 @@ def design(setting: Setting, options: Proportional) -> Design:
     what = "unmeasured states x outputs"
     given = [matrix(each, shape, f"{where}: {name}", what) for name, each in asked.items()]
     found = reduced_order.design(plant, given, integral, options.decay, where)
-    certificate = certified(found.certificate, where)
+    certificate = require_certified(found.certificate, where)
     moves = prediction.motion_of(setting.model, setting)
     gains = Gains(
         motion=moves,

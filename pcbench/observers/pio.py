@@ -26,7 +26,7 @@ from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf
 from pcbench.scenarios import arm
 from pcbench.synthesis import pi_lmi, sliding_mode
-from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.unknown_input import injection, split
 
 
@@ -67,7 +67,7 @@ def inject(
 OBSERVER = unknown_input.observer(inject)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Take the printed gains or find them by LMI (38), (52), and certify their decay rate."""
     where = f"pio in {setting.scenario}"
     parts = split(setting.model, where)
@@ -76,7 +76,7 @@ def design(setting: Setting, options: Options) -> Design:
         unknown_input.printed_for(arm.LINEAR, setting, where)
         L1: Matrix = smo.PRINTED.L1
         found = PRINTED
-        certificate = certified(pi_lmi.certify(found, parts, L1), where)
+        certificate = require_certified(pi_lmi.certify(found, parts, L1), where)
     else:
         L1 = sliding_mode.design(parts, options.alpha, where)[0].L1
         found, certificate = pi_lmi.design(parts, L1, options.beta, where)

@@ -23,7 +23,7 @@ from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf
 from pcbench.scenarios import arm
 from pcbench.synthesis import sliding_mode
-from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.unknown_input import injection, split
 
 PRINTED = sliding_mode.SlidingModeGains(
@@ -64,7 +64,7 @@ def inject(
 OBSERVER = unknown_input.observer(inject)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Take the printed gains or find them by LMI (23), (24), and certify their decay rate."""
     where = f"smo in {setting.scenario}"
     parts = split(setting.model, where)
@@ -72,7 +72,7 @@ def design(setting: Setting, options: Options) -> Design:
     if options.gains == "paper":
         unknown_input.printed_for(arm.LINEAR, setting, where)
         found = PRINTED
-        certificate = certified(sliding_mode.certify(found, parts), where)
+        certificate = require_certified(sliding_mode.certify(found, parts), where)
     else:
         found, certificate = sliding_mode.design(parts, options.alpha, where)
     gain = options.rho * float(np.linalg.norm(found.P2, 2)) / options.eps

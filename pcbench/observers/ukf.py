@@ -9,7 +9,7 @@ of N states and unknowns; the same for what a sample is expected to say, from po
 and a sample of any age is used at its own time (`parts/tick_by_tick`). L is Cholesky's factor; a direction without variance has
 no points. p is clipped to the plant's range after every update and tick.
 Source: Julier, Uhlmann 1997; weights as in Wan, van der Merwe 2000; cubature: Arasaratnam, Haykin 2009.
-Found: on a linear plant both are `dkf` to rounding. A small alpha loses digits: weights grow as 1/alpha^2.
+Found: on a linear plant both are `kf` to rounding. A small alpha loses digits: weights grow as 1/alpha^2.
 Time index: the estimate is of now, after the jump. Not claimed: that P stays positive where the centre's weight is negative.
 """
 
@@ -23,15 +23,15 @@ from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.iekf import first, mean, spread
+from pcbench.observers.ekf_iterated import first, mean, spread
 from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
 from pcbench.observers.parts.corrections import Linear
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Leaf, Now, Surprise
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import InnovationStats, Leaf, Now
+from pcbench.synthesis.certificate import Design, DesignContext
 
 NOTHING = 1e-14  # part of a variance that is left of it by rounding
 
@@ -87,7 +87,7 @@ def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
     return state._replace(mean=within(gains, m), P=P + gains.Q)
 
 
-def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tuple[Array, Array, Surprise]:
+def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, and how far it was from what was expected."""
     n = gains.C.shape[1]
     if gains.sensor is None:  # linear: no points are needed
@@ -106,7 +106,7 @@ def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Pos
     return state._replace(mean=within(gains, z), P=P)
 
 
-def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Surprise:
+def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it."""
     return looked(gains, now, state, sample)[2]
 
@@ -131,7 +131,7 @@ def points_of(options: Options, N: int, where: str) -> Points:
     return Points(*map(np.asarray, (np.sqrt(square), 0.5 / square, centre)))
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
     gains, proof = nonlinear_model.told(setting, options, "ukf")
     own: Any = points_of(options, len(gains.P0), f"ukf in {setting.scenario}")

@@ -49,7 +49,7 @@ def _try(raw: dict[str, Any], where: str, label: str) -> None:
     """Plan the one observer of a study in every cell, and by its own design if the study compares gains; or raise UserError."""
     grid = read.grid(raw, where, FROM_HERE)
     grids, designed = [grid], entry_in(grid.study, label).designed
-    if grid.study.tunings != ["paper"] and designed:
+    if grid.study.tunings != ["published"] and designed:
         options = raw.get("options") or {}
         grids.append(
             read.grid(raw | {"options": options | {label: options.get(label, {}) | dict(designed)}}, where, FROM_HERE)

@@ -26,7 +26,7 @@ from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, regular, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
-from pcbench.synthesis.certificate import Setting, power_of_2
+from pcbench.synthesis.certificate import DesignContext, power_of_2
 
 AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers by which each run draws its own
 
@@ -52,7 +52,7 @@ def drafts(
     `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
     """
     ask = ask or once.once()
-    most: dict[str, Setting] = {}
+    most: dict[str, DesignContext] = {}
     settings = [setting(cell, ask) for cell in every]
     for cell, known in zip(every, settings, strict=True):
         if not cell.times.random:
@@ -91,18 +91,23 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     return next((lanes for lanes in runner.NARROW if runs <= lanes < most), most)
 
 
-def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None, ask: once.Once = once.anew) -> Plan:
+def draft(
+    cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: once.Once = once.anew
+) -> Plan:
     """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
     s, known = cell.scenario, known or setting(cell, ask)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {o: once.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
-    numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
+    numbers = ({"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
     numbers |= {"sensor_delay": _late(cell)} if "sensor_delay" in plant.numbers._fields else {}
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
-    drawn, around = choices.random_start and not belief.start_box, choices.random_start and bool(belief.start_box)
-    spread = belief.prior_std if drawn else choices.start_spread * np.abs(true.x0)
+    drawn, around = (
+        choices.random_initial_state and not belief.initial_box,
+        choices.random_initial_state and bool(belief.initial_box),
+    )
+    spread = belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)
     signals = len(true.x0) + len(belief.unknown_std)
     schedule, room = _schedule(cell, ask)
     problem = Problem(
@@ -116,27 +121,29 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         spread0=np.diag(spread),
         noise_std=np.array(s.sampling.noise_std),
         band=np.array(s.scoring.settle_band),
-        bound=np.broadcast_to(np.asarray(s.scoring.bound, float), signals),
+        bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), signals),
         windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
-        scatter=np.array(belief.start_box) * around,
+        scatter=np.array(belief.initial_box) * around,
         network=controller.network(cell),
         weights=controller.weights(cell),
         outliers=_outliers(s),
-        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither)) if any(step := s.sampling.resolution) else (),
-        tail=np.asarray(s.sampling.noise_tail) if s.sampling.noise_tail else (),
+        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither))
+        if any(step := s.sampling.quantization_step)
+        else (),
+        tail=np.asarray(dof) if np.isfinite(dof := s.sampling.student_t_dof) else (),
     )
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
         width=width(cell, labels=options),
         ring=room,
-        random_start=drawn or choices.start_spread > 0,
+        random_initial_state=drawn or choices.initial_spread > 0,
         continuous=s.sampling.continuous,
-        drifting=bool(true.drift and plant.plant.of_run),
+        drifting=bool(true.parameter_drift and plant.plant.of_run),
         controller=controller.controller(cell),
-        scattered=bool(belief.start_box),
+        scattered=bool(belief.initial_box),
         pending=controller.pending(cell),
         consistency=choices.consistency,
         defined=cell.engine == "definition",
@@ -147,7 +154,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
         bound=bound(cell, known, ask) if options else None,
-        carries_input={o: d.carries_input for o, d in designs.items()},
+        predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
         reach=controller.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
@@ -177,7 +184,7 @@ def _chunks(layout: Layout, problem: Problem, ask: once.Once) -> int:
     return room if goes else 0
 
 
-def _inputs(cell: Cell, known: Setting, ask: once.Once) -> NDArray[np.float64]:
+def _inputs(cell: Cell, known: DesignContext, ask: once.Once) -> NDArray[np.float64]:
     """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
 
     Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.

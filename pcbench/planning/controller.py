@@ -8,7 +8,7 @@ from jax.tree_util import Partial
 from pydantic import BaseModel
 
 from pcbench import controllers
-from pcbench.controllers import Told
+from pcbench.controllers import ControllerContext
 from pcbench.controllers.parts.common import Options
 from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, raised
@@ -62,7 +62,7 @@ def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
     return found + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
 
 
-def told(cell: Cell, reach: Reach, ticks: int) -> Told:
+def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
     """Return what the designer of a law knows of a cell, with room for `reach`."""
     s, plant = cell.scenario, entry_of(cell.scenario)
     params = plant.prepare(numbers_of(s), s.dt, ticks)
@@ -84,7 +84,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
     return law, actuator.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
 
 
-def _numbers(cell: Cell, told: Told) -> Any:
+def _numbers(cell: Cell, told: ControllerContext) -> Any:
     """The law's numbers; raise UserError where a law of a user's own does not keep to the protocol."""
     s, entry = cell.scenario, controllers.entry_of(cell.scenario)
     if "controller" not in s.own:

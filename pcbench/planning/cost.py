@@ -1,6 +1,6 @@
 """What an observer costs: multiplications of a sample and of a tick, counted from its own functions at one lane, and bytes.
 
-A sample costs `note`, `sampled` where there is one, and `jump`; a tick `flow` and `estimate`. Counted are the products of
+A sample costs `snapshot`, `on_sample` where there is one, and `jump`; a tick `flow` and `estimate`. Counted are the products of
 floats: each of a matrix product (with its addition), each entry multiplied, divided, or put through a root, a power or another
 function. Additions, comparisons and what is only moved are free. A loop counts as often as it goes round, for the last sample
 of a run whose samples are a period apart and of the believed age; of the branches of a choice that one runs, where it is made
@@ -66,12 +66,12 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
     last = max((p.cell.times.ticks - age) // period, 1)
     memory = _worn(o, problem, last, age, period, name, q)
     k = jnp.asarray(age + last * period)
-    note = o.note(gains, memory, present(problem, k - age, False))
+    snapshot = o.snapshot(gains, memory, present(problem, k - age, False))
     decided, open_ = (present(problem, k, known) for known in (True, False))
 
     def sample(gains: Any, memory: Any, value: Any) -> Any:
-        told = o.sampled(gains, memory, open_, jnp.ones(q, bool)) if o.sampled else memory
-        return o.note(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, note))
+        told = o.on_sample(gains, memory, open_, jnp.ones(q, bool)) if o.on_sample else memory
+        return o.snapshot(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, snapshot))
 
     def tick(gains: Any, memory: Any) -> Any:
         return o.flow(gains, memory, decided), o.estimate(gains, memory)
@@ -80,9 +80,9 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
     return Cost(counted(sample, gains, memory, jnp.ones(q)), counted(tick, gains, memory), size)
 
 
-def _arrival(value: Any, age: int, note: Any) -> Arrival:
+def _arrival(value: Any, age: int, snapshot: Any) -> Arrival:
     q = len(value)
-    return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), note, jnp.asarray(1))
+    return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), snapshot, jnp.asarray(1))
 
 
 def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -> Any:
@@ -99,9 +99,9 @@ def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -
 
     def after(number: Any, ticks: Sequence[Any]) -> list[Any]:
         memory, now = with_(ticks), present(p, age + number * period, False)
-        note = o.note(gains, memory, present(p, number * period, False))
-        told = o.sampled(gains, memory, now, jnp.ones(q, bool)) if o.sampled else memory
-        new = jax.tree.leaves(o.jump(gains, told, now, _arrival(jnp.ones(q), age, note)))
+        snapshot = o.snapshot(gains, memory, present(p, number * period, False))
+        told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
+        new = jax.tree.leaves(o.jump(gains, told, now, _arrival(jnp.ones(q), age, snapshot)))
         return [a.astype(b.dtype) for a, b, w in zip(new, leaves, whole, strict=True) if w]
 
     before = [a for a, w in zip(leaves, whole, strict=True) if w]

@@ -10,14 +10,14 @@ from jax.tree_util import Partial
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
 from pcbench.planning import once
-from pcbench.plants import PlantEntry, entry_of, numbers_of, parameters_in, varied
+from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_in, varied
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
 from pcbench.study.cells import Cell
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
-def prepared(plant: PlantEntry, numbers: Any, dt: float, ticks: int, ask: once.Once) -> Any:
+def prepared(plant: PlantSpec, numbers: Any, dt: float, ticks: int, ask: once.Once) -> Any:
     """Return a plant's numbers for the ticks of a horizon."""
     try:
         key = plant.prepare, once.key_of(numbers), dt, ticks
@@ -31,7 +31,7 @@ def _here(leaf: Any) -> Any:
     return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
 
 
-def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
+def setting(cell: Cell, ask: once.Once = once.anew) -> DesignContext:
     """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std
@@ -49,7 +49,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
                 period[j] = clock.period
             late = period[j] if clock.delay is None else clock.delay
             delay[j] = late + clock.later + cell.times.error
-    return Setting(
+    return DesignContext(
         scenario=s.name,
         model=plant.nominal(numbers_of(s)),
         dt=s.dt,
@@ -61,7 +61,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
             for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)
         ),
         P0=np.diag(np.square(belief.prior_std)),
-        input_intensity=belief.drift_intensity if s.truth.drift else 0.0,
+        input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
         overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,

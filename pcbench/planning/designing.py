@@ -5,13 +5,13 @@ import os
 from typing import Any
 
 from pcbench.errors import UserError, is_ours, line_of, raised
-from pcbench.observers import Entry
-from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.observers import ObserverSpec
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
 EXPECTED = "expected Design(gains, Certificate)"
 
 
-def designed(label: str, entry: Entry, known: Setting, options: Any) -> Design:
+def designed(label: str, entry: ObserverSpec, known: DesignContext, options: Any) -> Design:
     """Return an observer's gains with their certificate; raise UserError where its design refuses, or is not as it must be."""
     try:
         found = entry.design(known, options)

@@ -34,17 +34,17 @@ def require(p: Plan, outcome: Outcome) -> None:
     """Raise DigitsError where rounding decides the errors of an observer in most runs of a call."""
     tail = p.cell.times.ticks - p.cell.times.tail
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True) if np.size(outcome.actual) else ():
-        tail_mae = np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail
-        require_of(p, np.asarray(outcome.actual), tail_mae)
+        steady_mae = np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail
+        require_of(p, np.asarray(outcome.actual), steady_mae)
         if p.layout.controller is not None:
-            _require_response(p, label, p.problem.gains[name], tail_mae)
+            _require_response(p, label, p.problem.gains[name], steady_mae)
 
 
-def require_of(p: Plan, actual: Floats, tail_mae: Floats) -> None:
-    """Raise DigitsError where rounding decides errors of mean size `tail_mae` [s, runs]; `actual` [n + s, runs] at the end."""
-    size = np.abs(actual[: len(tail_mae)])
+def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
+    """Raise DigitsError if rounding decides errors of mean size `steady_mae` [s, runs]; `actual` is [n + s, runs]."""
+    size = np.abs(actual[: len(steady_mae)])
     overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a loop that is the estimate's doing
-    lost = overflows | (np.isfinite(size) & (EPS * size > PART * tail_mae))
+    lost = overflows | (np.isfinite(size) & (EPS * size > PART * steady_mae))
     share = lost.mean(-1)
     if share.max(initial=0.0) <= 0.5:
         return
@@ -61,16 +61,16 @@ def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
         require_of(p, x[last - 1][:, None], error.mean(0)[:, None])
 
 
-def unresolved_signals(size: Floats, tail_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
-    """Return the signals of a replay whose mean errors `tail_mae` [m] are rounding; `size` [m] is the largest of each.
+def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
+    """Return the signals of a replay whose mean errors `steady_mae` [m] are rounding; `size` [m] is the largest of each.
 
     `limits` are sizes and what their rounding is held against: settling bands of signals, noise of measured numbers.
     """
     matters = any(_beyond(each, least) for each, least in limits)
-    return np.flatnonzero(matters & (EPS * size > PART * tail_mae)).tolist()
+    return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
-def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None:
+def _require_response(p: Plan, label: str, gains: Any, steady_mae: Floats) -> None:
     """Raise DigitsError where an observer in a loop sums the input's response without the feedback, and that grows too large.
 
     In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
@@ -82,7 +82,7 @@ def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.abs(np.linalg.matrix_power(np.asarray(Phi), p.cell.times.ticks)[:n, :n])
         size = moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std))
-    lost = (EPS * size[:, None] > PART * tail_mae[:n]).mean(-1) > 0.5
+    lost = (EPS * size[:, None] > PART * steady_mae[:n]).mean(-1) > 0.5
     lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[:n]
     if lost.any():
         i = int(np.argmax(np.where(lost, size, 0.0)))

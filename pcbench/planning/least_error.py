@@ -11,19 +11,19 @@ from pcbench.plants import differs, nonlinear, numbers_of
 from pcbench.simulation.schedule import shared
 from pcbench.study.cells import Cell
 from pcbench.synthesis import riccati
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
-def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.float64] | None:
+def bound(cell: Cell, known: DesignContext, ask: once.Once = once.anew) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and normal noise and starts."""
     s = cell.scenario
     other = differs(numbers_of(s), cell.parameters)
-    wrong = nonlinear(s) or s.truth.drift or other or s.truth.unknown_input or s.loop.command_std
+    wrong = nonlinear(s) or s.truth.parameter_drift or other or s.truth.unknown_input or s.loop.command_std
     wrong = wrong or len(s.belief.unknown_std) > 0  # what is not known of the plant is looked for
-    normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and not s.sampling.noise_tail
-    normal = normal and not any(s.sampling.resolution)
-    normal = normal and not (cell.choices.random_start and s.belief.start_box)  # runs draw a uniform start
-    normal = normal and not cell.choices.start_spread  # or one that is not of the prior
+    normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and np.isinf(s.sampling.student_t_dof)
+    normal = normal and not any(s.sampling.quantization_step)
+    normal = normal and not (cell.choices.random_initial_state and s.belief.initial_box)  # runs draw a uniform start
+    normal = normal and not cell.choices.initial_spread  # or one that is not of the prior
     exact = not wrong and normal
     clocks = cell.times.clocks
     if not exact or cell.times.random:
@@ -38,7 +38,7 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
     return found
 
 
-def _over_ticks(known: Setting, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
+def _over_ticks(known: DesignContext, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
     """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     added = known._replace(process_std=process_std).process_noise
@@ -46,7 +46,7 @@ def _over_ticks(known: Setting, process_std: Any) -> tuple[linear.Matrix, linear
 
 
 def _bound(
-    cell: Cell, known: Setting, moved: tuple[linear.Matrix, linear.Matrix], steps: riccati.Steps
+    cell: Cell, known: DesignContext, moved: tuple[linear.Matrix, linear.Matrix], steps: riccati.Steps
 ) -> NDArray[np.float64]:
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(cell.times.clocks, known.ticks)]
     tail = range(cell.times.tail, known.ticks)

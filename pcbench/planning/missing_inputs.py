@@ -37,7 +37,7 @@ def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Itera
     if not cells:
         return
     table = stats()
-    diverged = table[(table.metric == "divergence") & (table.method == "runs") & (table["mean"] == 1.0)]
+    diverged = table[(table.metric == "divergence_rate") & (table.method == "runs") & (table["mean"] == 1.0)]
     for row in diverged.drop_duplicates(["scenario", "observer"]).to_dict("records"):
         label, cell = row["observer"], cells.get((row["scenario"], row["cell"]))
         age = oldest_missing_input(cell, label, grid.study) if cell and label in cell.own else None
@@ -81,4 +81,4 @@ def _reporting(o: Observer, report: Report) -> Observer:
     def wrap(f: Any) -> Any:
         return f and (lambda gains, memory, now, *rest: f(gains, memory, watch(now), *rest))
 
-    return o._replace(note=wrap(o.note), jump=wrap(o.jump), flow=wrap(o.flow), sampled=wrap(o.sampled))
+    return o._replace(snapshot=wrap(o.snapshot), jump=wrap(o.jump), flow=wrap(o.flow), on_sample=wrap(o.on_sample))

@@ -1,8 +1,8 @@
 """Nothing is computed twice: what a study's cells have in common is found once, and known by what it was found from.
 
-A design is known by what it has looked at: a `Setting` that notes which of its fields are read is given to it, and a later cell
-whose fields of those names hold the same has the same design. So gains that see no noise are found once for all noises, and
-nobody has to say what an observer sees. Only pcbench's own designs are taken to be functions of what they read.
+A design is known by what it has looked at: a `DesignContext` that notes which of its fields are read is given to it, and a
+later cell whose fields of those names hold the same has the same design. So gains that see no noise are found once for all
+noises, and nobody has to say what an observer sees. Only pcbench's own designs are taken to be functions of what they read.
 """
 
 from collections import OrderedDict
@@ -15,9 +15,9 @@ import jax
 import numpy as np
 
 from pcbench.errors import is_ours
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.planning.designing import designed
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 ROOM = 256  # of each kind: as many schedules of 10,000 ticks are 100 MB,
 DESIGNS = 4096  # and as many gains; with more of them the first are found again when their tasks are drawn
@@ -46,25 +46,25 @@ def anew(kind: str, key: Hashable, make: Callable[[], Any]) -> Any:
     return make()
 
 
-class Watched(Setting):
+class Watched(DesignContext):
     """A Setting that notes which of its fields are read; whoever takes it apart reads all. It must be one: designs ask."""
 
     def __getattribute__(self, name: str) -> Any:
         """Return what a Setting does."""
-        if name in Setting._fields:
+        if name in DesignContext._fields:
             tuple.__getattribute__(self, "__dict__").setdefault("read", set()).add(name)
         return tuple.__getattribute__(self, name)
 
     def __iter__(self) -> Iterator[Any]:
         """Return all fields in turn."""
-        return iter([getattr(self, name) for name in Setting._fields])
+        return iter([getattr(self, name) for name in DesignContext._fields])
 
     def __getitem__(self, at: Any) -> Any:
         """Return a field, or some, by number."""
         return tuple(self)[at]
 
 
-def design(ask: Once, cell: Hashable, label: str, entry: Entry, known: Setting, options: Any) -> Design:
+def design(ask: Once, cell: Hashable, label: str, entry: ObserverSpec, known: DesignContext, options: Any) -> Design:
     """Return an observer's design for a setting; that of an earlier cell where this one differs in nothing it looked at."""
     who = label, entry.design, id(options)  # `fields` keeps them alive
     if not is_ours(entry.design):
@@ -86,7 +86,7 @@ def design(ask: Once, cell: Hashable, label: str, entry: Entry, known: Setting, 
     return out
 
 
-def _seen(known: Setting, fields: frozenset[str]) -> Hashable | None:
+def _seen(known: DesignContext, fields: frozenset[str]) -> Hashable | None:
     """What a setting holds in some fields, as a key; None where it cannot be told."""
     try:
         return tuple(key_of(getattr(known, name)) for name in sorted(fields))

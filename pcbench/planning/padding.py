@@ -32,7 +32,7 @@ class Plan(NamedTuple):
     problem: Problem
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
-    carries_input: dict[str, bool | None]  # by observer, of its prediction to now
+    predicts_unknown_input: dict[str, bool | None]  # by observer, of its prediction to now
     labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
     reach: controller.Reach | None  # of a closed loop
 

@@ -6,17 +6,15 @@ from typing import Any
 import numpy as np
 
 from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, reactor
-from pcbench.plants.entry import Entry
-from pcbench.plants.factory import plant
+from pcbench.plants.entry import PlantSpec
+from pcbench.plants.factory import make_plant
 from pcbench.scenarios import Scenario
 
-PlantEntry = Entry  # its name in `pcbench`, where `Entry` is an observer's
-
-__all__ = ["PLANTS", "Entry", "PlantEntry", "plant"]
+__all__ = ["PLANTS", "PlantSpec", "make_plant"]
 
 
-PLANTS: dict[str, Entry] = {
-    "cart": Entry(
+PLANTS: dict[str, PlantSpec] = {
+    "cart": PlantSpec(
         plant=cart.PLANT,
         signals=cart.SIGNALS,
         numbers=cart.Numbers(),
@@ -25,7 +23,7 @@ PLANTS: dict[str, Entry] = {
         summary="mobile cart under a camera, 2 states",
         signs=("drift_sign",),
     ),
-    "late-cart": Entry(
+    "late-cart": PlantSpec(
         plant=late_cart.PLANT,
         signals=late_cart.SIGNALS,
         numbers=late_cart.Numbers(),
@@ -36,7 +34,7 @@ PLANTS: dict[str, Entry] = {
         ranges=((0.0, float("inf")),),
         drifts=False,
     ),
-    "csth": Entry(
+    "csth": PlantSpec(
         plant=lti.PLANT,
         signals=csth.SIGNALS,
         numbers=csth.Numbers(),
@@ -45,7 +43,7 @@ PLANTS: dict[str, Entry] = {
         summary="stirred tank heater with three slow sensors, 3 states",
         drifts=False,
     ),
-    "arm": Entry(
+    "arm": PlantSpec(
         plant=arm.PLANT,
         signals=arm.SIGNALS,
         numbers=arm.Numbers(),
@@ -55,7 +53,7 @@ PLANTS: dict[str, Entry] = {
         unknowns=arm.UNKNOWNS,
         heavy=True,
     ),
-    "helicopter": Entry(
+    "helicopter": PlantSpec(
         plant=helicopter.PLANT,
         signals=helicopter.SIGNALS,
         numbers=helicopter.Numbers(),
@@ -70,7 +68,7 @@ PLANTS: dict[str, Entry] = {
         positive=("Jth", "Jps", "m", "l", "g", "Bth", "Bps"),
         ranges=helicopter.RANGE,
     ),
-    "reactor": Entry(
+    "reactor": PlantSpec(
         plant=reactor.PLANT,
         signals=reactor.SIGNALS,
         numbers=reactor.Numbers(),
@@ -82,7 +80,7 @@ PLANTS: dict[str, Entry] = {
         positive=("k1", "k2"),
         drifts=False,
     ),
-    "lti": Entry(
+    "lti": PlantSpec(
         plant=lti.PLANT,
         signals=(),
         numbers=lti.Numbers(),
@@ -94,9 +92,9 @@ PLANTS: dict[str, Entry] = {
 }
 
 
-def entry_of(scenario: Scenario) -> Entry:
+def entry_of(scenario: Scenario) -> PlantSpec:
     """Return a scenario's plant: the one that it carries itself, or else the one of its name."""
-    found: Entry = scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
+    found: PlantSpec = scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
     return found
 
 
@@ -143,7 +141,7 @@ def settles_alone(scenario: Scenario) -> bool:
     noisy = any(true.process_std) if np.ndim(true.process_std) < 2 else True
     if scenario.plant not in PLANTS or nonlinear(scenario) or loop.controller or noisy:
         return False
-    if true.drift or true.parameters or true.unknown_input:
+    if true.parameter_drift or true.parameters or true.unknown_input:
         return False
     model = entry_of(scenario).nominal(numbers_of(scenario))
     modes = np.linalg.eigvals(model.A)
@@ -156,7 +154,7 @@ def nonlinear(scenario: Scenario) -> bool:
     return plant.model is not None or plant.successor is not None
 
 
-def parameters_of(plant: Entry) -> list[str]:
+def parameters_of(plant: PlantSpec) -> list[str]:
     """Return the names of a plant's parameters that a study may vary."""
     numbers = plant.numbers._asdict()
     return [name for name, v in numbers.items() if type(v) is float and name != "drift"]

@@ -21,7 +21,7 @@ from jax import Array
 from jaxtyping import Float
 
 from pcbench.dynamics.integrate import transition
-from pcbench.dynamics.linear import Model, held
+from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"))
@@ -84,7 +84,7 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     if numbers.drift:
         return _drifting(jax.tree.map(jnp.asarray, numbers), jnp.asarray(dt), ticks)
     model = nominal(numbers)
-    Phi, Gamma = held(model.A, model.B, dt)
+    Phi, Gamma = discretize_zoh(model.A, model.B, dt)
     return Params(Phi[None], Gamma[None], numbers)
 
 

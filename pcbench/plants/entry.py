@@ -7,7 +7,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.protocols import Plant
 
 
-class Entry(NamedTuple):
+class PlantSpec(NamedTuple):
     """A plant with what the tables and the observers need to know of it."""
 
     plant: Plant

@@ -10,7 +10,7 @@ friction: float = 0.1  # 1/s
 def field(p, now, x):
 return jnp.stack([x[1], -9.81 / p.length * jnp.sin(x[0]) - p.friction * x[1] + now.u[0]])
 
-pendulum = pcbench.plant(
+pendulum = pcbench.make_plant(
 field=field,
 output=lambda p, now, x: x[:1],
 states=["angle [rad]", "rate [rad/s]"],
@@ -29,7 +29,7 @@ from jax import Array
 
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import nonlinear, trial
-from pcbench.plants.entry import Entry
+from pcbench.plants.entry import PlantSpec
 from pcbench.plants.nonlinear import Equations, PlantFunction
 from pcbench.plants.trial import WHERE
 from pcbench.protocols import Now, Plant
@@ -43,7 +43,7 @@ class NoNumbers(NamedTuple):
     """Of a plant whose functions hold all their numbers themselves."""
 
 
-def plant(
+def make_plant(
     *,
     output: Function,
     states: Sequence[str],
@@ -56,7 +56,7 @@ def plant(
     unknown_parameters: Mapping[str, Range] | None = None,
     positive: Sequence[str] = (),
     summary: str = "a plant of one's own",
-) -> Entry:
+) -> PlantSpec:
     """Return a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(...), and y = output(...).
 
     `states` are names with units, such as "angle [rad]". `numbers` is a NamedTuple of floats (each is an axis, `plant.<name>`)
@@ -100,7 +100,7 @@ def plant(
         (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
         for name, each in (pushed | sought).items()
     ]
-    return Entry(
+    return PlantSpec(
         plant=Plant(
             step=PlantFunction(nonlinear.step, e),
             output=PlantFunction(nonlinear.output, e),

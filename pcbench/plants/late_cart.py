@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.dynamics.linear import Model, held
+from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"))
@@ -40,7 +40,7 @@ def nominal(numbers: Numbers) -> Model:
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of a tick of `dt` seconds."""
     model = nominal(numbers)
-    Phi, Gamma = held(model.A, model.B, dt)
+    Phi, Gamma = discretize_zoh(model.A, model.B, dt)
     return Params(Phi, Gamma, np.asarray(numbers.sensor_delay))
 
 

@@ -11,7 +11,7 @@ from pcbench.plants import nonlinear
 from pcbench.plants.nonlinear import Equations
 from pcbench.protocols import Now
 
-WHERE = "pcbench.plant"
+WHERE = "pcbench.make_plant"
 
 
 def tried(e: Equations, numbers: Any) -> tuple[float, ...]:

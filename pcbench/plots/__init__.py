@@ -1,7 +1,7 @@
 """Figures of a result, for notebooks, papers and the page of `report`: functions that return a matplotlib Figure.
 
-    result = pcbench.run("noise-map.toml")           # or pcbench.opened("results/noise-map")
-    plots.distributions(result, metric="tail_rmse")
+    result = pcbench.run("noise-map.toml")           # or pcbench.open_result("results/noise-map")
+    plots.distributions(result, metric="steady_rmse")
     plots.curves(result, paper=plots.Paper(width=3.3, size=8, font="Times New Roman")).savefig("curve.pdf")
 
 `scenario` and `signal` may be left out: then the first scenario and its first headline signal are meant. Axes of a study that a

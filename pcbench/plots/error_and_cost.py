@@ -23,13 +23,13 @@ def cost(
     costs: pd.DataFrame,
     *,
     by: str = "sample",
-    metric: str = "tail_rmse",
+    metric: str = "steady_rmse",
     scenario: str | None = None,
     signal: str | None = None,
     cell: int = 0,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return a metric of every observer of a cell over what it costs, a frame of `pcbench.costs`: `by` sample, tick or memory.
+    """Return a metric of every observer of a cell over what it costs (`pcbench.operation_counts`), by sample, tick or memory.
 
     Raises UserError where there is no such cost.
     """

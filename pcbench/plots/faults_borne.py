@@ -14,7 +14,7 @@ from pcbench.plots.paper import PAPER, Paper, drawn_on
 from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.words import about, named
 
-ALONE = "open-loop"  # the model alone
+ALONE = "model-only"  # the model alone
 BESIDE = 2  # panels
 
 
@@ -56,7 +56,7 @@ def _crossing(value: np.ndarray, part: np.ndarray, sign: int) -> float:
     i = int(worse[0])
     if i == 0:
         return float("nan")
-    if not np.isfinite(part[i]):
+    if not np.isfinite(part[i]) or not np.isfinite(value[i - 1]):
         return float(value[i - 1])
     return float(value[i - 1] + (1 - part[i - 1]) / (part[i] - part[i - 1]) * (value[i] - value[i - 1]))
 
@@ -71,29 +71,31 @@ def bearing(
 ) -> Figure:
     """Return the errors of observers over those of the model alone, a panel for each axis; above 1 the model alone is better.
 
-    The study varies its axes one by one (`vary = "each"`), and `open-loop` is among its observers: else UserError.
+    The study varies its axes one by one (`vary = "one-at-a-time"`), and `model-only` is among its observers: else UserError.
     """
     whole = frames.rows(result, scenario, signal, metric)
-    if result.study.vary != "each" or ALONE not in set(whole.observer):
+    if result.study.vary != "one-at-a-time" or ALONE not in set(whole.observer):
         raise UserError(
             f'bearing of {result.study.name}: got vary = "{result.study.vary}" and observers '
-            f'{", ".join(dict.fromkeys(whole.observer))}, expected vary = "each" and {ALONE} among them.'
+            f'{", ".join(dict.fromkeys(whole.observer))}, expected vary = "one-at-a-time" and {ALONE} among them.'
         )
     parts = part_of_alone(result, whole.scenario.iloc[0], whole.signal.iloc[0], metric)
     look = styles(parts.observer)
     keys = [Key(o, look[o], "points") for o in dict.fromkeys(parts.observer)]
     y = scales.of([*parts.part, 1.0], scales.is_wide([*parts.part, 1.0]))
-    units, panels = frames.units(result, whole), []
+    units, panels, every = frames.units(result, whole), [], {}
     axes: dict[str, Any] = {str(name): mine for name, mine in parts.groupby("axis", sort=False)}
     for i, (name, mine) in enumerate(axes.items()):
         over = f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}" if i == 0 else ""
-        panels.append(Panel(scales.at(sorted(set(mine.value))), y, frames.label(name, units), over, height=1.1))
+        every[name] = sorted(set(mine.value))
+        panels.append(Panel(scales.at(every[name]), y, frames.label(name, units), over, height=1.1))
     figure, drawn = sheet(paper, about(result, whole, {}), panels, keys, columns=min(BESIDE, len(panels)))
     with drawn_on(paper):
-        for ax, mine in zip(drawn, axes.values(), strict=True):
+        for ax, panel, (name, mine) in zip(drawn, panels, axes.items(), strict=True):
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for key in keys:
                 line = mine[mine.observer == key.label].sort_values("value")
-                ax.plot(line.value, line.part, color=key.style.colour, linestyle=key.style.line, linewidth=1.0,
+                at = scales.places(panel.x, line.value, every[name])
+                ax.plot(at, line.part, color=key.style.colour, linestyle=key.style.line, linewidth=1.0,
                         marker=key.style.marker, markersize=3.5)  # fmt: skip
     return figure

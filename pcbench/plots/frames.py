@@ -20,7 +20,7 @@ from pcbench.statistics.stack import SIGNED
 from pcbench.statistics.wording import ROUNDING
 from pcbench.study import scenarios_of
 
-METRIC = "tail_rmse"  # by which observers are ranked, unless said otherwise
+METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
 POINTS = 100  # of a distribution
@@ -108,7 +108,7 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
     states = [unit for _, unit in states_of(scenario)]
     seen = outputs.units(scenario)
-    each = {"noise_std": seen, "resolution": seen, "process_std": states}
+    each = {"noise_std": seen, "quantization_step": seen, "process_std": states}
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
 
 

@@ -11,8 +11,8 @@ from pcbench.plots.paper import PAPER, Paper, drawn_on
 from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.words import title_of
 
-MARKS = {"paper": "o", "design": "s", "tuned": "D"}
-WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
+MARKS = {"published": "o", "design": "s", "tuned": "D"}
+WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
 
 
 def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
@@ -22,7 +22,7 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     """
     if result.fair is None:
         raise UserError(
-            f"study {result.study.name}: got no table fair, expected a study with several tunings; run fair."
+            f"study {result.study.name}: got no table fair, expected a study with several tunings; run equal-tuning."
         )
     table = with_ends(result.fair[result.fair.cell == cell])
     names = list(dict.fromkeys(table.observer))
@@ -63,7 +63,7 @@ def trade_off(
     panel = Panel(over[x], over[cost], f"{words}; beside a point: {option}", label or cost.replace("_", " "))
     figure, (ax,) = sheet(paper, title, [panel])
     with drawn_on(paper):
-        ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=COLOURS["dkf"])
+        ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=COLOURS["kf"])
         middle = (over[x].low * over[x].high) ** 0.5 if over[x].log else (over[x].low + over[x].high) / 2
         for row in stands.to_dict("records"):
             right = row[x] > middle

@@ -29,7 +29,7 @@ def nees(
     if whole is None or not judged(whole):
         raise UserError(
             f"plots.nees: got runs of {scenario} in which nobody says how wrong it is, expected consistency = true in "
-            "[options.scenario] and an observer with a covariance, as dkf; run the study so."
+            "[options.scenario] and an observer with a covariance, as kf; run the study so."
         )
     return drawn(result, whole, scenario, cell, paper)
 

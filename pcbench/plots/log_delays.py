@@ -17,7 +17,7 @@ DIGITS = 9  # of a second: what is less is rounding
 
 
 def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
-    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.log` returns.
+    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.info` returns.
 
     Of a long log an even selection of samples is drawn. Raises UserError where no sample ever arrived.
     """

@@ -63,7 +63,7 @@ def divergence(
     paper: Paper = PAPER,
 ) -> Figure:
     """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
-    whole = frames.rows(result, scenario, None, "divergence")
+    whole = frames.rows(result, scenario, None, "divergence_rate")
     x, y = two_axes(whole, x, y)
     part = frames.fixed(whole, [x, y], at)
     held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}

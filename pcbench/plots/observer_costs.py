@@ -12,7 +12,7 @@ from pcbench.study.cells import Cell, cells
 
 
 def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
-    """Return scenario, cell, observer, sample, tick, memory, as `pcbench.costs` does; counted where it does not stand in `out`.
+    """Return scenario, cell, observer, sample, tick, memory, as `pcbench.operation_counts`; counted if not in `out`.
 
     None where nothing is sampled, so that there is no cost of a sample; and where an observer's code is not here.
     """

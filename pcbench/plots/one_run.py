@@ -58,6 +58,6 @@ def _cell(study: Study, scenario: str, number: int) -> Cell:
     every = {each.number: each for each in cells(study, scenario)}
     if number not in every:
         raise UserError(
-            f"--cell: got {number}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
+            f"--grid-point: got {number}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
         )
     return every[number]

@@ -3,7 +3,7 @@
 Colours were searched for, not chosen: those of observers that run together lie apart for readers of normal sight and for those
 who lack one kind of cone (Machado, Oliveira, Fernandes, IEEE Trans. Vis. Comput. Graph. 15 (2009), 1291), differ in lightness,
 hence also on grey paper, and are dark enough to be seen as lines on white. Dashes and markers say the same once more: no
-picture needs colour to be read. An observer run with other options (dkf-bias, pccebo-tuned) has the hue of its base in
+picture needs colour to be read. An observer run with other options (kf-bias, pccebo-tuned) has the hue of its base in
 another shade, its dashes with a dot more, and a marker of its own. The truth is ink, what is measured a pale line.
 """
 
@@ -15,8 +15,8 @@ from pcbench.observers import base_of
 INK, SOFT, GRID = "#1B1B1B", "#6B6B6B", "#E4E4E4"
 PLANT, MEASURED = INK, "#B9C4CF"  # that no observer has
 DASHES: dict[str, tuple[float, ...]] = {
-    "dkf": (),
-    "open-loop": (1.0, 1.4),
+    "kf": (),
+    "model-only": (1.0, 1.4),
     "pccebo": (6.0, 1.6),
     "kfbo": (2.8, 1.4),
     "pco": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
@@ -28,27 +28,27 @@ DASHES: dict[str, tuple[float, ...]] = {
     "pio": (2.8, 1.4),
     "high-gain": (6.0, 1.6),
     "ekf": (2.8, 1.4),
-    "iekf": (6.0, 1.4, 1.0, 1.4),
+    "ekf-iterated": (6.0, 1.4, 1.0, 1.4),
     "ukf": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
     "mhe": (9.0, 1.6),
     "particle": (1.8, 1.8),
-    "kf-now": (6.0, 1.6),
-    "kf-discard": (2.8, 1.4),
-    "kf-rewind": (6.0, 1.4, 1.0, 1.4),
+    "kf-ignore-delay": (6.0, 1.6),
+    "kf-drop-delayed": (2.8, 1.4),
+    "kf-reprocess": (6.0, 1.4, 1.0, 1.4),
     "kf-cloning": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
     "kf-larsen": (9.0, 1.6),
     "kf-alexander": (4.5, 2.2),
-    "kf-horizon": (1.8, 1.8),
-    "kf-shift": (7.0, 1.4, 2.4, 1.4),
+    "kf-delayed-horizon": (1.8, 1.8),
+    "kf-shifted-innovation": (7.0, 1.4, 2.4, 1.4),
     "oosm-a1": (5.0, 1.2, 1.0, 1.2, 1.0, 1.2),
     "oosm-b1": (3.4, 3.0),
     "oosm-lag": (9.0, 1.4, 3.0, 1.4, 3.0, 1.4),
     "ekf-delay": (6.0, 1.6),
-    "bank": (2.8, 1.4),
+    "mmae-delay": (2.8, 1.4),
 }
 COLOURS = {
-    "dkf": "#224E89",
-    "open-loop": "#898989",
+    "kf": "#224E89",
+    "model-only": "#898989",
     "pccebo": "#AE5C18",
     "kfbo": "#10A5D2",
     "pco": "#2A4000",
@@ -60,30 +60,31 @@ COLOURS = {
     "pio": "#54AB53",
     "high-gain": "#B14DD0",
     "ekf": "#884400",
-    "iekf": "#542F6B",
+    "ekf-iterated": "#542F6B",
     "ukf": "#0C11BB",
     "mhe": "#709FA6",
     "particle": "#07B472",
-    "kf-now": "#4D159C",
-    "kf-discard": "#C92536",
-    "kf-rewind": "#4589A8",
+    "kf-ignore-delay": "#4D159C",
+    "kf-drop-delayed": "#C92536",
+    "kf-reprocess": "#4589A8",
     "kf-cloning": "#580A51",
     "kf-larsen": "#575C6B",
     "kf-alexander": "#7D09D8",
-    "kf-horizon": "#800908",
-    "kf-shift": "#609156",
+    "kf-delayed-horizon": "#800908",
+    "kf-shifted-innovation": "#609156",
     "oosm-a1": "#241264",
     "oosm-b1": "#B07800",
     "oosm-lag": "#E073D5",
     "ekf-delay": "#D572F4",
-    "bank": "#F83844",
+    "mmae-delay": "#F83844",
 }
-MARKERS = {"dkf": "o", "open-loop": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
+MARKERS = {"kf": "o", "model-only": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
            "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^",
-           "iekf": "v", "ukf": "D", "mhe": "s", "particle": "P",
-           "kf-now": "^", "kf-discard": "v", "kf-rewind": "s", "kf-cloning": "D", "kf-larsen": "<", "kf-alexander": ">",
-           "kf-horizon": "P", "kf-shift": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*",
-           "ekf-delay": "s", "bank": "^"}  # fmt: skip
+           "ekf-iterated": "v", "ukf": "D", "mhe": "s", "particle": "P",
+           "kf-ignore-delay": "^", "kf-drop-delayed": "v", "kf-reprocess": "s", "kf-cloning": "D", "kf-larsen": "<",
+           "kf-alexander": ">",
+           "kf-delayed-horizon": "P", "kf-shifted-innovation": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*",
+           "ekf-delay": "s", "mmae-delay": "^"}  # fmt: skip
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
 OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
 OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))

@@ -133,7 +133,9 @@ def _differ(plan: Plan) -> bool:
     """Say whether runs differ and stand on one schedule."""
     p, layout = plan.problem, plan.layout
     noisy = np.any(p.noise_std) and not layout.continuous
-    drawn = layout.random_start or layout.scattered or layout.drifting or layout.pending or np.any(p.process_std)
+    drawn = (
+        layout.random_initial_state or layout.scattered or layout.drifting or layout.pending or np.any(p.process_std)
+    )
     return bool(noisy or drawn) and not plan.cell.times.random
 
 

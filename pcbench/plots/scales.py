@@ -1,7 +1,7 @@
 """Axes of pictures: from where to where, linear or logarithmic, ticks with their words; all known before anything is drawn."""
 
 from collections.abc import Sequence
-from math import ceil, floor, isfinite, log10
+from math import ceil, floor, inf, isfinite, log10
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,7 +75,7 @@ def logarithmic(low: float, high: float, margin: float = 0.06) -> Scale:
 
 def at(values: Sequence[Any]) -> Scale:
     """Return the axis of a study's axis: a tick at each of its values; words, and what has no order, stand evenly."""
-    if any(isinstance(v, str) or v is None or v != v for v in values):
+    if any(isinstance(v, str) or v is None or not isfinite(v) for v in values):
         return Scale(-0.5, len(values) - 0.5, tuple(range(len(values))), tuple(map(word, values)))
     found = sorted(float(v) for v in values)
     log = is_wide(found)
@@ -95,6 +95,8 @@ def word(value: Any) -> str:
     """Return a value of a study's axis as a picture says it; "own" where it is the scenario's own."""
     if value is None or value != value:
         return "own"
+    if value in (inf, -inf):
+        return "∞" if value > 0 else "-∞"
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 

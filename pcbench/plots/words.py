@@ -14,8 +14,8 @@ WORDS = {
     "mae": "mean |error|",
     "rmse": "rms error",
     "mse": "mean square error",
-    "peak": "largest |error|",
-    "final": "error at the end",
+    "max_abs_error": "largest |error|",
+    "final_error": "error at the end",
     "tracking_rmse": "rms tracking error",
 }
 
@@ -27,7 +27,7 @@ def title_of(metric: str, signal: str, unit: str) -> str:
 
 def named(metric: str, signal: str) -> str:
     """Return a metric of a signal in words."""
-    late, plain = metric.startswith("tail_"), metric.removeprefix("tail_").removeprefix("pooled_")
+    late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
     pooled = ", all runs together" if "pooled" in metric else ""
     words = WORDS.get(plain, plain.replace("_", " "))
     return f"{words} of {signal.replace('_', ' ')}" + (" in the tail" if late else "") + pooled

@@ -18,7 +18,7 @@ from pcbench.replaying.stretch import PLANT
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem, Recent
 from pcbench.study.cells import Cell
-from pcbench.synthesis.certificate import Certificate, Setting, power_of_2
+from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
 
 class Prepared(NamedTuple):
@@ -26,7 +26,7 @@ class Prepared(NamedTuple):
 
     layout: Layout
     problem: Problem
-    setting: Setting
+    setting: DesignContext
     certificates: dict[str, Certificate]
     back: int  # ticks of inputs that they may ask for
     m: int
@@ -49,7 +49,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
     m, signals = known.model.B.shape[1], len(signals_of(s))
     back = min(last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
     belief = s.belief
-    around = cell.choices.random_start and belief.start_box
+    around = cell.choices.random_initial_state and belief.initial_box
     problem = Problem(
         params=np.zeros(len(s.sampling.delay)),
         gains={o: d.gains for o, d in designs.items()},
@@ -61,7 +61,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
         spread0=np.diag(belief.prior_std),
         noise_std=np.array(s.sampling.noise_std),
         band=np.array(s.scoring.settle_band),
-        bound=np.broadcast_to(np.asarray(s.scoring.bound, float), signals),
+        bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), signals),
         windows=np.zeros((0, 2), int),
     )
     layout = Layout(
@@ -69,7 +69,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
         observers=tuple((o, cell.entry(o).observer) for o in cell.options),
         width=1,
         ring=power_of_2(max(room.flight, 1)),
-        random_start=False,
+        random_initial_state=False,
         watch=False,
     )
     for label, observer in layout.observers:
@@ -103,6 +103,7 @@ def _require_fit(cell: Cell, room: Room, where: str) -> None:
     if room.apart + room.latest > cell.times.ticks:
         gap = f"{room.apart * s.dt:g} s without a sample before row {room.apart_row}"
         raise UserError(
-            f"{where}: got {gap} and some up to {room.latest * s.dt:g} s late, expected less than the horizon of {s.horizon:g} "
+            f"{where}: got {gap} and some up to {room.latest * s.dt:g} s late, expected less than the duration of "
+            f"{s.duration:g} "
             "s in all; cut the log there, or write a longer horizon."
         )

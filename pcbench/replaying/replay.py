@@ -116,7 +116,7 @@ def asked(
     if last[0] > HORIZONS * cell.times.ticks * rows:
         raise UserError(
             f"{opened.name}: {rows:,} rows cover {int(last[0]):,} ticks of {s.dt:g} s, from {begin:.10g} s to {end:.10g} s, "
-            f"more than {HORIZONS} horizons of {s.horizon:g} s per row; check the units of the times and --start, or write a "
+            f"more than {HORIZONS} horizons of {s.duration:g} s per row; check the units of the times and --start, or write a "
             "longer horizon."
         )
     if opened.inputs is None:
@@ -205,12 +205,12 @@ def _run(
             flat = np.asarray(numbers).reshape(-1, stretch.JUDGED + q)
             judged.add(label, flat, np.repeat(here >= out_from, slots))
         largest = np.fmax(largest, np.abs(part.truth[:kept]).max(0, initial=0.0, where=~np.isnan(part.truth[:kept])))
-        value = np.where(part.window.fresh, np.abs(part.window.value), 0.0)
+        value = np.where(part.window.mask, np.abs(part.window.value), 0.0)
         largest_y = np.maximum(largest_y, value.max((0, 1), initial=0.0))
-        judged.arrived[:] += part.window.fresh.sum((0, 1))
+        judged.arrived[:] += part.window.mask.sum((0, 1))
         if enough:
             u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
-            k, slot, channel = np.nonzero(part.window.fresh)
+            k, slot, channel = np.nonzero(part.window.mask)
             y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
     draft.close()
     score = abreast.score(every)

@@ -53,9 +53,9 @@ def rounding_warnings(score: Score, largest: Any, signals: Signals, limits: list
 
 
 def _unit(metric: str, unit: str) -> str:
-    if metric in ("settling_time", "first_bad_time"):
+    if metric in ("settling_time", "divergence_time"):
         return "s"
-    return {"mse": f"({unit})^2", "tail_mse": f"({unit})^2", "unsettled": "1", "diverged": "1"}.get(metric, unit)
+    return {"mse": f"({unit})^2", "steady_mse": f"({unit})^2", "unsettled": "1", "diverged": "1"}.get(metric, unit)
 
 
 def distances(file: Path, smoothed: Any, observers: list[str], signals: Signals) -> "pd.DataFrame":

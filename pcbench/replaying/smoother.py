@@ -21,7 +21,7 @@ from jaxtyping import Float
 from pcbench.dynamics import linear
 from pcbench.machine import memory, program_cache
 from pcbench.protocols import Leaf
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 MOST = 1 << 26  # numbers that are kept of a whole log, at most
 COPIES = 1.5  # of them that are held at a time, with what else grows
@@ -50,7 +50,7 @@ class Forward(NamedTuple):
     s: Array  # [N, q] 1 of such a channel
 
 
-def model_of(known: Setting, xhat0: Any) -> Linear | None:
+def model_of(known: DesignContext, xhat0: Any) -> Linear | None:
     """Return the model that a setting tells of; None of one that is not linear, or is pushed by what nobody knows."""
     if known.field or known.successor or known.model.E is not None or known.unknown_std:
         return None

@@ -90,8 +90,15 @@ def events(layout: Layout, p: Problem, w: Window, k: Array, quiet: Surprises, ru
         def jump(so_far: tuple[Run, Surprises]) -> tuple[Run, Surprises]:
             run, table = so_far
             brought = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
-            age = jnp.full(w.fresh[slot].shape, k - w.taken[slot])
-            arrival = partial(Arrival, w.value[slot], w.fresh[slot], age, w.number[slot], since=w.since[slot])
+            age = jnp.full(w.mask[slot].shape, k - w.taken[slot])
+            arrival = partial(
+                Arrival,
+                w.value[slot],
+                w.mask[slot],
+                age,
+                w.number[slot],
+                ticks_since_arrival=w.ticks_since_arrival[slot],
+            )
             here = surprises(layout, p, k, run, {label: arrival(noted) for label, noted in brought.items()})
             table = {label: each.at[slot].set(here[label]) for label, each in table.items()}
             return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), table
@@ -108,7 +115,7 @@ def surprises(layout: Layout, p: Problem, k: Array, run: Run, arrivals: dict[str
     for label, o in layout.observers:
         if o.innovation:
             found = o.innovation(p.gains[label], run.memories[label], now, arrivals[label])
-            each = jnp.full(arrivals[label].fresh.shape, jnp.nan) if found.each is None else found.each
+            each = jnp.full(arrivals[label].mask.shape, jnp.nan) if found.each is None else found.each
             whole = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
             out[label] = jnp.concatenate([jnp.stack(whole), each])
     return out

@@ -20,7 +20,7 @@ from pcbench.gains.history import REFIT, History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.replaying import judging, likelihood, tuned
 from pcbench.replaying.likelihood import Found, Recorded
 from pcbench.replaying.replay import asked
@@ -75,7 +75,7 @@ def tune_log(
             return planning.designed(label, entry, known, parameters.put(options, every, point)).gains
 
         cut = int((1 - judging.HELD_OUT) * a.last)
-        brought = record.part.window.fresh.sum((1, 2))
+        brought = record.part.window.mask.sum((1, 2))
         _require_samples(record.part.first + np.arange(len(brought)), brought, cut, len(at), where)
         target = store.target(str(out) if out is not None else spare)
         names = parameters.entries(every)
@@ -126,22 +126,22 @@ def _value(found: Found, cut: int) -> tuple[float, Vector]:
     return -float(found.each[early].sum() / degrees), np.zeros_like(slope) if flat else slope
 
 
-def _require(entry: Entry, budget: int, where: str) -> None:
+def _require(entry: ObserverSpec, budget: int, where: str) -> None:
     """Raise UserError where an observer has no likelihood, or none with a slope."""
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {tune.BUDGET}.")
     if entry.observer.innovation is None:
         raise UserError(
             f"{where}: got an observer that does not say what it expects of a sample, expected one that does, for else a log "
-            "has no likelihood; tune dkf, or another that `pcbench list observers` shows to know its covariance."
+            "has no likelihood; tune kf, or another that `pcbench list observers` shows to know its covariance."
         )
     if not entry.smooth:
         raise UserError(
-            f"{where}: got an observer whose steps cannot be differentiated, expected one that goes downhill; tune dkf."
+            f"{where}: got an observer whose steps cannot be differentiated, expected one that goes downhill; tune kf."
         )
 
 
-def _free(entry: Entry, options: BaseModel, designed: Design, only: list[str] | None, where: str) -> list[str]:
+def _free(entry: ObserverSpec, options: BaseModel, designed: Design, only: list[str] | None, where: str) -> list[str]:
     """The options to tune: `only`, or all intensities of noise that are not 0."""
     if only is not None:
         return only

@@ -1,6 +1,6 @@
 """What suffices, in a sentence beside a curve: up to which value of its axis each observer's error surely stays below a limit.
 
-From the values that were run; `pcbench suffices` finds values between them.
+From the values that were run; `pcbench find-limit` finds values between them.
 """
 
 from math import isfinite
@@ -15,7 +15,7 @@ from pcbench.statistics.sufficing import Answer
 TIMES = 2.0  # the least error of the axis, that is the limit where none is given
 
 
-def said(part: pd.DataFrame, axis: str, unit: str, below: float | None) -> str:
+def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:
     """Return what suffices, from the rows of stats along an axis; empty where the axis is no numbers, or no error is finite.
 
     `below` is the limit, in the unit of the rows; None: TIMES their least mean.
@@ -23,12 +23,12 @@ def said(part: pd.DataFrame, axis: str, unit: str, below: float | None) -> str:
     if not all(isinstance(v, int | float) and isfinite(v) for v in part[axis]):
         return ""
     least = part["mean"].min()
-    limit = TIMES * least if below is None else below
+    limit = TIMES * least if threshold is None else threshold
     if not limit > 0:
         return ""
     found = sufficing.points(part, axis, limit)
     each = "; ".join(f"{observer} {_words(sufficing.answer(points))}" for observer, points in found.items())
-    which = f"{number(limit)} {unit}".strip() + (", twice the least" if below is None else "")
+    which = f"{number(limit)} {unit}".strip() + (", twice the least" if threshold is None else "")
     return f"Surely below {which}: {each}."
 
 

@@ -1,5 +1,6 @@
 """The experiment as it was run: what was true, what drove it, how it was measured; and what of that is not as published."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,13 +23,13 @@ TOLD = (  # fields of which is said that they are not as published
         "delay",
         "noise_std",
         "process_std",
-        "drift",
-        "profile",
-        "jitter",
+        "parameter_drift",
+        "sampling_pattern",
+        "sampling_jitter",
         "delay_jitter",
-        *("delay_steps", "delay_turns", "delay_gamma", "loss", "resolution"),
+        *("delay_values", "delay_sequence", "delay_gamma_mean", "loss", "quantization_step"),
     ),
-    *("input", "unknown_input", "actuator_delay", "assumed_delay_error", "horizon"),
+    *("input", "unknown_input", "actuator_delay", "assumed_delay_error", "duration"),
 )
 MANY = 8  # rows or columns up to which matrices are printed
 
@@ -97,38 +98,45 @@ def _facts(s: Scenario) -> list[Field]:
             lambda v: _plain(v) if np.ndim(v) > 1 else _vector(v, signals),
             (),
         ),
-        Field("drift", "drift", number, 0.0),
+        Field("parameter_drift", "parameter_drift", number, 0.0),
         Field(
-            "profile", "sampling intervals", lambda v: v if isinstance(v, str) else _each(v, ["s"] * len(v)), "periodic"
+            "sampling_pattern",
+            "sampling intervals",
+            lambda v: v if isinstance(v, str) else _each(v, ["s"] * len(v)),
+            "periodic",
         ),
-        Field("jitter", "sampling jitter", lambda v: f"± {number(v)} s", 0.0),
+        Field("sampling_jitter", "sampling jitter", lambda v: f"± {number(v)} s", 0.0),
         Field("delay_jitter", "delay jitter", lambda v: f"up to {number(v)} s more", 0.0),
-        Field("delay_steps", "delays longer by, a Markov chain", lambda v: _each(v, ["s"] * len(v)), ()),
-        Field("delay_stay", "chance to stay so", lambda v: ", ".join(map(number, v)), ()),
-        Field("delay_turns", "delays longer by, in turn", _in_turn, ()),
-        Field("delay_share", "shares of these, each by itself", lambda v: ", ".join(map(number, v)), ()),
-        Field("delay_gamma", "delays longer by a gamma distribution's, mean", lambda v: f"{number(v)} s", 0.0),
-        Field("delay_shape", "its shape", number, 1.0),
-        Field("delay_swing", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
+        Field("delay_values", "delays longer by, a Markov chain", lambda v: _each(v, ["s"] * len(v)), ()),
+        Field("delay_self_transition", "chance to stay so", lambda v: ", ".join(map(number, v)), ()),
+        Field("delay_sequence", "delays longer by, in turn", _in_turn, ()),
+        Field("delay_weights", "shares of these, each by itself", lambda v: ", ".join(map(number, v)), ()),
+        Field("delay_gamma_mean", "delays longer by a gamma distribution's, mean", lambda v: f"{number(v)} s", 0.0),
+        Field("delay_gamma_shape", "its shape", number, 1.0),
+        Field("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
         Field("loss", "lost samples", lambda v: f"{number(100 * v)} %", 0.0),
-        Field("burst", "lost in a row, mean", lambda v: f"{number(v)} samples", 0.0),
-        Field("resolution", "samples rounded to steps of", lambda v: _each(v, seen), ()),
+        Field("mean_burst_length", "lost in a row, mean", lambda v: f"{number(v)} samples", 0.0),
+        Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, seen), ()),
         Field("dither", "dither", lambda v: "subtractive, over one step", 0.0),
-        Field("stamp_offset", "stamps ahead by", lambda v: f"{number(v)} s", 0.0),
-        Field("stamp_drift", "clock of stamps fast by", lambda v: f"{number(v)} ppm", 0.0),
-        Field("stamp_jitter", "stamps wrong by", lambda v: f"± {number(v)} s", 0.0),
+        Field("timestamp_offset", "stamps ahead by", lambda v: f"{number(v)} s", 0.0),
+        Field("clock_skew", "clock of stamps fast by", lambda v: f"{number(v)} ppm", 0.0),
+        Field("timestamp_jitter", "stamps wrong by", lambda v: f"± {number(v)} s", 0.0),
         Field("outlier_probability", "outliers among samples", lambda v: f"{number(100 * v)} %", 0.0),
         Field("outlier_scale", "noise of an outlier", lambda v: f"{number(v)} times a sample's", 10.0),
-        Field("noise_tail", "noise of samples", lambda v: f"Student's t, {number(v)} degrees of freedom", 0.0),
+        Field("student_t_dof", "noise of samples", lambda v: f"Student's t, {number(v)} degrees of freedom", math.inf),
         Field("continuous", "measured", lambda v: "continuously, without noise", False),
         Field("actuator_delay", "commands late by", lambda v: f"{number(v)} s", None),
         Field("assumed_delay_error", "observers believe samples older by", lambda v: f"{number(v)} s", 0.0),
         Field("assumed_noise_scale", "observers believe noise larger by", lambda v: f"{number(v)} times", 1.0),
-        Field("start_box", "observers' start, drawn within", lambda v: _vector(v, signals), ()),
-        Field("horizon", "horizon", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s"),
-        Field("tail", "tail (tail_ metrics) from", lambda v: f"{number(v)} s"),
+        Field("initial_box", "observers' start, drawn within", lambda v: _vector(v, signals), ()),
+        Field("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s"),
+        Field("steady_start", "tail (steady_ metrics) from", lambda v: f"{number(v)} s"),
         Field("settle_band", "settled within", lambda v: _vector(v, signals)),
-        Field("bound", "diverged beyond", lambda v: _vector(v, signals) if isinstance(v, tuple) else number(v)),
+        Field(
+            "divergence_threshold",
+            "diverged beyond",
+            lambda v: _vector(v, signals) if isinstance(v, tuple) else number(v),
+        ),
     ]
 
 
@@ -173,7 +181,7 @@ def _published(result: Result, s: Scenario, every: list[Cell]) -> str:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
     differ = [f.replace("_", " ") for f in TOLD if any(c.scenario.value(f) != known.value(f) for c in every)]
     differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
-    differ += ["start (random)"] if every[0].choices.random_start else []
+    differ += ["start (random)"] if every[0].choices.random_initial_state else []
     but = f" Here another: {', '.join(differ)}; as below." if differ else ""
     return f"As published: {s.summary}. Source: {s.source}.{but}"
 

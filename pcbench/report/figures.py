@@ -14,7 +14,7 @@ from pcbench.report.pictures import SHOWN, Picture, Shown
 
 
 def write(
-    result: Result, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN, kinds: tuple[str, ...] = KINDS
+    result: Result, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN, formats: tuple[str, ...] = KINDS
 ) -> list[str]:
     """Write every picture of the page, and return the names of the files, without their kind."""
     target, names = store.target(str(out)), []
@@ -22,7 +22,7 @@ def write(
     places = pictures.places(result, result.scenarios, shown, progress)
     progress.begin("figures", None)
     for picture in drawn(places):
-        for kind in kinds:
+        for kind in formats:
             store.put(target, f"{picture.name}.{kind}", saved(picture.figure, kind))
         names.append(picture.name)
         progress.step(1)
@@ -42,5 +42,5 @@ def kinds_of(text: str) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(kind.strip().lower() for kind in text.split(",")))
     for kind in found:
         if kind not in KINDS:
-            raise unknown("--kinds", "kind of file", kind, KINDS)
+            raise unknown("--formats", "kind of file", kind, KINDS)
     return found

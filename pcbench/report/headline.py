@@ -13,7 +13,7 @@ from pcbench.statistics.winning import diverges_more
 
 MOST = 4  # cells that stand in full; of more, wins are counted
 COSTS = {"sample": "products a sample", "tick": "products a tick", "memory": "bytes"}
-BESIDE = ("rmse", "tail_rmse", "efficiency")  # what stands beside the metric that ranks
+BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # what stands beside the metric that ranks
 
 
 class Headline(NamedTuple):
@@ -30,7 +30,7 @@ def headlines(
 ) -> list[Headline]:
     """Return a table for each cell, or of many cells one that counts who wins how many, and that of one `cell`.
 
-    `costs` are what its observers cost, a frame of `pcbench.costs` of this cell alone.
+    `costs` are what its observers cost, a frame of `pcbench.operation_counts` of this cell alone.
     """
     part = frames.rows(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
@@ -64,7 +64,7 @@ def _cell(
         against = "" if observer == order[0] else wording.difference(met, observer, order[0])
         if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
             against = "diverges more often"
-        lost = row.loc["divergence"]
+        lost = row.loc["divergence_rate"]
         name = wording.marked(observer, [row.loc[metric].certified])
         cells = [name, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
         cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
@@ -76,7 +76,7 @@ def _cell(
     here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
     unit, n = here.unit, int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{unit}]", f"less the best [{unit}]"]
-    heads += [m if m == "efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged", *COSTS.values()]
+    heads += [m if m == "rms_efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged", *COSTS.values()]
     title = f"At {at}" if at else ""
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from pcbench.dataset import store
 from pcbench.dataset.columns import MEANING
-from pcbench.dataset.result import Result, opened
+from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.plots import frames
@@ -25,10 +25,10 @@ from pcbench.report.pictures import SHOWN, Picture, Shown
 WORDS = {
     "surely": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
     "comparisons; or the other surely diverges more often",
-    "tail": "the part of a run that tail_ metrics are of, from the time said at each experiment on",
+    "steady_start": "the part of a run that steady_ metrics are of, from the time said at each experiment on",
     "cell": "one combination of the values of a study's axes",
 }
-ALWAYS = ("rmse", "tail_rmse", "efficiency", "divergence")
+ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
 class Part(NamedTuple):
@@ -55,7 +55,7 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
     `shown` says what is to be looked at: the metric that ranks, signals, cell and seed. Runs shown in time are simulated where
     the folder has none of these yet, and kept there. Raises UserError where the folder holds no finished study.
     """
-    content = page(opened(folder), progress, shown).encode()
+    content = page(open_result(folder), progress, shown).encode()
     target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     store.make(target)
     store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
@@ -99,11 +99,12 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
 
 _OF_STATS = {
     "pooled_rmse": "root of the expected square of e over ticks 0 .. N-1",
-    "tail_pooled_rmse": "the same from the scenario's tail start on",
+    "steady_pooled_rmse": "the same from the scenario's tail start on",
     "pooled_tracking_rmse": "root of the expected square of set point less state, in a closed loop",
-    "tail_pooled_tracking_rmse": "the same from the tail start on",
-    "efficiency": "the least tail_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
-    "divergence": "the share of runs whose error became non-finite or left the scenario's bound; none of them is averaged",
+    "steady_pooled_tracking_rmse": "the same from the tail start on",
+    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
+    "divergence_rate": "the share of runs whose error became non-finite or left the scenario's divergence threshold; none of "
+    "them is averaged",
 }
 
 

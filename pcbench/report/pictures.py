@@ -26,7 +26,7 @@ class Shown(NamedTuple):
     cell: int | None = None  # at whose values axes stand that a picture does not show; None: the one that tells most
     seed: int | None = None  # of the run in time; None: the study's first
     paper: Paper = PAPER
-    below: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
+    threshold: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
 
 
 SHOWN = Shown()
@@ -46,7 +46,7 @@ def cell_of(result: Result, scenario: str, shown: Shown) -> int:
     """Return the number of the cell at which pictures stand."""
     if shown.cell is not None:
         return shown.cell
-    if result.study.vary == "each":  # where the others stand while one varies
+    if result.study.vary == "one-at-a-time":  # where the others stand while one varies
         return 0
     signals = frames.ranked(result, scenario, shown.signals, shown.metric)
     return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
@@ -87,7 +87,7 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         exact = time_series.exactly(result, scenario, cell)
         text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
-    if result.study.vary == "each" and axes and faults_borne.ALONE in set(whole.observer):
+    if result.study.vary == "one-at-a-time" and axes and faults_borne.ALONE in set(whole.observer):
         figure = plots.bearing(result, **here)
         text = sentences.borne(faults_borne.borne(faults_borne.part_of_alone(result, scenario, signal, shown.metric)))
         yield Picture(f"{name}-bearing", "How much of each fault is borne", figure, text, sentences.BEARING)
@@ -105,7 +105,9 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         rest = {a: v for a, v in at.items() if a != axis}
         figure = plots.curves(result, axis, at=rest, **here)
         part = frames.fixed(whole, [axis], rest)
-        note = " ".join(filter(None, [enough.said(part, axis, unit, shown.below), "Bars: 95 % intervals of the mean."]))
+        note = " ".join(
+            filter(None, [enough.said(part, axis, unit, shown.threshold), "Bars: 95 % intervals of the mean."])
+        )
         title = f"{_upper(words)} over {frames.label(axis, units)}"
         yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, sentences.curve(part, axis, unit), note)
     if spread:
@@ -124,7 +126,7 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
 def of_all_signals(where: Place) -> Iterator[Picture]:
     """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
     result, scenario, cell, run, _, shown = where
-    lost = frames.rows(result, scenario, None, "divergence")
+    lost = frames.rows(result, scenario, None, "divergence_rate")
     if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
         rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}

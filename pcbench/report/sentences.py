@@ -21,7 +21,7 @@ HONESTY = (
     f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
     "the band it is over-confident, below it cautious."
 )
-WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
+WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
 
 
 def number(value: float) -> str:

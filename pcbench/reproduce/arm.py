@@ -32,14 +32,14 @@ def _findings() -> list[Claim]:
     parts = arm_gains.parts()
     A11b = parts.A11 - smo.PRINTED.L1 @ parts.A211
     signals = list(arm_table.SIGNALS.values())[:4]
-    frame = api.trace("arm/sine", ["smo", "pio"])
+    frame = api.simulate("arm/sine", ["smo", "pio"])
     e = {o: frame[signals].to_numpy() - frame[[f"{o}.{s}" for s in signals]].to_numpy() for o in ("smo", "pio")}
     ebar = {o: each[:, [0, 3]] - each[:, [2]] * smo.PRINTED.L1[:, 0] for o, each in e.items()}
     k = whole(6.0, SCENARIOS["arm/sine"])
     off_by = max(np.abs(b[k] - expm(6 * A11b) @ b[0]).max() for b in ebar.values())
     jump = arm_table.nominal().query("scenario == 'arm/sawtooth' and signal == 'input'")
     recovery = jump.set_index("observer").recovery_time * 1e3
-    falls = api.trace("arm/sawtooth", ["smo", "pio"])
+    falls = api.simulate("arm/sawtooth", ["smo", "pio"])
     tail = falls[falls.t > 6.0 - 1e-9]
     apart = {o: np.abs(tail.input.to_numpy() - tail[f"{o}.input"].to_numpy()) for o in ("smo", "pio")}
     when = sorted({f"{tail.t.to_numpy()[int(np.argmax(each))]:g}" for each in apart.values()})
@@ -96,11 +96,11 @@ def _compared() -> list[Claim]:
 def _chatter(dt: float) -> float:
     """PIO's largest error of x3 from 6 s on, integrated with another step."""
     base = SCENARIOS["arm/sine"]
-    one = base.having(dt=dt, horizon=10.0 + dt, sampling_period=(dt, dt))
+    one = base.having(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
     drafted = planning.draft(cell_of(one), {"pio": options_of(study, one, "pio")})
     (done,) = in_memory.execute(study, padding.fit([drafted]))
-    return float(done.results["pio"]["tail_peak"][2, 0])
+    return float(done.results["pio"]["steady_max_abs_error"][2, 0])
 
 
 def _sampled() -> list[Claim]:
@@ -108,14 +108,14 @@ def _sampled() -> list[Claim]:
     four = ["smo", "pio", "smo-hold", "pio-hold"]
     quiet = {"delay": [0.0], "noise_std": [0.0], "sampling_period": [0.01, 0.2]}
     rows = api.run("arm/sampled", observers=four, seeds=1, axes=quiet).runs.query("signal == 'link_velocity'")
-    rms = rows.set_index(["observer", "sampling_period"])["tail_rmse"].to_dict()
+    rms = rows.set_index(["observer", "sampling_period"])["steady_rmse"].to_dict()
     out = []
     for label, what in (("-hold", "y held"), ("", "y predicted")):
         for te in (0.01, 0.2):
             a, b = rms["smo" + label, te], rms["pio" + label, te]
             claim = f"sampled every {te:g} s, {what}: x2 rms"
             out.append(found(claim, f"SMO {a:.4g}, PIO {b:.4g} rad/s", f"SMO {a:.3g}, PIO {b:.3g} rad/s"))
-    late = ["smo", "pio", "smo-reconstruct", "pio-reconstruct", "dkf"]
+    late = ["smo", "pio", "smo-reconstruct", "pio-reconstruct", "kf"]
     mean, half = _rms(api.run("arm/sampled", observers=late, seeds=SEEDS).stats)
     for names, what in ((late[:2], "without"), (late[2:], "with")):
         text = ", ".join(f"{name.split('-')[0]} {mean[name]:.3g} +- {half[name]:.1g}" for name in names)
@@ -132,6 +132,6 @@ def _sampled() -> list[Claim]:
 
 def _rms(stats: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
     """Root-mean-square error of link velocity over the tail and all runs, and half its interval, by observer."""
-    rows = stats.query("signal == 'link_velocity' and metric == 'tail_pooled_rmse'")
+    rows = stats.query("signal == 'link_velocity' and metric == 'steady_pooled_rmse'")
     names = [str(name) for name in rows.observer]
     return dict(zip(names, rows["mean"], strict=True)), dict(zip(names, (rows.ci_high - rows.ci_low) / 2, strict=True))

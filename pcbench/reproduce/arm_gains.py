@@ -107,7 +107,7 @@ def _constants() -> list[Claim]:
     delta = arm.Numbers().M * arm.Numbers().g * arm.Numbers().l / arm.Numbers().J
     left = {name: 1 - delta - size for name, size in (("d1", 0.25), ("d2", 0.35))}
     text = f"{1 - delta:.2f} without d; {left['d1']:.2f} with d1, {left['d2']:.2f} with d2"
-    trace, falls = api.trace("arm/sine", ["smo"]), api.trace("arm/sawtooth", ["smo"]).input
+    trace, falls = api.simulate("arm/sine", ["smo"]), api.simulate("arm/sawtooth", ["smo"]).input
     rate = delta * (trace.link_velocity * np.cos(trace.link_angle)).abs().max() + 0.25 * 2 * pi
     jump, step = falls.diff().abs().max(), SCENARIOS["arm/sawtooth"].dt
     model = arm.nominal(arm.Numbers())

@@ -67,7 +67,7 @@ def _gains() -> list[Claim]:
 def _two_periods() -> list[Claim]:
     out = []
     for scenario in ("cart/nominal", "cart/slow"):
-        d = api.trace(scenario, "pccebo")
+        d = api.simulate(scenario, "pccebo")
         te = SCENARIOS[scenario].sampling.sampling_period[0]
         e = (d["position"] - d["pccebo.position"]).abs()[d["t"] >= 2 * te - 1e-9].max()
         out.append(
@@ -99,15 +99,17 @@ def _ordering() -> list[Claim]:
 
 def _under_noise() -> list[Claim]:
     """Once the start is forgotten the order turns; and how far either is from what the measurements would allow."""
-    study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "dkf"], seeds=SEEDS)
-    late = SCENARIOS["cart/gaussian"].having(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
+    study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "kf"], seeds=SEEDS)
+    late = SCENARIOS["cart/gaussian"].having(
+        duration=43.142, steady_start=40.0
+    )  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
     (done,) = in_memory.execute(study, padding.fit([planning.draft(cell_of(late), options)]))
-    a, b = (np.sqrt(done.results[name]["tail_mse"][0].mean()) for name in options)
+    a, b = (np.sqrt(done.results[name]["steady_mse"][0].mean()) for name in options)
     claim = "6.2 Gaussian: PCCEBO stays better (rms over a sawtooth period after 40 s)"
     stays = statement(claim, "better responses", f"pccebo {a:.2f} m, kfbo {b:.2f} m", bool(a < b))
-    rows = api.run(study, options={"scenario": {"random_start": True}}).stats.query("signal == 'position'")
-    rows = rows[rows.metric == "efficiency"]
+    rows = api.run(study, options={"scenario": {"random_initial_state": True}}).stats.query("signal == 'position'")
+    rows = rows[rows.metric == "rms_efficiency"]
     worse = ", ".join(f"{o} {1 / e:.1f}" for o, e in zip(rows.observer, rows["mean"], strict=True))
     return [stays, found("6.2 Gaussian: rms from 3 s on, times the least possible", worse)]
 

@@ -20,7 +20,7 @@ from pcbench.synthesis import high_gain
 from pcbench.synthesis.high_gain import limit
 
 SEEDS = 256
-RANDOM: dict[str, dict[str, Any]] = {"scenario": {"random_start": True}}
+RANDOM: dict[str, dict[str, Any]] = {"scenario": {"random_initial_state": True}}
 NAMES = {"high-gain": "printed", "high-gain-robust": "robust"}
 
 
@@ -56,7 +56,7 @@ def _printed(runs: dict[str, Flight]) -> list[Claim]:
     out.append(statement("varying delay: the control is more challenging", "more challenging", text, max(apart) > 1e-3))
     s, t = SCENARIOS["helicopter/varying"], np.arange(20_000) * 1e-3
     longest = float(
-        (float(s.sampling.delay[0]) + s.sampling.delay_swing[0] * np.sin(s.sampling.delay_swing[1] * t)).max()
+        (float(s.sampling.delay[0]) + s.sampling.delay_sine[0] * np.sin(s.sampling.delay_sine[1] * t)).max()
     )
     out.append(digits("largest varying delay [s]", "0.045", longest))
     radius, far = high_gain.radius(4.0 * 0.2), high_gain.radius(4.0 * 0.8)
@@ -120,7 +120,7 @@ def _starts() -> list[Claim]:
     unsettled = done.runs[done.runs.signal.str.endswith("viscosity")].query("status == 'unsettled'")
     late = unsettled.groupby(["observer", "sampling_period"]).seed.nunique().to_dict()
     texts: dict[float, list[str]] = {}
-    for r in _rows(done.stats.query("signal == 'pitch_viscosity' and metric == 'divergence'")):
+    for r in _rows(done.stats.query("signal == 'pitch_viscosity' and metric == 'divergence_rate'")):
         interval = f"{100 * r['ci_low']:.1f} .. {100 * r['ci_high']:.1f} %"
         never = late.get((r["observer"], r["sampling_period"]), 0)
         text = f"{NAMES[r['observer']]} {r['diverged']} of {r['n']} ({interval}), {never} others not within 5 %"
@@ -132,7 +132,7 @@ def _noise(runs: dict[str, Flight]) -> list[Claim]:
     """The filter beside the observer, under noise and without."""
     names, stds = ["high-gain-robust", "ekf"], [5e-4, 2e-2]
     done = api.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)
-    rows = _rows(done.stats.query("metric == 'tail_pooled_rmse'"))
+    rows = _rows(done.stats.query("metric == 'steady_pooled_rmse'"))
     value = {(r["noise_std"], r["signal"], r["observer"]): r["mean"] for r in rows}
     signals = [name for name, _ in helicopter.SIGNALS + helicopter.UNKNOWNS]
     out = []

@@ -105,20 +105,20 @@ def _literal(params: Any, read: Any, u: Any, x: Any) -> Any:
 def _jump(gains: Any, memory: Any, now: Now, arrival: Arrival) -> Any:
     """The observer's jump with the signs of the innovation that its parts carry."""
     read = gains.parts.args[1]
-    note = arrival.note[:2] + (1 - read[3]) * arrival.note[2:]
-    jumped = high_gain.jump(gains, memory, now, arrival._replace(note=note))
-    return jumped._replace(c=jnp.where(arrival.fresh, read[2] * jumped.c, jumped.c))
+    snapshot = arrival.snapshot[:2] + (1 - read[3]) * arrival.snapshot[2:]
+    jumped = high_gain.jump(gains, memory, now, arrival._replace(snapshot=snapshot))
+    return jumped._replace(c=jnp.where(arrival.mask, read[2] * jumped.c, jumped.c))
 
 
 def _note(gains: Any, memory: Any, now: Now) -> Any:
     """C z - al, and al."""
-    return jnp.concatenate([high_gain.note(gains, memory, now), memory.al])
+    return jnp.concatenate([high_gain.snapshot(gains, memory, now), memory.al])
 
 
 def misread() -> dict[str, Flight]:
     """Run the printed observer as restored, and with one misprint at a time; all in one program."""
     (p,) = padding.fit([_draft(*CASES["constant"])])
-    observer = high_gain.OBSERVER._replace(note=_note, jump=_jump)
+    observer = high_gain.OBSERVER._replace(snapshot=_note, jump=_jump)
     layout = p.layout._replace(observers=(("high-gain", observer),))
     out = {}
     for what, read in {"": (0.0, 1.0, 1.0, 1.0), **MISPRINTS}.items():

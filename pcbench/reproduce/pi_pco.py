@@ -32,7 +32,7 @@ CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
 STEADY = SCENARIOS[
     "cart/variable"
 ].having(  # nothing but noise: true start, a clock of 0.1 s, read when the start is forgotten
-    name="steady", profile="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), tail=5.0
+    name="steady", sampling_pattern="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), steady_start=5.0
 )
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]
 
@@ -79,7 +79,7 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         drafts.append(planning.draft(cell_of(scenario, number), options))
     for (F, k), done in zip(grid, in_memory.execute(study, padding.fit(drafts)), strict=True):
         pco, pi = (
-            done.results[name]["tail_mse"][0] / scenario.sampling.noise_std[0] ** 2 for name in ("pco", "pi-pco")
+            done.results[name]["steady_mse"][0] / scenario.sampling.noise_std[0] ** 2 for name in ("pco", "pi-pco")
         )
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))
@@ -141,7 +141,7 @@ def _robustness() -> list[Claim]:
     out = []
     for scenario, wrong in (("cart/variable-bias", "input bias 0.2"), ("cart/variable-gain", "input gain +10 %")):
         rows = _tail_rms(api.run(scenario, seeds=256))
-        text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "dkf", "dkf-bias")) + " m"
+        text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "kf", "kf-bias")) + " m"
         claim = f"The integral makes PCO more robust: {wrong} that no model knows"
         out.append(statement(claim, "more robust", text, bool(rows["pi-pco"] < rows["pco"])))
     return out
@@ -149,5 +149,5 @@ def _robustness() -> list[Claim]:
 
 def _tail_rms(result: Result, signal: str = "position") -> dict[str, float]:
     """A signal's root-mean-square error over the tail and all runs, by observer."""
-    rows = result.stats[(result.stats.signal == signal) & (result.stats.metric == "tail_pooled_rmse")]
+    rows = result.stats[(result.stats.signal == signal) & (result.stats.metric == "steady_pooled_rmse")]
     return dict(zip(rows["observer"], rows["mean"], strict=True))

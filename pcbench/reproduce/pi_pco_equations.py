@@ -58,7 +58,7 @@ def theta_form(late: int, many: int = 40) -> float:
 
 def _measured_part() -> Claim:
     """The measured part of x - xhat at the arrivals, under the paper's noise."""
-    trace = api.trace("cart/variable", "pi-pco")
+    trace = api.simulate("cart/variable", "pi-pco")
     late = [k for k in arrivals(40) if 3000 <= k < len(trace)]
     e = (trace["position"] - trace["pi-pco.position"]).to_numpy()[late]
     std = SCENARIOS["cart/variable"].sampling.noise_std[0]

@@ -32,16 +32,19 @@ SINE = Scenario(
     summary="unknown input 0.25 sin(2 pi t), measured continuously",
     source=PAPER,
     plant="arm",
-    observers=("smo", "pio", "open-loop"),
+    observers=("smo", "pio", "model-only"),
     truth=Truth(x0=(-0.5, 1.0, -1.5, -0.5), unknown_input="arm-sine"),
     loop=Loop(input="zero"),
     sampling=Sampling(sampling_period=(1e-4, 1e-4), delay=(0.0, 0.0), noise_std=(0.0, 0.0), continuous=True),
     belief=Belief(xhat0=(0.0, 0.0, 0.0, 0.0), prior_std=(1.0, 1.0, 1.0, 1.0), unknown_std=(1.0,)),
     scoring=Scoring(
-        settle_band=(0.025, 0.05, 0.075, 0.025, 0.1), bound=1e3, tail=6.0, headline=("link_velocity", "input")
+        settle_band=(0.025, 0.05, 0.075, 0.025, 0.1),
+        divergence_threshold=1e3,
+        steady_start=6.0,
+        headline=("link_velocity", "input"),
     ),
     dt=1e-4,
-    horizon=10.0001,
+    duration=10.0001,
     options=PRINTED | LABELS,
 )
 
@@ -56,12 +59,12 @@ ARM = (
         name="arm/sampled",
         summary="as arm/sine, te = d = 0.02 s, noise of 1e-3",
         source="ours, after Peng 2017",
-        observers=("smo", "smo-reconstruct", "pio", "pio-reconstruct", "dkf", "open-loop"),
+        observers=("smo", "smo-reconstruct", "pio", "pio-reconstruct", "kf", "model-only"),
         sampling_period=(0.02, 0.02),
         delay=(0.02, 0.02),
         noise_std=(1e-3, 1e-3),
         dt=5e-4,
-        horizon=10.0005,
+        duration=10.0005,
         continuous=False,
     ),
 )

@@ -22,12 +22,12 @@ NOMINAL = Scenario(
     summary="no noise, te = d = 0.2 s",
     source=PAPER + "6.1",
     plant="cart",
-    observers=("pccebo", "kfbo", "dkf", "open-loop"),
+    observers=("pccebo", "kfbo", "kf", "model-only"),
     truth=Truth(x0=(5.0, 10.0)),
     loop=Loop(input="sawtooth"),
     sampling=Sampling(sampling_period=(0.2,), delay=(0.2,), noise_std=(0.0,)),
     belief=Belief(xhat0=(0.0, 0.0), prior_std=(5.0, 10.0), drift_intensity=0.002),
-    scoring=Scoring(settle_band=(0.25, 0.5), bound=1e6),
+    scoring=Scoring(settle_band=(0.25, 0.5), divergence_threshold=1e6),
     options=PCO | {"kfbo": {"R": 0.004}},
 )
 
@@ -36,7 +36,7 @@ UNKNOWN = NOMINAL.having(
     summary="samples every 0.1 s, 0.2 s late, which nobody knows: 0.3 s are believed; noise of 0.05 m",
     source="chosen here: the cart of " + PAPER + "6 driven by a sine, whose slope tells the delay",
     plant="late-cart",
-    observers=("ekf-delay", "bank", "dkf", "open-loop"),
+    observers=("ekf-delay", "mmae-delay", "kf", "model-only"),
     x0=(0.0, 0.0),
     input="sine",
     sampling_period=(0.1,),
@@ -48,19 +48,19 @@ UNKNOWN = NOMINAL.having(
     unknown0=(0.3,),
     unknown_std=(0.1,),
     settle_band=(0.05, 0.05, 0.01),
-    options={"bank": {"delays": [round(0.02 * i, 2) for i in range(1, 31)]}},
+    options={"mmae-delay": {"delays": [round(0.02 * i, 2) for i in range(1, 31)]}},
 )._replace(dt=0.01)
 
 CAMERA = NOMINAL.having(
     name="cart/variable",
     summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
     source=VARIABLE,
-    observers=("pco", "pi-pco", "pccebo", "dkf", "dkf-bias", "open-loop"),
+    observers=("pco", "pi-pco", "pccebo", "kf", "kf-bias", "model-only"),
     delay=(INTERVAL,),
-    profile="sine",
+    sampling_pattern="sine",
     noise_std=(sqrt(0.001),),
     input="sine",
-    options=PCO | {"dkf-bias": {"bias_variance": 1.0}},
+    options=PCO | {"kf-bias": {"bias_variance": 1.0}},
 )
 
 CART = (
@@ -89,7 +89,10 @@ CART = (
         noise_std=(sqrt(0.07 / 0.2),),
     ),
     NOMINAL.having(
-        name="cart/drift", summary="drifting parameters, no noise, te = d = 0.2 s", source=PAPER + "6.3", drift=1.0
+        name="cart/drift",
+        summary="drifting parameters, no noise, te = d = 0.2 s",
+        source=PAPER + "6.3",
+        parameter_drift=1.0,
     ),
     NOMINAL.having(
         name="cart/slow",

@@ -30,7 +30,7 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
         summary=summary,
         source=source,
         plant="csth",
-        observers=("chain", "chain-riccati", "equal-delay", "no-delay", "dkf", "open-loop"),
+        observers=("chain", "chain-riccati", "equal-delay", "no-delay", "kf", "model-only"),
         truth=Truth(x0=(0.5, 2e4, 5.0)),
         loop=Loop(input=f"heater-{tick:g}s"),
         sampling=Sampling(
@@ -43,10 +43,13 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
             assumed_process_std=tuple(sqrt(tick) * s for s in ROUGHNESS),
         ),
         scoring=Scoring(
-            settle_band=(0.025, 1e3, 0.25), bound=(5e5, 2e10, 5e6), tail=100 * tick, headline=("enthalpy",)
+            settle_band=(0.025, 1e3, 0.25),
+            divergence_threshold=(5e5, 2e10, 5e6),
+            steady_start=100 * tick,
+            headline=("enthalpy",),
         ),
         dt=tick,
-        horizon=200 * tick,
+        duration=200 * tick,
         options=LABELS,
     )
 
@@ -64,6 +67,6 @@ CSTH = (
         source=PAPER + ", with noise",
         noise_std=NOISE,
         process_std=tuple(sqrt(10.0) * s for s in ROUGHNESS),
-        horizon=3000.0,
+        duration=3000.0,
     ),
 )

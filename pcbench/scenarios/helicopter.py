@@ -31,22 +31,22 @@ CONSTANT = Scenario(
     loop=Loop(
         controller="pd", control={"Kp": (30.0, 150.0), "Kd": (5.0, 1.0), "limit": (20.0, 15.0), "path": "circle"}
     ),
-    sampling=Sampling(sampling_period=(0.2, 0.2), delay=(0.025, 0.025), noise_std=(0.0, 0.0), early=True),
+    sampling=Sampling(sampling_period=(0.2, 0.2), delay=(0.025, 0.025), noise_std=(0.0, 0.0), prefilled=True),
     belief=Belief(
         xhat0=(pi / 8, pi / 16, 0.5, 0.1),
         prior_std=(0.5, 0.5, 0.5, 0.5),
         unknown_std=(0.8, 0.8),  # the prior of the viscosities, both alike
         assumed_noise_std=(1e-4, 1e-4),
         assumed_process_std=(0.0, 0.0, sqrt(1e-4 * 1e-3), sqrt(1e-4 * 1e-3)),  # a tick, of a density of 1e-4
-        start_box=(0.5, 0.5, 0.5, 0.5),
+        initial_box=(0.5, 0.5, 0.5, 0.5),
     ),
     scoring=Scoring(
         settle_band=(0.01, 0.01, 0.05, 0.05, 0.05 * VISCOSITY[0], 0.05 * VISCOSITY[1]),
-        bound=1e6,
-        tail=10.0,
+        divergence_threshold=1e6,
+        steady_start=10.0,
         headline=("pitch", "pitch_viscosity"),
     ),
-    horizon=20.0,
+    duration=20.0,
     options=LABELS,
 )
 
@@ -57,6 +57,6 @@ HELICOPTER = (
         summary="as helicopter/constant, 0.03 + 0.015 sin 2t s late",
         source=PAPER + ".2",
         delay=(0.03, 0.03),
-        delay_swing=(0.015, 2.0),
+        delay_sine=(0.015, 2.0),
     ),
 )

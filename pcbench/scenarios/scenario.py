@@ -5,6 +5,7 @@ records have names of their own: an axis, a table's column or a user's option sa
 """
 
 from collections.abc import Mapping
+from math import inf
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ class Truth(NamedTuple):
     """What is true of the plant and told to no observer."""
 
     x0: tuple[float, ...]  # [n]
-    drift: float = 0.0  # scale of the plant's parameter drift
+    parameter_drift: float = 0.0  # scale of the plant's parameter drift
     parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
     process_std: tuple[
         Any, ...
@@ -45,28 +46,34 @@ class Sampling(NamedTuple):
     sampling_period: tuple[float, ...]  # [q] s
     delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q] of one sample
-    profile: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
-    jitter: float = 0.0  # s, a sample is taken up to this much early or late
+    sampling_pattern: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
+    sampling_jitter: float = 0.0  # s, a sample is taken up to this much early or late
     delay_jitter: float = 0.0  # s, a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
-    early: bool = False  # measuring began before t = 0: the first sample arrives at 0, the period is between arrivals
-    delay_swing: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
+    prefilled: bool = (
+        False  # measuring began before t = 0: the first sample arrives at 0, the period is between arrivals
+    )
+    delay_sine: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
     outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
     outlier_scale: float = 10.0
-    noise_tail: float = 0.0  # degrees of freedom of the noise, Student's t of the same variance; 0: it is normal
+    student_t_dof: float = inf  # degrees of freedom of the noise, Student's t of the same variance; inf: it is Gaussian
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
-    delay_steps: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
-    delay_stay: tuple[float, ...] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
-    delay_share: tuple[float, ...] = ()  # [m] of samples, each by itself, that are later by each step; empty: a chain
-    delay_gamma: float = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
-    delay_shape: float = 1.0  # of that distribution; 1: it is exponential
-    resolution: tuple[float, ...] = ()  # [q] a sample is rounded to whole steps of it; empty, 0: it is not
+    delay_values: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
+    delay_self_transition: tuple[
+        float, ...
+    ] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
+    delay_weights: tuple[float, ...] = ()  # [m] of samples, each by itself, that are later by each step; empty: a chain
+    delay_gamma_mean: float = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
+    delay_gamma_shape: float = 1.0  # of that distribution; 1: it is exponential
+    quantization_step: tuple[float, ...] = ()  # [q] a sample is rounded to whole steps of it; empty, 0: it is not
     dither: float = 0.0  # 1: noise over one step is added before rounding, and taken off after
-    burst: float = 0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
-    stamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
-    stamp_drift: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
-    stamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way
-    delay_turns: tuple[float | str, ...] = ()  # s, samples arrive later by these in turn, the same in all runs; or LOST
+    mean_burst_length: float = 0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
+    timestamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
+    clock_skew: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
+    timestamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way
+    delay_sequence: tuple[
+        float | str, ...
+    ] = ()  # s, samples arrive later by these in turn, the same in all runs; or LOST
 
 
 class Belief(NamedTuple):
@@ -82,15 +89,15 @@ class Belief(NamedTuple):
     assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
     assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
     assumed_noise_scale: float = 1.0  # the noise of a sample is believed to be so many times larger than it is
-    start_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
+    initial_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 
 
 class Scoring(NamedTuple):
     """What runs are judged by: the signals, and when one has settled or diverged."""
 
     settle_band: tuple[float, ...]  # [n + s] a run has settled when |e| stays within
-    bound: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all, or [n + s]
-    tail: float = 3.0  # s, where the tail starts
+    divergence_threshold: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all, or [n + s]
+    steady_start: float = 3.0  # s, where the tail starts
     signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where they differ from the plant's own
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit), likewise
     headline: tuple[str, ...] = ()  # signals that a closing table shows; empty: the first
@@ -104,14 +111,14 @@ RECORDS = {
     "scoring": Scoring._fields,
 }
 OUTLIERS = ("outlier_probability", "outlier_scale")
-STAMPS = ("stamp_offset", "stamp_drift", "stamp_jitter")
+STAMPS = ("timestamp_offset", "clock_skew", "timestamp_jitter")
 FAULTS = (  # of samples, which nobody is told of
-    *(*OUTLIERS, "noise_tail", "assumed_noise_scale", "resolution", "dither", "burst"),
+    *(*OUTLIERS, "student_t_dof", "assumed_noise_scale", "quantization_step", "dither", "mean_burst_length"),
     *STAMPS,
 )
-CHAIN = ("delay_steps", "delay_stay")
-TURNS = ("delay_turns",)
-SPREAD = ("delay_share", "delay_gamma", "delay_shape")  # delays that are drawn one by one
+CHAIN = ("delay_values", "delay_self_transition")
+TURNS = ("delay_sequence",)
+SPREAD = ("delay_weights", "delay_gamma_mean", "delay_gamma_shape")  # delays that are drawn one by one
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 
@@ -130,7 +137,7 @@ class Scenario(NamedTuple):
     belief: Belief
     scoring: Scoring
     dt: float = 1e-3  # s, the tick
-    horizon: float = 10.0  # s
+    duration: float = 10.0  # s
     options: Mapping[str, dict[str, Any]] = NOTHING  # by observer
     own: Mapping[str, Any] = (
         NOTHING  # what is a user's own (entry, code): "plant", "controller"; else those of the names

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.protocols import Covariance, Surprise
+from pcbench.protocols import Covariance, InnovationStats
 from pcbench.simulation.problem import Layout, Problem, present
 
 KNOWN = 1e-9  # part of the prior's standard deviation
@@ -29,7 +29,7 @@ class Squares(NamedTuple):
     whole: Array  # over the rank of P among the states that count
     signal: Array  # [n], NaN of a state that does not count
     states: Array  # that rank
-    innovation: Surprise | None = None  # sums over the run, of an observer that says what it expects of samples
+    innovation: InnovationStats | None = None  # sums over the run, of an observer that says what it expects of samples
 
 
 def covariances(layout: Layout, p: Problem, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:

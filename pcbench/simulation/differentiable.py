@@ -17,7 +17,7 @@ from pcbench.simulation.metrics import Stream
 from pcbench.simulation.problem import Layout, Problem, params_of
 from pcbench.simulation.simulate_runs import Run
 
-SMOOTH = ("mae", "mse", "rmse", "peak")  # and each of them over the tail: what a gradient can be asked of
+SMOOTH = ("mae", "mse", "rmse", "max_abs_error")  # and each of them over the tail: what a gradient can be asked of
 
 
 def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array, seeds: Array) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array,
         start = simulate_runs.initial_run(layout, p, params, drawn)
         end, _ = lax.scan(chunk, start, jnp.arange(0, ticks, size))
         found = {label: (_over(s, 0), _over(s, 1)) for label, s in end.streams.items()}
-        return {o: _read(whole, ticks, "") | _read(late, ticks - tail, "tail_") for o, (whole, late) in found.items()}
+        return {o: _read(whole, ticks, "") | _read(late, ticks - tail, "steady_") for o, (whole, late) in found.items()}
 
     return jax.vmap(one, out_axes=-1)(seeds)
 
@@ -60,5 +60,5 @@ def _read(stream: Stream, count: int, prefix: str) -> dict[str, Array]:
     mse = stream.square / count
     still = mse > 0  # the root of 0 has no slope; an error that is 0 throughout has slope 0
     rmse = jnp.where(still, jnp.sqrt(jnp.where(still, mse, 1.0)), 0.0)
-    values = {"mae": stream.absolute / count, "mse": mse, "rmse": rmse, "peak": stream.peak}
+    values = {"mae": stream.absolute / count, "mse": mse, "rmse": rmse, "max_abs_error": stream.peak}
     return {prefix + name: value for name, value in values.items()}

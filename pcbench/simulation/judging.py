@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.protocols import Arrival, Gains, Innovation, Memory, Now, Observer, Surprise
+from pcbench.protocols import Arrival, Gains, Innovation, InnovationStats, Memory, Now, Observer
 from pcbench.simulation.problem import Layout
 
 
@@ -16,7 +16,7 @@ class Judged(NamedTuple):
     """An observer's memory, and the sums over all that has arrived."""
 
     memory: Memory
-    so_far: Surprise
+    so_far: InnovationStats
 
 
 def watched(layout: Layout) -> Layout:
@@ -29,14 +29,14 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
     """Return an observer that does the same and sums what its innovations amount to."""
 
     def init(gains: Gains, xhat0: Array) -> Judged:
-        return Judged(o.init(gains, xhat0), Surprise(jnp.zeros(()), jnp.zeros(())))
+        return Judged(o.init(gains, xhat0), InnovationStats(jnp.zeros(()), jnp.zeros(())))
 
-    def note(gains: Gains, memory: Judged, now: Now) -> Array:
-        return o.note(gains, memory.memory, now)
+    def snapshot(gains: Gains, memory: Judged, now: Now) -> Array:
+        return o.snapshot(gains, memory.memory, now)
 
     def jump(gains: Gains, memory: Judged, now: Now, arrival: Arrival) -> Judged:
         before, more = memory.so_far, innovation(gains, memory.memory, now, arrival)
-        so_far = Surprise(before.square + more.square, before.degrees + more.degrees)
+        so_far = InnovationStats(before.nis_sum + more.nis_sum, before.dof + more.dof)
         return Judged(o.jump(gains, memory.memory, now, arrival), so_far)
 
     def flow(gains: Gains, memory: Judged, now: Now) -> Judged:
@@ -45,22 +45,24 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
     def estimate(gains: Gains, memory: Judged) -> Array:
         return o.estimate(gains, memory.memory)
 
-    made = Observer(init, note, jump, flow, estimate)
+    made = Observer(init, snapshot, jump, flow, estimate)
     if (covariance := o.covariance) is not None:
         made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
-    if (sampled := o.sampled) is not None:
+    if (on_sample := o.on_sample) is not None:
         made = made._replace(
-            sampled=lambda gains, memory, now, fresh: memory._replace(memory=sampled(gains, memory.memory, now, fresh))
+            on_sample=lambda gains, memory, now, mask: memory._replace(
+                memory=on_sample(gains, memory.memory, now, mask)
+            )
         )
-    if (seeded := o.seeded) is not None:
+    if (init_random := o.init_random) is not None:
         made = made._replace(
-            seeded=lambda gains, memory, words, xhat0: memory._replace(
-                memory=seeded(gains, memory.memory, words, xhat0)
+            init_random=lambda gains, memory, words, xhat0: memory._replace(
+                memory=init_random(gains, memory.memory, words, xhat0)
             )
         )
     return made
 
 
-def sums(memory: Any) -> Surprise | None:
+def sums(memory: Any) -> InnovationStats | None:
     """Return the sums of an observer that was judged."""
     return memory.so_far if isinstance(memory, Judged) else None

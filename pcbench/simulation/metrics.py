@@ -107,43 +107,43 @@ def read(
 ) -> dict[str, NDArray]:
     """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
 
-    `final` is e of tick N-1.
+    `final_error` is e of tick N-1.
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
     Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
     `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
     `squares` [n, L] and [L] (`consistency.Squares`) are those of an observer that says how wrong it is.
-    A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
+    A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
     whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
     late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
     out: dict[str, NDArray] = {}
-    for prefix, first, count in (("", 0, ticks), ("tail_", 1, ticks - tail)):
+    for prefix, first, count in (("", 0, ticks), ("steady_", 1, ticks - tail)):
         if tracking is not None:
             out[prefix + "tracking_rmse"] = np.sqrt(np.asarray(tracking.square)[first:].sum(0) / count)
         if effort is not None and costs:
-            out[prefix + "cost"] = np.asarray(effort.cost)[first:].sum(0)[None] / count
+            out[prefix + "lq_cost"] = np.asarray(effort.cost)[first:].sum(0)[None] / count
         if effort is not None:
             out[prefix + "input_rms"] = np.sqrt(np.asarray(effort.square)[first:].sum(0)[None] / count)
-    for prefix, s, count in (("", whole, ticks), ("tail_", late, ticks - tail)):
+    for prefix, s, count in (("", whole, ticks), ("steady_", late, ticks - tail)):
         out[prefix + "mae"] = np.asarray(s.absolute) / count
         out[prefix + "mse"] = np.asarray(s.square) / count
         out[prefix + "rmse"] = np.sqrt(out[prefix + "mse"])
-        out[prefix + "peak"] = np.asarray(s.peak)
-    out["final"] = np.asarray(final)
+        out[prefix + "max_abs_error"] = np.asarray(s.peak)
+    out["final_error"] = np.asarray(final)
     out["settling_time"] = np.asarray(watch.unsettled) * dt
     if jumps:
         out["recovery_time"] = np.asarray(watch.recovery) * dt
     if squares is not None:
-        out |= {"nees": np.atleast_2d(squares.whole), "nees_states": np.atleast_2d(squares.states)}
+        out |= {"nees": np.atleast_2d(squares.whole), "nees_dof": np.atleast_2d(squares.states)}
         out["signal_nees"] = np.asarray(squares.signal)
         if (found := squares.innovation) is not None:
-            square, degrees = np.atleast_2d(found.square), np.atleast_2d(found.degrees)
+            square, degrees = np.atleast_2d(found.nis_sum), np.atleast_2d(found.dof)
             with np.errstate(invalid="ignore"):  # of a run in which no sample was judged nothing is known
-                out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_degrees": degrees}
+                out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_dof": degrees}
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)
-    return out | {"diverged": bad, "first_bad_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}
+    return out | {"diverged": bad, "divergence_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}

@@ -23,7 +23,7 @@ class Layout(NamedTuple):
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
     width: int  # lanes
     ring: int  # packets the network can hold
-    random_start: bool  # x(0) = x0 + spread0 @ normal instead of x0
+    random_initial_state: bool  # x(0) = x0 + spread0 @ normal instead of x0
     watch: bool = True  # settling time and divergence, besides the streams
     continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
     drifting: bool = False  # the plant's numbers are of each run's own
@@ -83,10 +83,10 @@ class Packet(NamedTuple):
 class Row(NamedTuple):
     """What an arrival has besides its values and notes; q outputs."""
 
-    fresh: PerLane  # [q]
+    mask: PerLane  # [q]
     age: PerLane  # [q] ticks, as assumed
     number: PerLane  # [q]
-    since: PerLane
+    ticks_since_arrival: PerLane
 
 
 class State(NamedTuple):
@@ -117,7 +117,7 @@ class Outcome(NamedTuple):
 
 
 def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
-    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to note and jump.
+    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to snapshot and jump.
 
     In a closed loop the inputs are those that the `commands` [R, m] become.
     """

@@ -167,7 +167,7 @@ def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
 
 def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
     """Return a run before tick 0."""
-    x = p.x0 + p.spread0 @ drawn.start if layout.random_start else p.x0
+    x = p.x0 + p.spread0 @ drawn.start if layout.random_initial_state else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
     run = run_from(layout, p, jnp.asarray(x), xhat0, drawn.words)
     for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
@@ -180,8 +180,8 @@ def run_from(layout: Layout, p: Problem, x: Array, xhat0: Array, words: Array) -
     """Return a run before tick 0 from a state [n] and its estimate [n], with nothing sampled; `words` as in `Draws`."""
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     for label, o in layout.observers:
-        if o.seeded:
-            memories[label] = o.seeded(p.gains[label], memories[label], words, xhat0)
+        if o.init_random:
+            memories[label] = o.init_random(p.gains[label], memories[label], words, xhat0)
     memories = jax.tree.map(jnp.asarray, memories)
     loop = closed_loop.before(layout, p, memories)
     notes = take_notes(layout, p, jnp.asarray(0, int), memories, loop.commands)
@@ -213,7 +213,7 @@ def measure(layout: Layout, p: Problem, params: Any, k: Array, x: Array, v: Arra
 def take_notes(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
     """Return what every observer notes at tick k, to use it when the sample of now arrives."""
     now = present(p, k, False, commands)
-    return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
+    return {label: o.snapshot(p.gains[label], memories[label], now) for label, o in layout.observers}
 
 
 def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None) -> Run:
@@ -229,20 +229,20 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
     found = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
-        found = jax.tree.map(lambda a: a + shift.notes[plan.note[k]].astype(a.dtype), found)
+        found = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), found)
     values = put(values, plan.sense[k], y)
-    for number in (plan.note[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
+    for number in (plan.snapshot[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
         notes = put(notes, number, found)
     notified = notify(layout, p, k, run, plan.sample[k] >= 0)
     memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
     return run._replace(memories=memories, flight=Packet(values, notes))
 
 
-def notify(layout: Layout, p: Problem, k: Array, run: Run, fresh: Array) -> Tree:
+def notify(layout: Layout, p: Problem, k: Array, run: Run, mask: Array) -> Tree:
     """Return the memories after the observers that ask for it are told which channels [q] are sampled at tick k."""
     now = present(p, k, False, run.commands)
     return {
-        label: o.sampled(p.gains[label], run.memories[label], now, fresh) if o.sampled else run.memories[label]
+        label: o.on_sample(p.gains[label], run.memories[label], now, mask) if o.on_sample else run.memories[label]
         for label, o in layout.observers
     }
 
@@ -251,10 +251,12 @@ def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
     plan = p.schedule
     for slot in range(plan.arrive.shape[1]):
-        number, fresh = plan.arrive[k, slot], plan.fresh[k, slot]
+        number, mask = plan.arrive[k, slot], plan.mask[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
-        age = jnp.full(fresh.shape, k - plan.believed[k, slot])
-        arrival = partial(Arrival, values, fresh, age, plan.number[k, slot], since=plan.since[k, slot])
+        age = jnp.full(mask.shape, k - plan.believed[k, slot])
+        arrival = partial(
+            Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=plan.ticks_since_arrival[k, slot]
+        )
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     return run

@@ -110,7 +110,7 @@ def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
 def _brought(layout: Layout, p: Problem, k: Array, run: Run) -> Array:
     """What each packet brings that arrives at tick k: [S, q], NaN where nothing."""
     values = run.flight.values[p.schedule.arrive[k] % layout.ring]
-    return jnp.where(p.schedule.fresh[k], values, jnp.nan)
+    return jnp.where(p.schedule.mask[k], values, jnp.nan)
 
 
 def _newest(brought: Array) -> Array:

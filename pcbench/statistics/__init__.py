@@ -57,9 +57,9 @@ def pooled(squares: Values) -> Row:
     return columns(root(positive(moments(squares[None]))))[0]
 
 
-def efficiency(tail_squares: Values, bound: float) -> Row:
-    """Return bound / tail_pooled_rmse: 1 attains the bound, 1/5 is five times its rms. Square it for the variance ratio."""
-    return columns(reached(np.array([bound]), root(positive(moments(tail_squares[None])))))[0]
+def efficiency(steady_squares: Values, bound: float) -> Row:
+    """Return bound / steady_pooled_rmse: 1 attains the bound, 1/5 is five times its rms. Square it for the variance ratio."""
+    return columns(reached(np.array([bound]), root(positive(moments(steady_squares[None])))))[0]
 
 
 def fraction(happened: NDArray[np.bool_]) -> Row:

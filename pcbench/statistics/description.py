@@ -16,9 +16,9 @@ Row = dict[str, Any]
 DESCRIBED = (
     *RUN_METRICS,
     *POOLED,
-    "divergence",
-    "unsettled",
-    "efficiency",
+    "divergence_rate",
+    "unsettled_rate",
+    "rms_efficiency",
     *consistency.BANDS.values(),
     *consistency.INSIDE,
 )
@@ -114,9 +114,9 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
     for metric, square in POOLED.items():
         known[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(many)])))
     if bounds is not None:
-        known["efficiency"] = reached(bounds[:, :many].ravel(), known["tail_pooled_rmse"])
-    known["divergence"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
-    known["unsettled"] = wilson(s.unsettled, means.n)
+        known["rms_efficiency"] = reached(bounds[:, :many].ravel(), known["steady_pooled_rmse"])
+    known["divergence_rate"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
+    known["unsettled_rate"] = wilson(s.unsettled, means.n)
     known |= _known(s, means)
     sizes = {metric: len(e.mean) // s.cells for metric, e in known.items()}
     names = [
@@ -136,7 +136,7 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
             values[:, at, len(ESTIMATED) :] = quantiles.reshape(s.cells, K, -1)[:, [s.rows[names[r]] for r in at]]
     shown = np.ones(values.shape[:2], bool)
     if bounds is not None:
-        shown[:, [r for r, (name, _) in enumerate(names) if name == "efficiency"]] = ~np.isnan(bounds[:, :many])
+        shown[:, [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]] = ~np.isnan(bounds[:, :many])
     n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
     return Described(names, n, s.diverged, values, shown)
 
@@ -173,7 +173,7 @@ def _judged(s: Stack, values: Values) -> Moments | None:
     """The moments of what the mean `nis` is made of; a run without a judged sample adds nothing to it."""
     if ("nis", 0) not in s.rows:
         return None
-    nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_degrees"))
+    nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_dof"))
     squares = np.where(degrees > 0, nis * degrees, 0.0)
     return moments(np.concatenate([squares, degrees, squares - degrees]))
 
@@ -199,7 +199,7 @@ def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     counts = ~np.isnan(means.mean[_every(s, [s.rows["signal_nees", i] for i in range(states)])])
     shares = [wilson(count, means.n) for count in s.inside]
     blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
-    whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_states", 0]])])
+    whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_dof", 0]])])
     each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
     bands = {"nees_band": whole, "signal_nees_band": each}
     if s.judged is not None:

@@ -9,34 +9,34 @@ from numpy.typing import NDArray
 from pcbench.statistics.moments import Values
 
 RUN_METRICS = (
-    *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
-    *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
-    *("tracking_rmse", "tail_tracking_rmse"),
-    *("cost", "tail_cost", "input_rms", "tail_input_rms"),
-    *("nees", "nees_states", "nis", "nis_degrees", "signal_nees"),
+    *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
+    *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error"),
+    *("tracking_rmse", "steady_tracking_rmse"),
+    *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
+    *("nees", "nees_dof", "nis", "nis_dof", "signal_nees"),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
 OF_RUN = (
-    "cost",
-    "tail_cost",
+    "lq_cost",
+    "steady_lq_cost",
     "input_rms",
-    "tail_input_rms",
+    "steady_input_rms",
     "nees",
-    "nees_states",
+    "nees_dof",
     "nis",
-    "nis_degrees",
+    "nis_dof",
 )  # of a closed loop, or of an observer that says how wrong it is: one number a run, with its first signal
 ASKED = (*OF_RUN, "signal_nees")  # that a table of runs has only where there are such
-SIGNED = ("final",)  # an error with its sign: all others cannot be negative
+SIGNED = ("final_error",)  # an error with its sign: all others cannot be negative
 UNRANKED = (
     *SIGNED,
     "nees",
-    "nees_states",
+    "nees_dof",
     "nis",
-    "nis_degrees",
+    "nis_dof",
     "signal_nees",
 )  # neither a large nor a small one is better
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
-POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
+POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}
 
 CHUNK = 4096  # seeds in a chunk: numbers depend on where chunks end (in the last bit), so it is where seeds % CHUNK = 0
 

@@ -1,8 +1,8 @@
 """What suffices: the largest value of an axis at which an error surely stays below a limit, from rows of `stats`. No jax.
 
 A value suffices where no run diverged and the whole 95 % interval lies below the limit; it surely does not where the whole
-interval lies above, or where runs diverged (their errors left the scenario's bound, and no mean counts them). Between the
-two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
+interval lies above, or where runs diverged (their errors left the scenario's divergence threshold, and no mean counts them).
+Between the two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
 """
 
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ SUFFICES, EXCEEDS, DIVERGES, UNDECIDED = "suffices", "exceeds", "diverges", "und
 REFUSED = "refused"  # an observer cannot work at this value, or has no gains there
 NULL = "null"  # the metric has no value, though no run diverged
 FAILS = (EXCEEDS, DIVERGES)
-COUNTS = ("divergence",)  # metrics that say themselves how many runs diverged
+COUNTS = ("divergence_rate",)  # metrics that say themselves how many runs diverged
 
 
 class Point(NamedTuple):

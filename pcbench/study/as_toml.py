@@ -41,9 +41,12 @@ def codes(study: Study) -> dict[str, Code]:
 
 def as_dict(study: Study) -> dict[str, Any]:
     """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
-    left = [*([] if study.use else ["use"]), *(["method", "schedules"] if study.method == "runs" else [])]
+    left = [
+        *([] if study.custom_observers else ["custom_observers"]),
+        *(["evaluation", "schedules"] if study.evaluation == "runs" else []),
+    ]
     said = study.model_dump(
-        exclude_none=True, exclude={"tuning", "tune", *left, *(() if study.vary == "each" else ("vary",))}
+        exclude_none=True, exclude={"tuning", "tune", *left, *(() if study.vary == "one-at-a-time" else ("vary",))}
     )
 
     def copied(each: Named) -> str:

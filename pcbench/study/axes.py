@@ -16,21 +16,21 @@ SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
 STATES = ("process_std",)  # one value, or one for each state
-OUTPUTS = ("resolution",)  # likewise for each output channel, where there is any
+OUTPUTS = ("quantization_step",)  # likewise for each output channel, where there is any
 TIMES = (  # whole ticks
-    *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
-    *("command_jitter", "stamp_offset", "stamp_jitter"),
+    *("sampling_period", "delay", "actuator_delay", "sampling_jitter", "delay_jitter", "assumed_delay_error"),
+    *("command_jitter", "timestamp_offset", "timestamp_jitter"),
 )
-SIGNED = ("drift", "assumed_delay_error", "stamp_offset", "stamp_drift")
+SIGNED = ("parameter_drift", "assumed_delay_error", "timestamp_offset", "clock_skew")
 SHARES = ("loss", "command_loss", "outlier_probability")
 ASKED = (*STATES, *CHAIN, *TURNS, *SPREAD, *FAULTS)  # a column of the tables only where it is an axis
-LISTS = ("profile", "delay_steps", "delay_turns", "delay_share")  # a value may be a list
+LISTS = ("sampling_pattern", "delay_values", "delay_sequence", "delay_weights")  # a value may be a list
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
-    "drift",
-    "profile",
-    "jitter",
+    "parameter_drift",
+    "sampling_pattern",
+    "sampling_jitter",
     "delay_jitter",
     "loss",
     "assumed_delay_error",
@@ -53,7 +53,7 @@ def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
-    if name == "drift" and any(out) and not drifts(base):
+    if name == "parameter_drift" and any(out) and not drifts(base):
         raise UserError(
             f"{where}: got {shown(values)} for {base.name}, where it has no effect: nothing drifts; leave it out"
             + (", or say in [lti.plant] how the plant differs from its model." if base.plant == "lti" else ".")
@@ -70,14 +70,16 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
 
 def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
-    if name == "profile":
+    if name == "sampling_pattern":
         return _profile(value, base, where)
-    if name in (*CHAIN, "delay_share"):
+    if name in (*CHAIN, "delay_weights"):
         return _of_the_chain(name, value, base, where)
     if name in TURNS:
         return _turns(value, base, where)
     if name not in (*CHANNELS, *STATES, *OUTPUTS):
         least = None if name in SIGNED or name.startswith("plant.") else 0.0
+        if name == "student_t_dof" and value == math.inf:
+            return math.inf
         n = number(value, where, least)
         if name in TIMES:
             _whole_ticks(name, n, base, where)
@@ -91,7 +93,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             )
         if name == "dither" and n not in (0, 1):
             raise UserError(f"{where}: got {shown(value)}, expected 1 (with subtractive dither) or 0 (without).")
-        if name == "delay_shape" and n <= 0:
+        if name == "delay_gamma_shape" and n <= 0:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a shape greater than 0; write 1 for an exponential."
             )
@@ -100,10 +102,10 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
                 f"{where}: got {shown(value)}, expected a number greater than 0: how many times larger noise is believed to be "
                 "than it is; write 1 where that is right."
             )
-        if name == "noise_tail" and 0 < n <= 2:
+        if name == "student_t_dof" and n <= 2:
             raise UserError(
-                f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, where Student's t has a variance, or 0 "
-                "for normal noise; write 2.5 or more."
+                f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, so that Student's t has a variance; "
+                "write 2.5 or more, or inf for Gaussian noise."
             )
         return n
     many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
@@ -166,9 +168,9 @@ def _of_the_chain(name: str, value: Any, base: Scenario, where: str) -> tuple[fl
     each = value if isinstance(value, list | tuple) else [value]
     out = tuple(number(v, where, least=0.0) for v in each)
     for v in out:
-        if name == "delay_steps":
+        if name == "delay_values":
             _whole_ticks("delay", v, base, where)
-        elif name == "delay_stay" and v >= 1:
+        elif name == "delay_self_transition" and v >= 1:
             raise UserError(
                 f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
             )
@@ -198,8 +200,8 @@ def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
         )
     if name == "sampling_period" and round(ticks) < 1:
         raise UserError(f"{where}: got {value:g} s, expected at least one tick, {base.dt:g} s in {base.name}.")
-    if abs(value) > base.horizon:
-        raise UserError(f"{where}: got {value:g} s, expected at most the horizon of {base.name}, {base.horizon:g} s.")
+    if abs(value) > base.duration:
+        raise UserError(f"{where}: got {value:g} s, expected at most the duration of {base.name}, {base.duration:g} s.")
 
 
 def plain(name: str, value: Value, apart: bool = False) -> Any:

@@ -1,25 +1,26 @@
 """The studies that pcbench brings along, by name."""
 
+from math import inf
 from typing import Any
 
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.scenario_table import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
 
-WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `beliefs`
+WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, dict[str, Any]] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
-    "as-believed": {},
+    "as-assumed": {},
     "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain knows R against Q alone
     "noise-under": {"assumed_process_std": [std * 4 for std in WANDER]},
     "delay-over": {"assumed_delay_error": 0.04},
     "delay-under": {"assumed_delay_error": -0.04},
     "gain-off": {"parameters": {"b": 390.5}},
-    "drift": {"drift": 1.0},
+    "parameter_drift": {"parameter_drift": 1.0},
 }
 
 
 def _believed(name: str) -> ScenarioTable:
-    """Return one scenario of `beliefs`: cart/white whose position wanders, and one thing that is not as observers are told."""
+    """Return one scenario of `model-mismatch`: cart/white whose position wanders, with one wrong assumption."""
     off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
     told = {
         "pccebo-loose": {
@@ -45,7 +46,7 @@ STUDIES = {
     "unequal-delays": Study(
         name="unequal-delays",
         scenarios=["csth/10s-noise"],
-        observers=["chain", "chain-slow", "chain-riccati", "equal-delay", "no-delay", "dkf", "open-loop"],
+        observers=["chain", "chain-slow", "chain-riccati", "equal-delay", "no-delay", "kf", "model-only"],
         seeds=256,
         axes={
             "delay": [
@@ -66,7 +67,7 @@ STUDIES = {
             "sampling_period": [0.001, 0.02, 0.2],
             "delay": [0.001, 0.02, 0.2],
             "noise_std": [1e-3, 3e-3],
-            "drift": [0.0, 0.01, 0.05],
+            "parameter_drift": [0.0, 0.01, 0.05],
         },
     ),
     "helicopter": Study(
@@ -78,57 +79,65 @@ STUDIES = {
             "sampling_period": [0.05, 0.2, 0.8],
             "delay": [0.01, 0.03],
             "noise_std": [5e-4, 2e-2],
-            "drift": [0.0, 0.3],
+            "parameter_drift": [0.0, 0.3],
         },
-        options={"scenario": {"random_start": True}},
+        options={"scenario": {"random_initial_state": True}},
     ),
-    "fair": Study(
-        name="fair",
+    "equal-tuning": Study(
+        name="equal-tuning",
         scenarios=["cart/gaussian"],
         seeds=1024,
-        options={"scenario": {"random_start": True}},
+        options={"scenario": {"random_initial_state": True}},
         tuning=list(TUNINGS),
-        tune=Tune(objective="tail_pooled_rmse"),
+        tune=Tune(objective="steady_pooled_rmse"),
     ),
-    "beliefs": Study(
-        name="beliefs",
+    "model-mismatch": Study(
+        name="model-mismatch",
         scenarios=list(BELIEFS),
         tables={name: _believed(name) for name in BELIEFS},
-        observers=["dkf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "open-loop"],
+        observers=["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "model-only"],
         seeds=256,
-        options={"scenario": {"random_start": True}},
+        options={"scenario": {"random_initial_state": True}},
     ),
-    "late": Study(  # of one age all others of the family are dkf
-        name="late",
+    "delayed-measurements": Study(  # of one age all others of the family are kf
+        name="delayed-measurements",
         scenarios=["cart/gaussian"],
-        observers=["dkf", "kf-now", "kf-shift", "kf-discard", "kf-larsen", "kf-alexander", "open-loop"],
+        observers=[
+            "kf",
+            "kf-ignore-delay",
+            "kf-shifted-innovation",
+            "kf-drop-delayed",
+            "kf-larsen",
+            "kf-alexander",
+            "model-only",
+        ],
         seeds=256,
         axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
-        options={"scenario": {"random_start": True, "consistency": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
-    "faults": Study(  # how much of each fault does an observer bear before the model alone is better?
-        name="faults",
+    "measurement-errors": Study(  # how much of each fault does an observer bear before the model alone is better?
+        name="measurement-errors",
         scenarios=["cart/gaussian"],
-        observers=["dkf", "dkf-gate", "dkf-huber", "pccebo", "open-loop"],
+        observers=["kf", "kf-gate", "kf-huber", "pccebo", "model-only"],
         seeds=256,
-        vary="each",
+        vary="one-at-a-time",
         axes={
             "outlier_probability": [0.0, 0.01, 0.05, 0.2],
             "noise_std": [0.5],
             "process_std": [[0.02, 0.0]],
-            "noise_tail": [0.0, 4.0, 2.5],
+            "student_t_dof": [inf, 4.0, 2.5],
             "assumed_noise_scale": [1.0, 0.25, 0.5, 2.0, 4.0],
-            "resolution": [0.0, 1.0, 5.0, 20.0],
+            "quantization_step": [0.0, 1.0, 5.0, 20.0],
             "loss": [0.0, 0.5, 0.9, 0.98],
-            "delay_gamma": [0.0, 0.2, 0.8, 3.2],
-            "stamp_offset": [0.0, -0.1, -0.4, -1.6],
-            "stamp_drift": [0.0, -1000.0, -10_000.0, -100_000.0],
-            "stamp_jitter": [0.0, 0.03, 0.09],
+            "delay_gamma_mean": [0.0, 0.2, 0.8, 3.2],
+            "timestamp_offset": [0.0, -0.1, -0.4, -1.6],
+            "clock_skew": [0.0, -1000.0, -10_000.0, -100_000.0],
+            "timestamp_jitter": [0.0, 0.03, 0.09],
         },
         options={
-            "scenario": {"random_start": True, "consistency": True},
-            "dkf-gate": {"gate": 3.0},
-            "dkf-huber": {"huber": 1.5},
+            "scenario": {"random_initial_state": True, "consistency": True},
+            "kf-gate": {"gate": 3.0},
+            "kf-huber": {"huber": 1.5},
         },
     ),
     "reactor": Study(  # a poor start: who fails, who is told to doubt, who knows what cannot be?
@@ -136,20 +145,20 @@ STUDIES = {
         scenarios=["reactor/batch"],
         seeds=256,
     ),
-    "fair-reactor": Study(  # does tuning, the same for all, do what bounds do?
-        name="fair-reactor",
+    "equal-tuning-reactor": Study(  # does tuning, the same for all, do what bounds do?
+        name="equal-tuning-reactor",
         scenarios=["reactor/batch"],
         observers=["ekf", "ukf", "mhe-bounded"],
         seeds=256,
         options={"mhe-bounded": {"window": 4, "iterations": 1}},  # as good here, and a quarter of the cost
-        tuning=["paper", "tuned"],
-        tune=Tune(objective="tail_rmse", only=["Q"], budget=40, training=128),
+        tuning=["published", "tuned"],
+        tune=Tune(objective="steady_rmse", only=["Q"], budget=40, training=128),
     ),
-    "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
-        name="map",
+    "period-delay-map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
+        name="period-delay-map",
         scenarios=["cart/gaussian"],
-        observers=["pccebo", "kfbo", "dkf"],
-        method="exact",
+        observers=["pccebo", "kfbo", "kf"],
+        evaluation="exact",
         axes={
             "sampling_period": [round(0.02 * i, 2) for i in range(1, 21)],
             "delay": [round(0.02 * i, 2) for i in range(20)],
@@ -160,6 +169,6 @@ STUDIES = {
         name="variable-sampling",
         scenarios=["cart/variable", "cart/variable-bias", "cart/variable-gain"],
         seeds=256,
-        axes={"profile": ["sine", "uniform"], "jitter": [0.0, 0.04], "loss": [0.0, 0.2]},
+        axes={"sampling_pattern": ["sine", "uniform"], "sampling_jitter": [0.0, 0.04], "loss": [0.0, 0.2]},
     ),
 }

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.errors import UserError
-from pcbench.observers import Entry, entry_of
+from pcbench.observers import ObserverSpec, entry_of
 from pcbench.scenarios import Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
@@ -45,7 +45,7 @@ class Cell(NamedTuple):
         """Return its scenario's name and its number: what a study knows it by."""
         return self.scenario.name, self.number
 
-    def entry(self, label: str) -> Entry:
+    def entry(self, label: str) -> ObserverSpec:
         """Return the entry of an observer, one of the study's own or pcbench's."""
         return self.own[label].entry if label in self.own else entry_of(label)
 
@@ -93,7 +93,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     lengths = [len(values) for values in axes.values()]
     many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
-    limits.require_few_cells(many, whole(base.horizon, base), where)
+    limits.require_few_cells(many, whole(base.duration, base), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
@@ -210,7 +210,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 def channels_apart(study: Study) -> set[str]:
     """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
-    for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_stay"):
+    for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_self_transition"):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)
@@ -267,7 +267,7 @@ def usable(engine: str) -> str:
 
 def engine_warnings(grid: Grid) -> list[str]:
     """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
-    if grid.study.engine == "definition" or grid.study.method == "exact":
+    if grid.study.engine == "definition" or grid.study.evaluation == "exact":
         return []
     if all(c.engine != "definition" for c in grid.cells):
         return []

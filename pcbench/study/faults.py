@@ -1,5 +1,7 @@
 """Whether faults of samples go together with the rest of a cell: each has an effect, and can be drawn as asked."""
 
+import numpy as np
+
 from pcbench.errors import UserError
 from pcbench.scenarios import Sampling, Scenario
 from pcbench.scenarios.scenario import LOST
@@ -29,9 +31,10 @@ def _noise(s: Scenario, where: str) -> None:
             f"{where}: got assumed_noise_scale = {scale:g} in {s.name}, where no noise is believed in, expected a noise_std "
             "above 0; give one, or leave it out."
         )
-    if measured.noise_tail and not any(measured.noise_std):
+    if np.isfinite(measured.student_t_dof) and not any(measured.noise_std):
         raise UserError(
-            f"{where}: got noise_tail = {measured.noise_tail:g} in {s.name}, whose samples have no noise, expected a noise_std "
+            f"{where}: got student_t_dof = {measured.student_t_dof:g} in {s.name}, whose samples have no noise, "
+            f"expected a noise_std "
             "above 0; give one, or leave it out."
         )
     if measured.outlier_probability and not any(measured.noise_std):
@@ -55,91 +58,103 @@ def _has_effect(s: Scenario, name: str, needs: str, where: str) -> None:
 
 def _chain(s: Scenario, where: str) -> None:
     """Raise UserError where delays cannot be a Markov chain as asked."""
-    steps, stay = s.sampling.delay_steps, s.sampling.delay_stay
+    steps, stay = s.sampling.delay_values, s.sampling.delay_self_transition
     if stay and not steps:
         raise UserError(
-            f"{where}: got delay_stay in {s.name} without delay_steps, where it has no effect, expected both or neither; write "
-            "delay_steps = [0.0, ...], or leave it out."
+            f"{where}: got delay_self_transition in {s.name} without delay_values, where it has no effect, expected "
+            f"both or neither; write "
+            "delay_values = [0.0, ...], or leave it out."
         )
     if len(steps) == 1 or len(set(steps)) < len(steps):
         raise UserError(
-            f"{where}: got delay_steps of {', '.join(f'{v:g}' for v in steps)} s, expected two different values or more; a "
+            f"{where}: got delay_values of {', '.join(f'{v:g}' for v in steps)} s, expected two different values or more; a "
             "delay that is always so much longer is written as delay."
         )
     if len(stay) not in (0, 1, len(steps)):
         raise UserError(
-            f"{where}: got {len(stay)} values of delay_stay for {len(steps)} delay_steps, expected one, or one for each."
+            f"{where}: got {len(stay)} values of delay_self_transition for {len(steps)} delay_values, expected one, or "
+            f"one for each."
         )
 
 
 def _one_by_one(s: Scenario, where: str) -> None:
     """Raise UserError where delays that are drawn one by one cannot be as asked."""
     measured = s.sampling
-    steps, share = measured.delay_steps, measured.delay_share
+    steps, share = measured.delay_values, measured.delay_weights
     if share and len(share) != len(steps):
         raise UserError(
-            f"{where}: got {len(share)} values of delay_share for {len(steps)} delay_steps, expected one for each: a histogram "
+            f"{where}: got {len(share)} values of delay_weights for {len(steps)} delay_values, expected one for each: a "
+            f"histogram "
             "has as many bars as places."
         )
     if share and not all(each > 0 for each in share):
-        raise UserError(f"{where}: got a delay_share of 0, expected shares greater than 0; leave that step out.")
-    if share and measured.delay_stay:
+        raise UserError(f"{where}: got a delay_weights of 0, expected shares greater than 0; leave that step out.")
+    if share and measured.delay_self_transition:
         raise UserError(
-            f"{where}: got delay_share and delay_stay, expected one of them: delays are drawn one by one or are a Markov chain."
+            f"{where}: got delay_weights and delay_self_transition, expected one of them: delays are drawn one by one "
+            f"or are a Markov chain."
         )
-    if measured.delay_gamma and steps:
+    if measured.delay_gamma_mean and steps:
         raise UserError(
-            f"{where}: got delay_gamma = {measured.delay_gamma:g} and delay_steps, expected one of them; leave one out."
+            f"{where}: got delay_gamma_mean = {measured.delay_gamma_mean:g} and delay_values, expected one of them; "
+            f"leave one out."
         )
-    _has_effect(s, "delay_shape", "delay_gamma", where)
+    _has_effect(s, "delay_gamma_shape", "delay_gamma_mean", where)
 
 
 def require_delays_within_reach(s: Scenario, where: str) -> None:
     """Raise UserError where delays of a gamma distribution are beyond all that can arrive, before their steps are listed."""
     measured = s.sampling
-    if not measured.delay_gamma or measured.continuous:
+    if not measured.delay_gamma_mean or measured.continuous:
         return
-    latest, most = sampling.latest_of_gamma(measured.delay_gamma, measured.delay_shape), REACH * s.horizon
+    latest, most = sampling.latest_of_gamma(measured.delay_gamma_mean, measured.delay_gamma_shape), REACH * s.duration
     if not latest <= most:
         raise UserError(
-            f"{where}: got delay_gamma = {measured.delay_gamma:g} s with delay_shape = {measured.delay_shape:g}, by which one "
-            f"sample of 10,000 is later than {latest:.3g} s, expected at most {REACH:g} times the horizon of {s.horizon:g} s; "
+            f"{where}: got delay_gamma_mean = {measured.delay_gamma_mean:g} s with delay_gamma_shape = "
+            f"{measured.delay_gamma_shape:g}, by which one "
+            f"sample of 10,000 is later than {latest:.3g} s, expected at most {REACH:g} times the duration of "
+            f"{s.duration:g} s; "
             "write a smaller mean."
         )
 
 
 def _in_turn(s: Scenario, where: str) -> None:
     """Raise UserError where delays in turn stand beside what is drawn, or let nothing arrive."""
-    turns = s.sampling.delay_turns
+    turns = s.sampling.delay_sequence
     if turns and set(turns) == {LOST}:
-        raise UserError(f"{where}: got delay_turns in {s.name} of which all are '{LOST}', expected a delay among them.")
-    drawn = ("jitter", "delay_jitter", "delay_steps", "delay_gamma", "loss", "stamp_jitter")
-    beside = [name for name in drawn if s.value(name)] + ["profile 'uniform'"] * (s.sampling.profile == "uniform")
+        raise UserError(
+            f"{where}: got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them."
+        )
+    drawn = ("sampling_jitter", "delay_jitter", "delay_values", "delay_gamma_mean", "loss", "timestamp_jitter")
+    beside = [name for name in drawn if s.value(name)] + ["profile 'uniform'"] * (
+        s.sampling.sampling_pattern == "uniform"
+    )
     if turns and beside:
         raise UserError(
-            f"{where}: got {beside[0]} beside delay_turns in {s.name}, expected one of them: delays in turn are the "
+            f"{where}: got {beside[0]} beside delay_sequence in {s.name}, expected one of them: delays in turn are the "
             "same in all runs, and a network that is drawn is another in each; leave one out."
         )
 
 
 def _losses(s: Scenario, where: str) -> None:
     """Raise UserError where losses cannot come in bursts as asked."""
-    loss, burst = s.sampling.loss, s.sampling.burst
+    loss, burst = s.sampling.loss, s.sampling.mean_burst_length
     if burst and not 0 < loss < 1:
         raise UserError(
-            f"{where}: got burst = {burst:g} in {s.name} with a loss of {loss:g}, expected a loss between 0 and 1 to come "
+            f"{where}: got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected a loss between 0 "
+            f"and 1 to come "
             "in bursts; give one, or leave burst out."
         )
     if burst and burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
         raise UserError(
-            f"{where}: got burst = {burst:g} in {s.name} with a loss of {loss:g}, expected gaps of at least "
+            f"{where}: got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected gaps of at least "
             f"{max(1, loss / (1 - loss)):g} samples in the mean, which so many losses leave at least; write a larger burst."
         )
 
 
 def _rounding(s: Scenario, where: str) -> None:
     """Raise UserError where there is dither and nothing is rounded."""
-    if s.sampling.dither and not any(s.sampling.resolution):
+    if s.sampling.dither and not any(s.sampling.quantization_step):
         raise UserError(
             f"{where}: got dither = 1 in {s.name}, where samples are not rounded, expected a resolution above 0; give one, or "
             "leave it out."
@@ -148,22 +163,23 @@ def _rounding(s: Scenario, where: str) -> None:
 
 def _stamps(s: Scenario, where: str) -> None:
     """Raise UserError where stamps would not be in the order of the samples of a sensor, or a drift moves none of them."""
-    drift, ticks = abs(s.sampling.stamp_drift), whole(s.horizon, s)
+    drift, ticks = abs(s.sampling.clock_skew), whole(s.duration, s)
     if drift and round(1e-6 * drift * ticks) == 0:
         raise UserError(
-            f"{where}: got a stamp_drift of {s.sampling.stamp_drift:g} ppm in {s.name}, which moves no stamp by half a tick "
+            f"{where}: got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no stamp by half a tick "
             f"({s.dt / 2:g} s) within the horizon, so no result would change; write more than {5e5 / ticks:.3g} ppm, take a "
             "shorter tick, or leave it out."
         )
     if drift > 1e5:
         raise UserError(
-            f"{where}: got a stamp_drift of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
+            f"{where}: got a clock_skew of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
         )
     for clock in clocks(s):
         least = sampling.intervals(clock, ticks)[0]
         if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
             raise UserError(
-                f"{where}: got a stamp_jitter of {s.sampling.stamp_jitter:g} s with intervals down to {least * s.dt:g} s, "
+                f"{where}: got a timestamp_jitter of {s.sampling.timestamp_jitter:g} s with intervals down to "
+                f"{least * s.dt:g} s, "
                 "expected less than half the shortest interval, so that stamps stay in order; write at most "
                 f"{max((least - 2) // 2, 0) * s.dt:g}."
             )
@@ -174,6 +190,6 @@ def require_stamps_before_arrivals(s: Scenario, late: int, youngest: int, where:
     if late > youngest:
         raise UserError(
             f"{where}: got stamps up to {late * s.dt:g} s ahead in {s.name}, where samples may be only {youngest * s.dt:g} s "
-            "late, expected none to arrive before its stamp; take smaller errors of stamps, a negative stamp_offset, or a "
+            "late, expected none to arrive before its stamp; take smaller errors of stamps, a negative timestamp_offset, or a "
             "longer delay."
         )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Scenario
@@ -16,26 +16,28 @@ from pcbench.study.axes import plain
 from pcbench.study.times import clocks, whole
 
 # what makes delays differ from sample to sample, besides a jitter
-LATENESS = ("delay_steps", "delay_turns", "delay_gamma")
-STAMPED = ("stamp_drift", "stamp_jitter")  # and what makes them seem to
+LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
+STAMPED = ("clock_skew", "timestamp_jitter")  # and what makes them seem to
 
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario's times do not fit together."""
-    ticks, measured = whole(s.horizon, s), s.sampling
+    ticks, measured = whole(s.duration, s), s.sampling
     if measured.continuous:
         _at_every_stage(s, where)
     _loop(s, where)
-    if s.truth.drift and not drifts(s):
+    if s.truth.parameter_drift and not drifts(s):
         raise UserError(
-            f"{where}: got a drift of {s.truth.drift:g} in {s.name}, where nothing drifts, expected 0; leave it out."
+            f"{where}: got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, where nothing drifts, expected "
+            f"0; leave it out."
         )
     faults.require_delays_within_reach(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
             raise UserError(
-                f"{where}: got a jitter of {measured.jitter:g} s with intervals down to {least * s.dt:g} s, expected less than "
+                f"{where}: got a sampling_jitter of {measured.sampling_jitter:g} s with intervals down to {least * s.dt:g} s, "
+                f"expected less than "
                 f"half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
         youngest = sampling.ages(clock, ticks)[0]
@@ -58,24 +60,24 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "sampling_period": (s.dt,) * len(s.sampling.delay),
         "delay": (0.0,) * len(s.sampling.delay),
         "noise_std": (0.0,) * len(s.sampling.delay),
-        "profile": "periodic",
-        "jitter": 0.0,
+        "sampling_pattern": "periodic",
+        "sampling_jitter": 0.0,
         "delay_jitter": 0.0,
-        "delay_steps": (),
-        "delay_turns": (),
-        "delay_gamma": 0.0,
+        "delay_values": (),
+        "delay_sequence": (),
+        "delay_gamma_mean": 0.0,
         "loss": 0.0,
-        "resolution": (),
-        "stamp_offset": 0.0,
-        "stamp_drift": 0.0,
-        "stamp_jitter": 0.0,
+        "quantization_step": (),
+        "timestamp_offset": 0.0,
+        "clock_skew": 0.0,
+        "timestamp_jitter": 0.0,
         "assumed_delay_error": 0.0,
         "outlier_probability": 0.0,
-        "noise_tail": 0.0,
+        "student_t_dof": math.inf,
         "assumed_noise_scale": 1.0,
     }
     for name, value in nothing.items():
-        if s.value(name) != value and any(np.ravel(s.value(name)) if name == "resolution" else (True,)):
+        if s.value(name) != value and any(np.ravel(s.value(name)) if name == "quantization_step" else (True,)):
             raise UserError(
                 f"{where}: got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without "
                 f"noise, expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
@@ -92,18 +94,19 @@ def _loop(s: Scenario, where: str) -> None:
                 "expected a closed loop such as helicopter/constant; leave it out."
             )
         return
-    if not measured.early:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
+    if not measured.prefilled:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
         return
-    if measured.delay_turns:
+    if measured.delay_sequence:
         raise UserError(
-            f"{where}: got delay_turns in {s.name}, whose measuring began before t = 0, expected one delay of samples; leave "
+            f"{where}: got delay_sequence in {s.name}, whose measuring began before t = 0, expected one delay of "
+            f"samples; leave "
             "them out, or close the loop of another scenario (guide: loops)."
         )
     if any(clock.random for clock in clocks(s)):
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-            "offered with times of each run's own; leave jitter, delay_jitter, delay_steps, delay_gamma, "
-            "stamp_jitter, loss and the profile 'uniform' out."
+            "offered with times of each run's own; leave jitter, delay_jitter, delay_values, delay_gamma_mean, "
+            "timestamp_jitter, loss and the profile 'uniform' out."
         )
     if INTERVAL in measured.delay:
         raise UserError(
@@ -121,7 +124,7 @@ def _loop(s: Scenario, where: str) -> None:
 
 def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
     """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
-    (swing, pace), t = s.sampling.delay_swing, (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
+    (swing, pace), t = s.sampling.delay_sine, (np.arange(whole(s.duration, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
@@ -149,7 +152,7 @@ def _at_rest(label: str, s: Scenario, where: str) -> bool:
     return True
 
 
-def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
+def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
     if nonlinear(s) and not entry.nonlinear and not _at_rest(label, s, where):
         able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
@@ -169,7 +172,7 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
             f"out, take one of {able}, or a scenario that samples."
         )
     takes, found, measured = entry.takes, clocks(s), s.sampling
-    follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
+    follows = INTERVAL in measured.delay and (measured.sampling_pattern != "periodic" or measured.sampling_jitter > 0)
     drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
     if takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
         spread = measured.delay_jitter
@@ -177,26 +180,30 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
         varies = ", ".join(drawn) if drawn and not spread else varies
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
-            f"sample; leave {label} out, or take pccebo, pco or dkf."
+            f"sample; leave {label} out, or take pccebo, pco or kf."
         )
-    random = measured.delay_jitter or drawn or measured.jitter
-    if takes == "constant delays" and (random or measured.profile != "periodic"):
-        times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.jitter}
+    random = measured.delay_jitter or drawn or measured.sampling_jitter
+    if takes == "constant delays" and (random or measured.sampling_pattern != "periodic"):
+        times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.sampling_jitter}
         unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
         unsteady += drawn
-        unsteady += [f"the profile {plain('profile', measured.profile)}"] if measured.profile != "periodic" else []
+        unsteady += (
+            [f"the profile {plain('sampling_pattern', measured.sampling_pattern)}"]
+            if measured.sampling_pattern != "periodic"
+            else []
+        )
         raise UserError(
             f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "
-            f"sample by sample; leave {label} out, or take dkf."
+            f"sample by sample; leave {label} out, or take kf."
         )
-    if entry.observer.sampled and any(s.value(name) for name in STAMPS):
+    if entry.observer.on_sample and any(s.value(name) for name in STAMPS):
         wrong = ", ".join(name for name in STAMPS if s.value(name))
         raise UserError(
             f"{where}: {label} in {s.name} got {wrong}, expected stamps that are right: it is told of a sample when that is "
-            f"taken, whatever its stamp says; leave {label} out, or take dkf."
+            f"taken, whatever its stamp says; leave {label} out, or take kf."
         )
     if takes == "one clock" and len(found) > 1:
         raise UserError(
             f"{where}: {label} in {s.name} got channels with periods {measured.sampling_period} and delays {measured.delay} s, "
-            f"expected one period and one delay for all; give equal ones, or take dkf."
+            f"expected one period and one delay for all; give equal ones, or take kf."
         )

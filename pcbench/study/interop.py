@@ -1,7 +1,7 @@
 """A linear plant of one's own from scipy.signal or python-control, and back.
 
     study = pcbench.lti(scipy.signal.StateSpace(A, B, C, D), sampling_period=0.1, delay=0.2, noise_std=0.01)
-    pcbench.run(study, observers=["dkf", "pccebo"])
+    pcbench.run(study, observers=["kf", "pccebo"])
 
 Neither library is imported here but to give a system back: whatever has A, B, C, D and dt is a state-space system, and whatever
 has `to_ss` (scipy's transfer functions) becomes one.

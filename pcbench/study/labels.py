@@ -1,6 +1,6 @@
 """Observers as a study writes them, made labels: a list of names, or a table of tables with `use` and options.
 
-    observers = ["dkf", "mine.py:nudge"]        [observers.dkf]
+    observers = ["kf", "mine.py:nudge"]        [observers.kf]
                                                 [observers.strong]
                                                 use = "mine.py:nudge"
                                                 share = 0.3
@@ -25,7 +25,10 @@ def labelled(raw: dict[str, Any], where: str) -> dict[str, Any]:
 
     Raises UserError for a label that is none, or that two observers have.
     """
-    given, use = raw.get("observers"), dict(raw["use"]) if isinstance(raw.get("use"), dict) else {}
+    given, use = (
+        raw.get("observers"),
+        dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {},
+    )
     options = raw.get("options")
     if isinstance(given, dict):
         raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
@@ -38,7 +41,7 @@ def labelled(raw: dict[str, Any], where: str) -> dict[str, Any]:
         for name in tables:
             tables = _inside(tables, name, use, f"{where}: scenarios.{name}")
         raw = raw | {"tables": tables}
-    return raw | {"use": use} if use else raw
+    return raw | {"custom_observers": use} if use else raw
 
 
 def label_of(name: str) -> str:

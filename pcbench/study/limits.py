@@ -27,12 +27,12 @@ def ticks_of(horizon: float, tick: float, where: str) -> int:
     many = horizon / tick
     if many > TICKS + 0.5:
         raise UserError(
-            f"{where}: got a horizon of {horizon:g} s at a tick of {tick:g} s, expected at most {TICKS:,} ticks; take a "
+            f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s, expected at most {TICKS:,} ticks; take a "
             "shorter horizon or a longer tick."
         )
     if round(many) < 2:
         raise UserError(
-            f"{where}: got a horizon of {horizon:g} s at a tick of {tick:g} s, expected at least two ticks; take a longer "
+            f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s, expected at least two ticks; take a longer "
             "horizon or a shorter tick."
         )
     return round(many)

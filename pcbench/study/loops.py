@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
-from pcbench.controllers import CONTROLLERS, Told
+from pcbench.controllers import CONTROLLERS, ControllerContext
 from pcbench.controllers import entry_of as law_of
 from pcbench.controllers.parts.sizes import Sizes, matrix
 from pcbench.dynamics.linear import Model
@@ -52,7 +52,7 @@ def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own
     mine = own.get(way.use)
     if mine is None and way.use not in able:
         raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", way.use, able)
-    if s.sampling.early:
+    if s.sampling.prefilled:
         raise UserError(
             f"{where}: got a controller for {s.name}, whose measuring began before t = 0, expected a scenario that starts at "
             "t = 0; leave the table out, or take another scenario."
@@ -90,10 +90,10 @@ def sizes(s: Scenario, where: str) -> Sizes:
     return Sizes(states, model.B.shape[1], len(model.C), s.dt, where)
 
 
-def told(s: Scenario) -> Told:
+def told(s: Scenario) -> ControllerContext:
     """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open."""
     late = s.loop.actuator_delay or 0.0
-    return Told(
+    return ControllerContext(
         model=_at_rest(entry_of(s).nominal(numbers_of(s))),
         dt=s.dt,
         ticks=0,

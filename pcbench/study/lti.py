@@ -1,5 +1,6 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
+from math import inf
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -26,6 +27,7 @@ from pcbench.study.lti_shapes import (
     signals,
     vector,
 )
+from pcbench.study.scenario_table import Degrees
 
 
 class Lti(BaseModel):
@@ -73,29 +75,29 @@ class Lti(BaseModel):
     settle_band: Size | list[Size] | None = Field(
         None, description="[n] default: 5 % of prior_std (of its default if it is 0) and unknown_std; [n + r] with E"
     )
-    bound: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")
-    horizon: Positive = Field(10.0, description="[s]")
-    tail: Size | None = Field(None, description="where the tail starts [s]; default: 30 % of the horizon")
-    observers: list[str] = Field(["dkf", "open-loop"], min_length=1)
-    profile: str | list[Number] = "periodic"
-    jitter: Number = 0.0
+    divergence_threshold: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")
+    duration: Positive = Field(10.0, description="[s]")
+    steady_start: Size | None = Field(None, description="where the tail starts [s]; default: 30 % of the horizon")
+    observers: list[str] = Field(["kf", "model-only"], min_length=1)
+    sampling_pattern: str | list[Number] = "periodic"
+    sampling_jitter: Number = 0.0
     delay_jitter: Number = 0.0
-    delay_steps: list[Number] = []
-    delay_stay: PerChannel = []
-    delay_turns: list[Number | Literal["lost"]] = []
-    delay_share: list[Number] = []
-    delay_gamma: Number = 0.0
-    delay_shape: Number = 1.0
-    resolution: PerChannel = []
+    delay_values: list[Number] = []
+    delay_self_transition: PerChannel = []
+    delay_sequence: list[Number | Literal["lost"]] = []
+    delay_weights: list[Number] = []
+    delay_gamma_mean: Number = 0.0
+    delay_gamma_shape: Number = 1.0
+    quantization_step: PerChannel = []
     dither: Number = 0.0
-    burst: Number = 0.0
-    stamp_offset: Number = 0.0
-    stamp_drift: Number = 0.0
-    stamp_jitter: Number = 0.0
+    mean_burst_length: Number = 0.0
+    timestamp_offset: Number = 0.0
+    clock_skew: Number = 0.0
+    timestamp_jitter: Number = 0.0
     loss: Number = 0.0
     outlier_probability: Number = 0.0
     outlier_scale: Number = 10.0
-    noise_tail: Number = 0.0
+    student_t_dof: Degrees = inf
     assumed_noise_scale: Number = 1.0
 
     def numbers(self, where: str) -> Numbers:
@@ -126,9 +128,9 @@ class Lti(BaseModel):
                 f"{where}.unknown_std: got {shown(size)}, expected sizes greater than 0; write how large the input is."
             )
         band = [0.05 * p for p in [*(p or default for p, default in zip(prior, apart, strict=True)), *size]]
-        tail = 0.3 * self.horizon if self.tail is None else self.tail
+        tail = 0.3 * self.duration if self.steady_start is None else self.steady_start
         tick = self.dt or self.tick or 1e-3
-        ticks = limits.ticks_of(self.horizon, tick, where)
+        ticks = limits.ticks_of(self.duration, tick, where)
         driving = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
         pushing: Sources = ""
         if r:
@@ -152,7 +154,7 @@ class Lti(BaseModel):
             observers=tuple(self.observers),
             truth=Truth(
                 x0=tuple(x0),
-                drift=1.0 if plant else 0.0,
+                parameter_drift=1.0 if plant else 0.0,
                 parameters={"plant": plant} if plant else NOTHING,
                 process_std=process_noise(self, numbers.A, tick, where),
                 unknown_input=pushing,
@@ -170,16 +172,18 @@ class Lti(BaseModel):
             ),
             scoring=Scoring(
                 settle_band=tuple(vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
-                bound=self.bound,
-                tail=round(tail / tick) * tick,
+                divergence_threshold=self.divergence_threshold,
+                steady_start=round(tail / tick) * tick,
                 signals=states,
                 unknowns=unknowns,
                 headline=(states[0][0], *(name for name, _ in unknowns)) if r else (),
             ),
             dt=tick,
-            horizon=ticks * tick,
+            duration=ticks * tick,
         )
-        if not 0 <= base.scoring.tail < base.horizon:
-            raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
+        if not 0 <= base.scoring.steady_start < base.duration:
+            raise UserError(
+                f"{where}.steady_start: got {tail:g} s, expected less than the duration of {self.duration:g} s."
+            )
         given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields and f not in axes.STATES}
         return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})

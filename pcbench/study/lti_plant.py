@@ -93,7 +93,7 @@ def differing(lti: Described, numbers: Numbers, where: str) -> dict[str, Any]:
 
 def require_plant(s: Scenario, parameters: dict[str, Any], where: str) -> None:
     """Raise UserError where a cell's plant has no finite matrices, or grows so fast that it cannot be computed."""
-    numbers = varied(numbers_of(s), {"drift": s.truth.drift} | parameters)
+    numbers = varied(numbers_of(s), {"drift": s.truth.parameter_drift} | parameters)
     try:
         model = actual(numbers)
     except ValueError:
@@ -102,7 +102,7 @@ def require_plant(s: Scenario, parameters: dict[str, Any], where: str) -> None:
             "numbers at which each has one; leave that value out."
         ) from None
     if numbers.own or numbers.plant:
-        require_slow(model.A, model.discrete, whole(s.horizon, s), s.dt, f"{where}: the plant's matrix lti")
+        require_slow(model.A, model.discrete, whole(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
 
 
 def _same_shape(letter: str, rows: list[list[Any]], numbers: Numbers, where: str) -> None:

@@ -88,7 +88,7 @@ def require_slow(A: Any, discrete: bool, ticks: int, tick: float, where: str) ->
     rate = float(np.log10(max(np.abs(modes).max(), LEAST)) if discrete else modes.real.max() * tick / np.log(10))
     if rate * ticks > GROWTH:
         raise UserError(
-            f"{where}.A: got a plant that grows by 1e{rate * ticks:.0f} over the horizon of {ticks * tick:g} s, expected "
+            f"{where}.A: got a plant that grows by 1e{rate * ticks:.0f} over the duration of {ticks * tick:g} s, expected "
             f"at most 1e{GROWTH}; shorten the horizon to {GROWTH / rate * tick:.2g} s."
         )
 

@@ -1,6 +1,6 @@
 """What a study names: its scenarios, its observers, and the labels under which they have options."""
 
-from pcbench.observers import LONGEST, OBSERVERS, Entry, base_of
+from pcbench.observers import LONGEST, OBSERVERS, ObserverSpec, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.loops import closed
 from pcbench.study.own import Own
@@ -33,12 +33,12 @@ def labels_of(study: Study) -> list[str]:
     """Return every label of an observer: its name, or name-anything where the study or a scenario has options for that."""
     given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
     variants = (key for key in [*given, *study.options] if base_in(study, key) is not None)
-    return list(dict.fromkeys([*study.use, *OBSERVERS, *variants]))
+    return list(dict.fromkeys([*study.custom_observers, *OBSERVERS, *variants]))
 
 
 def base_in(study: Study, label: str) -> str | None:
     """Return the observer that a label names in a study, one of the user's own first: its name, or name-anything."""
-    found = [name for name in study.use if label == name or label.startswith(name + "-")]
+    found = [name for name in study.custom_observers if label == name or label.startswith(name + "-")]
     return max(found, key=len) if found and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
@@ -47,7 +47,7 @@ def own_in(study: Study, label: str) -> Own | None:
     return study._own.get(base_in(study, label) or label)
 
 
-def entry_in(study: Study, label: str) -> Entry:
+def entry_in(study: Study, label: str) -> ObserverSpec:
     """Return the entry of the observer that a label names in a study; raise KeyError where there is none."""
     mine = own_in(study, label)
     return mine.entry if mine else OBSERVERS[base_in(study, label) or label]

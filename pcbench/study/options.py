@@ -53,7 +53,9 @@ def checked_options(study: Study, name: str, given: dict[str, Any], where: str) 
             f"{where}: got no observer, expected a label of {bare}; write [options.{bare}-{name[len(bare) :]}]."
         )
     if name != "scenario" and base_in(study, name) is None:
-        raise unknown(where, "observer with options (or 'scenario')", name, [*study.use, *OBSERVERS, "scenario"])
+        raise unknown(
+            where, "observer with options (or 'scenario')", name, [*study.custom_observers, *OBSERVERS, "scenario"]
+        )
     model = Choices if name == "scenario" else entry_in(study, name).options
     for key in dashes(given) if model.model_config.get("extra") != "allow" else ():
         if model is Choices and key == "drift_sign":
@@ -72,12 +74,14 @@ def checked_options(study: Study, name: str, given: dict[str, Any], where: str) 
                 raise unknown(f"{where}.{key}", "input", signal, valid)
         if options.path is not None and options.path not in PATHS:
             raise unknown(f"{where}.path", "path", options.path, PATHS)
-        if options.random_start and options.start_spread:
-            raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
-        if options.consistency and not options.random_start:
+        if options.random_initial_state and options.initial_spread:
+            raise UserError(
+                f"{where}: got random_initial_state and initial_spread, expected one of them; leave the other out."
+            )
+        if options.consistency and not options.random_initial_state:
             raise UserError(
                 f"{where}: got consistency where every run starts alike, expected starts drawn from what observers believe "
-                "of them; write random_start = true beside it."
+                "of them; write random_initial_state = true beside it."
             )
     return options
 

@@ -2,7 +2,7 @@
 
 The module has `prepare(options, told)`, which returns the law's numbers, and where it takes options a pydantic `Options`;
 `check(options, sizes)` and `linear(options, told)` may be there. Where a module holds an observer too, whose `Options` they
-would be, the law is a `ControllerEntry`. Without `linear` the law is linearised by jax, at rest about
+would be, the law is a `ControllerSpec`. Without `linear` the law is linearised by jax, at rest about
 its set point of tick 0: so a loop that does not settle is named, unless the law looks at the inputs that are on their way.
 """
 
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, create_model
 
-from pcbench.controllers import Entry
+from pcbench.controllers import ControllerSpec
 from pcbench.controllers.parts.sizes import Sizes
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.errors import UserError, raised
 from pcbench.machine import process
 from pcbench.protocols import Controller, Now
@@ -27,9 +27,9 @@ from pcbench.synthesis.lqr import Law
 _LOG = logging.getLogger(__name__)
 
 
-def entry(found: Any, module: ModuleType, where: str) -> Entry:
+def entry(found: Any, module: ModuleType, where: str) -> ControllerSpec:
     """Return the entry of what a module holds: itself, or a controller with the module's functions."""
-    if isinstance(found, Entry):
+    if isinstance(found, ControllerSpec):
         law, linear = found.controller, found.linear
         if linear is None and isinstance(law, Controller):
             linear = partial(linearised, law, found.prepare)
@@ -38,9 +38,9 @@ def entry(found: Any, module: ModuleType, where: str) -> Entry:
     if not callable(prepare):
         raise UserError(
             f"{where}: got a Controller in a module without a function prepare(options, told), expected one that returns the "
-            "law's numbers; write it beside the controller, or name a ControllerEntry that has it."
+            "law's numbers; write it beside the controller, or name a ControllerSpec that has it."
         )
-    return Entry(
+    return ControllerSpec(
         controller=found,
         options=getattr(module, "Options", NoOptions),
         prepare=prepare,
@@ -54,7 +54,7 @@ def anything(options: Any, sizes: Sizes) -> None:
     """Take all options as fitting."""
 
 
-def linearised(law: Controller, prepare: Any, options: Any, told: Told) -> Law | None:
+def linearised(law: Controller, prepare: Any, options: Any, told: ControllerContext) -> Law | None:
     """Return a law about its set point of tick 0, by jax.
 
     None where it looks at what is on its way, or does not keep to the protocol: planning says how (`law_conformance`).
@@ -71,7 +71,7 @@ def linearised(law: Controller, prepare: Any, options: Any, told: Told) -> Law |
     return found if not asked and found.D.shape == told.model.B.T.shape else None
 
 
-def _slopes(law: Controller, params: Any, told: Told) -> tuple[Law, bool]:
+def _slopes(law: Controller, params: Any, told: ControllerContext) -> tuple[Law, bool]:
     """The slopes of a law by what it keeps and by the state, and whether it asked for what is on its way."""
     import jax
     import jax.numpy as jnp
@@ -106,4 +106,4 @@ def absent(reference: str, code: Code) -> Own:
         raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
 
     model = create_model("Options", __config__=ConfigDict(extra="allow"))
-    return Own(Entry(nothing, model, nothing, ABSENT, anything), code)
+    return Own(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)

@@ -40,7 +40,7 @@ def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
     return found
 
 
-def _plant(found: plants.Entry, module: ModuleType, where: str) -> plants.Entry:
+def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
     for name, unit in found.signals + found.unknowns:
         pair(name, unit, f"{where}: {name}")
     return found
@@ -65,11 +65,13 @@ def _table(found: dict[str, Any], module: ModuleType, where: str) -> dict[str, A
 
 KINDS = {
     "observer": Kind(
-        (Observer, observers.Entry), "a pcbench.Observer, or an Entry of pcbench.observers", own_observers.entry
+        (Observer, observers.ObserverSpec), "a pcbench.Observer, or an Entry of pcbench.observers", own_observers.entry
     ),
-    "plant": Kind((plants.Entry,), "what pcbench.plant returns", _plant),
+    "plant": Kind((plants.PlantSpec,), "what pcbench.make_plant returns", _plant),
     "controller": Kind(
-        (Controller, controllers.Entry), "a pcbench.Controller, or a pcbench.ControllerEntry", own_controllers.entry
+        (Controller, controllers.ControllerSpec),
+        "a pcbench.Controller, or a pcbench.ControllerSpec",
+        own_controllers.entry,
     ),
     "scenario": Kind((dict,), DICT, _table),
 }
@@ -130,10 +132,10 @@ def _free(kind: str, name: str, where: str) -> None:
 
 def called(found: Any) -> str:
     """Return what something is, in a word or two."""
-    if isinstance(found, plants.Entry):
+    if isinstance(found, plants.PlantSpec):
         return "a plant"
-    if isinstance(found, observers.Entry | Observer):
+    if isinstance(found, observers.ObserverSpec | Observer):
         return "an observer"
-    if isinstance(found, controllers.Entry | Controller):
+    if isinstance(found, controllers.ControllerSpec | Controller):
         return "a controller"
     return "a function" if callable(found) and not isinstance(found, type) else f"a {type(found).__name__}"

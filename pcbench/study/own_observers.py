@@ -5,10 +5,10 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, create_model
 
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.study.own import Code, Own
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 ABSENT = "its code is not here"
 
@@ -19,9 +19,9 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def entry(found: Any, module: Any, where: str) -> Entry:
+def entry(found: Any, module: Any, where: str) -> ObserverSpec:
     """Return the entry of what a module holds: itself, or an observer with the module's `design` and `Options`."""
-    if isinstance(found, Entry):
+    if isinstance(found, ObserverSpec):
         return found
     listed = [each for each in OBSERVERS.values() if each.observer is found]
     if listed:
@@ -32,21 +32,21 @@ def entry(found: Any, module: Any, where: str) -> Entry:
             f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it beside "
             "the observer, or name an Entry that has it."
         )
-    return Entry(found, options, design, knows_schedule=True, summary="yours", expensive=True)
+    return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
 
 def absent(reference: str, code: Code, options: dict[str, Any]) -> Own:
     """Return what stands for an observer where its code is not asked for, with the options it had: a result is read so."""
 
-    def design(setting: Setting, options: Any) -> Design:
+    def design(setting: DesignContext, options: Any) -> Design:
         raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
 
     def nothing(*given: Any) -> Any:
         return design(*given)
 
     kept: dict[str, Any] = {name: (Any, value) for name, value in options.items()}
-    stand_in = Entry(
-        observer=Observer(init=nothing, note=nothing, jump=nothing, flow=nothing, estimate=nothing),
+    stand_in = ObserverSpec(
+        observer=Observer(init=nothing, snapshot=nothing, jump=nothing, flow=nothing, estimate=nothing),
         options=create_model("Options", __config__=ConfigDict(extra="allow"), **kept),
         design=design,
         knows_schedule=False,

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError
-from pcbench.plants import Entry
+from pcbench.plants import PlantSpec
 from pcbench.protocols import Plant
 from pcbench.signal_names import pair
 from pcbench.study.own import Code, Own
@@ -20,7 +20,7 @@ FUNCTIONS = ("model", "successor", "sensor")  # those that observers are told, w
 LINEAR = ("A", "B", "C", "D", "E")
 
 
-def facts(entry: Entry) -> dict[str, Any]:
+def facts(entry: PlantSpec) -> dict[str, Any]:
     """Return what a dataset says of a plant, as TOML has words for it."""
     linear = entry.nominal(entry.numbers)
     said = {name: np.asarray(getattr(linear, name)).tolist() for name in LINEAR if getattr(linear, name) is not None}
@@ -59,7 +59,7 @@ def absent(reference: str, code: Code, known: dict[str, Any]) -> Own:
     rest = np.array(known["residual"]) if "residual" in known else None
     numbers = namedtuple("Numbers", known["numbers"])(**{k: _tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
-    there = Entry(
+    there = PlantSpec(
         plant=Plant(step=nothing, output=nothing, field=nothing if known["field"] else None),
         signals=tuple(pair(name, unit, reference) for name, unit in known["signals"]),
         numbers=numbers,

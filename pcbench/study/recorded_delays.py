@@ -1,9 +1,9 @@
 """Delays of a log in a study: `delay = "from:flight"` draws them as they were distributed, "in-turn:flight" takes them in turn.
 
-Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_steps`. They occur as often,
-and as often one after the other, as in the log (`delay_stay`); `loss` is the share that never arrived.
-In turn: the log's instants become `profile` (intervals) and `sampling_period` (their mean), what became of each sample
-`delay_turns`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
+Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_values`. They occur as often,
+and as often one after the other, as in the log (`delay_self_transition`); `loss` is the share that never arrived.
+In turn: the log's instants become `sampling_pattern` (intervals) and `sampling_period` (their mean), what became of each sample
+`delay_sequence`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
 So the resolved study holds numbers alone, and needs no log. All in whole ticks.
 Not claimed: of what is drawn, that delays depend on no more than the one before, nor that losses come one by one.
 """
@@ -27,7 +27,7 @@ MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
 TAKEN = (*CHAIN, *SPREAD, *TURNS, "delay_jitter", "loss")  # what a log says, which a table may not say too
-INSTANTS = ("sampling_period", "profile", "jitter")  # and what it says of instants in turn
+INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
 Ticks = NDArray[np.float64]
 
 
@@ -56,7 +56,7 @@ def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float
     if turns:
         order = np.argsort(sampled, kind="stable")
         got = f"{where}.delay: got the log {name}"
-        return {**table, **in_turn(sampled[order], late[order], tick, horizon_of(table), got)}
+        return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
     order = np.lexsort((sampled, channel))
     order = order[~np.isnan(late[order])]
     return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
@@ -68,14 +68,14 @@ def names_log(table: dict[str, Any]) -> bool:
     return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
 
 
-def horizon_of(table: dict[str, Any]) -> float:
+def duration_of(table: dict[str, Any]) -> float:
     """Return the horizon of a table [s], as it says it or as its base has it; inf where that is a scenario of a user's own."""
-    said, base = table.get("horizon"), table.get("base")
+    said, base = table.get("duration"), table.get("base")
     if isinstance(said, int | float) and said > 0:
         return float(said)
     if isinstance(base, str):
-        return SCENARIOS[base].horizon if base in SCENARIOS else math.inf
-    return float(Lti.model_fields["horizon"].default)
+        return SCENARIOS[base].duration if base in SCENARIOS else math.inf
+    return float(Lti.model_fields["duration"].default)
 
 
 def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> dict[str, Any]:
@@ -104,14 +104,14 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     intervals = np.diff(instants[: many + 1])
     return {
         "delay": round(float(least * tick), DIGITS),
-        "delay_turns": [LOST if np.isnan(v) else round(float((v - least) * tick), DIGITS) for v in each[:many]],
+        "delay_sequence": [LOST if np.isnan(v) else round(float((v - least) * tick), DIGITS) for v in each[:many]],
         "sampling_period": round(float(max(np.rint(intervals.mean()), 1) * tick), DIGITS),
-        "profile": [round(float(v * tick), DIGITS) for v in intervals],
+        "sampling_pattern": [round(float(v * tick), DIGITS) for v in intervals],
     }
 
 
 def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> dict[str, Any]:
-    """Return delay, delay_steps and delay_stay of delays [ticks], channel by channel in the order in which samples were taken.
+    """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the
     next delay is the same as often as there, as far as a probability allows.
@@ -127,6 +127,6 @@ def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> dict[str, Any]:
     leave = min((1 - again) / len(values), float(often.min()))
     return {
         "delay": delay,
-        "delay_steps": [round(float((v - values[0]) * tick), DIGITS) for v in values],
-        "delay_stay": [min(max(1 - leave / share, 0.0), MOST) for share in often.tolist()],
+        "delay_values": [round(float((v - values[0]) * tick), DIGITS) for v in values],
+        "delay_self_transition": [min(max(1 - leave / share, 0.0), MOST) for share in often.tolist()],
     }

@@ -46,9 +46,9 @@ def named_in(study: dict[str, Any]) -> list[Named]:
 def renamed(study: dict[str, Any], change: Callable[[Named], str]) -> dict[str, Any]:
     """Return a study, as a dict, with every name of what may be a user's own changed."""
     out = dict(study)
-    if isinstance(use := out.get("use"), dict):
+    if isinstance(use := out.get("custom_observers"), dict):
         mine = {label: text for label, text in use.items() if isinstance(text, str)}
-        out["use"] = use | {label: change(Named("observer", label, text)) for label, text in mine.items()}
+        out["custom_observers"] = use | {label: change(Named("observer", label, text)) for label, text in mine.items()}
     if isinstance(tables := out.get("tables"), dict):
         out["tables"] = {name: _changed(table, ("plant", "controller"), change) for name, table in tables.items()}
     if "scenario" in out:

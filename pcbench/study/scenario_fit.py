@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, unknown
-from pcbench.plants import PLANTS, Entry, signals_of
+from pcbench.plants import PLANTS, PlantSpec, signals_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS
 from pcbench.signal_names import names_and_units, require_different
@@ -24,7 +24,7 @@ SIZES = {
     "unknown_std": ("s", False),
     "assumed_noise_std": ("q", True),
     "assumed_process_std": ("n", True),
-    "start_box": ("n", True),
+    "initial_box": ("n", True),
     "settle_band": ("n + s", False),
 }
 EACH = {"n": "state", "s": "unknown", "q": "output", "n + s": "state and unknown"}
@@ -35,7 +35,7 @@ def each(given: float | list[float], many: int) -> list[float]:
     return given if isinstance(given, list) else [float(given)] * many
 
 
-def control(s: Scenario, entry: Entry, where: str) -> dict[str, Any]:
+def control(s: Scenario, entry: PlantSpec, where: str) -> dict[str, Any]:
     """The controller's options, checked."""
     name = s.loop.controller
     if name not in CONTROLLERS and "controller" not in s.own:
@@ -64,7 +64,7 @@ def require_names(text: str, valid: Iterable[str], many: int, what: str, where: 
         raise UserError(f"{where}: got {columns} signals, expected one, or one for each {what} ({many}).")
 
 
-def require_fit(s: Scenario, many: dict[str, int], entry: Entry, where: str) -> None:
+def require_fit(s: Scenario, many: dict[str, int], entry: PlantSpec, where: str) -> None:
     """Raise UserError for a list of the wrong length, and for what the scoring cannot be."""
     for key, (size, optional) in SIZES.items():
         got, want = len(s.value(key)), many[size]
@@ -72,13 +72,16 @@ def require_fit(s: Scenario, many: dict[str, int], entry: Entry, where: str) -> 
             raise UserError(
                 f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]} of {s.plant}."
             )
-    bound = s.scoring.bound
+    bound = s.scoring.divergence_threshold
     if isinstance(bound, tuple) and len(bound) != many["n + s"]:
         raise UserError(
-            f"{where}.bound: got {len(bound)} numbers, expected one, or {many['n + s']}, one for each state and unknown."
+            f"{where}.divergence_threshold: got {len(bound)} numbers, expected one, or {many['n + s']}, one for each state and "
+            "unknown."
         )
-    if not 0 <= s.scoring.tail < s.horizon:
-        raise UserError(f"{where}.tail: got {s.scoring.tail:g} s, expected less than the horizon of {s.horizon:g} s.")
+    if not 0 <= s.scoring.steady_start < s.duration:
+        raise UserError(
+            f"{where}.steady_start: got {s.scoring.steady_start:g} s, expected less than the duration of {s.duration:g} s."
+        )
     names = [name for name, _ in signals_of(s)]
     for name in s.scoring.headline:
         if name not in names:

@@ -33,20 +33,20 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
         )
     given = table.given()
     start = _base(table, given, where)._replace(name=name)
-    start = start.having(**{key: given[key] for key in ("dt", "horizon") if key in given})
-    limits.ticks_of(start.horizon, start.dt, where)
+    start = start.having(**{key: given[key] for key in ("dt", "duration") if key in given})
+    limits.ticks_of(start.duration, start.dt, where)
     s = _of_plant(start, given, where, own)
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}
     many["n + s"] = many["n"] + many["s"]
     given |= {key: fit.each(given[key], many[size]) for key, (size, _) in fit.SIZES.items() if key in given}
-    s = s.having(**{key: tuple(given[key]) for key in (*fit.SIZES, "delay_swing", "headline") if key in given})
+    s = s.having(**{key: tuple(given[key]) for key in (*fit.SIZES, "delay_sine", "headline") if key in given})
     s = _filled(s, given, many) if table.base is None else s
     s = _measured(s, given, many["q"], where)
-    plain = ("early", "continuous", "drift_intensity", "tail", "options")
+    plain = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
     s = s.having(**{key: given[key] for key in plain if key in given})
-    if "bound" in given:
-        s = s.having(bound=tuple(given["bound"]) if isinstance(given["bound"], list) else given["bound"])
+    if (limit := given.get("divergence_threshold")) is not None:
+        s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
     s = _driven(s, given, model.B.shape[1], where, own)
     fit.require_fit(s, many, entry, where)
     if s.sampling.continuous and (entry.plant.field is None or model.discrete):
@@ -136,12 +136,12 @@ def _filled(s: Scenario, given: dict[str, Any], many: dict[str, int]) -> Scenari
     band = s.scoring.settle_band or tuple(
         0.05 * (p or default) for p, default in zip((*prior, *size), (*apart, *size), strict=False)
     )
-    tail = round(0.3 * s.horizon / s.dt) * s.dt
-    s = s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band, tail=tail)
+    tail = round(0.3 * s.duration / s.dt) * s.dt
+    s = s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band, steady_start=tail)
     if "controller" not in given and "input" not in given:
         s = s.having(input="sine")
     entry = entry_of(s)
-    linear = ("dkf", "open-loop") if entry.model is None or entry.residual is not None else ()
+    linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
     usual = ("ekf", *linear) if entry.model is not None else linear
     return s if "observers" in given else s._replace(observers=usual)
 
@@ -150,7 +150,7 @@ def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenari
     """The scenario with the axes' fields as an axis would have them: whole ticks, one value for each output."""
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
-    changed = "dt" in given or "horizon" in given  # then times of a base may fit no more
+    changed = "dt" in given or "duration" in given  # then times of a base may fit no more
     for key in (name for name in axes.AXES if name not in axes.STATES):
         if key in given or (changed and s.value(key) is not None):
             value = given.get(key, axes.plain(key, s.value(key), apart=True) if key not in axes.LISTS else s.value(key))
@@ -210,4 +210,4 @@ def _sources(s: Scenario, given: Any, many: int, valid: Iterable[str], kind: str
         return given
     if isinstance(given, tuple):  # a base's
         return given
-    return sources(given, many, valid, (times.whole(s.horizon, s), s.dt), f"{kind}s", where)
+    return sources(given, many, valid, (times.whole(s.duration, s), s.dt), f"{kind}s", where)

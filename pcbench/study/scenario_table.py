@@ -7,6 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 from pcbench.errors import printable
 from pcbench.study import axes
 
+Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: without an end
 Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
 Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
 Size = Annotated[Number, Field(ge=0)]
@@ -31,10 +32,10 @@ class ScenarioTable(BaseModel):
     plant: str | None = Field(None, description="pcbench list plants")
     observers: list[str] | None = Field(None, min_length=1, description="those that run unless a study names others")
     dt: Positive | None = Field(None, description="s, the tick; default 0.001")
-    horizon: Positive | None = Field(None, description="s; default 10")
+    duration: Positive | None = Field(None, description="s; default 10")
     # what is true of the plant and told to no observer
     x0: Number | list[Number] | None = Field(None, description="[n] x(0)")
-    drift: Number | None = Field(None, description="scale of the plant's parameter drift")
+    parameter_drift: Number | None = Field(None, description="scale of the plant's parameter drift")
     parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
     process_std: Size | list[Size] | None = Field(
         None, description="[n] of the noise added to each state at every tick"
@@ -57,39 +58,46 @@ class ScenarioTable(BaseModel):
     sampling_period: PerChannel | None = Field(None, description="[q] s, one or one for each output")
     delay: PerChannel | str | None = Field(None, description="[q] s, one or one for each output, or 'interval'")
     noise_std: PerChannel | None = Field(None, description="[q] of one sample, one or one for each output")
-    profile: str | list[Number] | None = Field(None, description="of the intervals: a name, or s in turn")
-    jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
+    sampling_pattern: str | list[Number] | None = Field(None, description="of the intervals: a name, or s in turn")
+    sampling_jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
     delay_jitter: Number | None = Field(None, description="s, a sample arrives up to this much later")
-    delay_steps: list[Number] | None = Field(
+    delay_values: list[Number] | None = Field(
         None, description="s, a sample arrives later by one of them, a Markov chain from sample to sample"
     )
-    delay_stay: PerChannel | None = Field(
+    delay_self_transition: PerChannel | None = Field(
         None, description="probability that the next sample has the same step, one or one for each"
     )
-    delay_turns: list[Number | Literal["lost"]] | None = Field(
+    delay_sequence: list[Number | Literal["lost"]] | None = Field(
         None, description="s, samples arrive later by these in turn, the same in all runs; 'lost': that one never does"
     )
     loss: Number | None = Field(None, description="probability that a sample never arrives")
-    delay_share: list[Number] | None = Field(
+    delay_weights: list[Number] | None = Field(
         None, description="of samples, each by itself, that are later by each step, in proportion; no chain then"
     )
-    delay_gamma: Number | None = Field(None, description="s, mean of a gamma distribution by which a sample is later")
-    delay_shape: Number | None = Field(None, description="of that distribution; 1: it is exponential")
-    burst: Number | None = Field(None, description="mean number of samples in a row that losses take; 0: one by one")
-    resolution: PerChannel | None = Field(None, description="[q] a sample is rounded to whole steps of this size")
+    delay_gamma_mean: Number | None = Field(
+        None, description="s, mean of a gamma distribution by which a sample is later"
+    )
+    delay_gamma_shape: Number | None = Field(None, description="of that distribution; 1: it is exponential")
+    mean_burst_length: Number | None = Field(
+        None, description="mean number of samples in a row that losses take; 0: one by one"
+    )
+    quantization_step: PerChannel | None = Field(
+        None, description="[q] a sample is rounded to whole steps of this size"
+    )
     dither: Number | None = Field(None, description="1: noise over one step is added before rounding, taken off after")
-    stamp_offset: Number | None = Field(None, description="s, stamps say that samples were taken so much later")
-    stamp_drift: Number | None = Field(None, description="ppm, by which the clock of the stamps is fast")
-    stamp_jitter: Number | None = Field(None, description="s, a stamp is wrong by up to this much, either way")
+    timestamp_offset: Number | None = Field(None, description="s, stamps say that samples were taken so much later")
+    clock_skew: Number | None = Field(None, description="ppm, by which the clock of the stamps is fast")
+    timestamp_jitter: Number | None = Field(None, description="s, a stamp is wrong by up to this much, either way")
     outlier_probability: Number | None = Field(
         None, description="that a sample's noise is outlier_scale times what it would be"
     )
     outlier_scale: Number | None = Field(None, description="how many times larger the noise of an outlier is")
-    noise_tail: Number | None = Field(
-        None, description="degrees of freedom of Student's t that the noise has, of the same variance; 0: it is normal"
+    student_t_dof: Degrees | None = Field(
+        None,
+        description="degrees of freedom of Student's t that the noise has, of the same variance; inf: it is Gaussian",
     )
-    early: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
-    delay_swing: list[Number] | None = Field(
+    prefilled: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
+    delay_sine: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
     )
     continuous: Switch | None = Field(None, description="measured at every stage of the integration, without noise")
@@ -112,13 +120,17 @@ class ScenarioTable(BaseModel):
         None, description="the noise of a sample is believed to be so many times larger than it is"
     )
     assumed_delay_error: Number | None = Field(None, description="s, samples are believed to be so much older")
-    start_box: Size | list[Size] | None = Field(None, description="[n] a random start draws xhat(0) this close to x(0)")
+    initial_box: Size | list[Size] | None = Field(
+        None, description="[n] a random start draws xhat(0) this close to x(0)"
+    )
     # what runs are judged by
     settle_band: Size | list[Size] | None = Field(
         None, description="[n + s] |e| of a settled run; default: 5 % of the prior"
     )
-    bound: Positive | list[Positive] | None = Field(None, description="a run has diverged when an |e| leaves it")
-    tail: Size | None = Field(None, description="s, where the tail starts; default: 30 % of the horizon")
+    divergence_threshold: Positive | list[Positive] | None = Field(
+        None, description="a run has diverged when an |e| leaves it"
+    )
+    steady_start: Size | None = Field(None, description="s, where the tail starts; default: 30 % of the horizon")
     signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
     unknowns: list[str] | None = Field(None, description="[s] names of unknowns with units")
     headline: list[str] | None = Field(None, description="signals that a closing table shows")

@@ -18,7 +18,7 @@ TITLES = {
     "belief": "what designers and observers assume",
     "scoring": "what runs are judged by",
 }
-FIRST = ("summary", "source", "plant", "observers", "dt", "horizon")
+FIRST = ("summary", "source", "plant", "observers", "dt", "duration")
 
 
 def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[str, Any] = NOTHING) -> str:
@@ -45,7 +45,7 @@ def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[st
 def _line(s: Scenario, key: str) -> str:
     """One key with its value and its meaning; a comment where the value is what it is without the key."""
     value, about = s.value(key), ScenarioTable.model_fields[key].description
-    default = getattr(s, _record(key))._field_defaults if _record(key) and key != "tail" else {}
+    default = getattr(s, _record(key))._field_defaults if _record(key) and key != "steady_start" else {}
     if key in ("input", "unknown_input") and not isinstance(value, str):
         text = said([_driving(each) for each in value] if len(value) > 1 else _driving(value[0]))
     elif key in ("signals", "unknowns"):

@@ -10,18 +10,18 @@ from pcbench.study.own import Own
 from pcbench.study.scenario_table import ScenarioTable
 
 Values = list[Any]
-TUNINGS = ("paper", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
+TUNINGS = ("published", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
 
 
 class Choices(BaseModel):
     """`[options.scenario]`: choices left open by a scenario's source, for all scenarios of a study."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    random_start: bool = Field(
+    random_initial_state: bool = Field(
         False,
         description="draw x(0) from N(xhat(0), P0) for each seed, or xhat(0) in a box about x(0) where there is one",
     )
-    start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
+    initial_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
     feedforward: bool | None = Field(None, description="a controller knows the input that its path needs")
@@ -31,7 +31,7 @@ class Choices(BaseModel):
     path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
     consistency: bool = Field(
         False,
-        description="say whether observers know how wrong they are, of those that have a covariance (random_start)",
+        description="say whether observers know how wrong they are, of those that have a covariance (random_initial_state)",
     )
     precision: str = Field("float64", description="float64: no other is offered")
 
@@ -51,10 +51,12 @@ class Tune(BaseModel):
     """`[tune]`: what gains are tuned for, and the effort, the same for every observer of a study."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    objective: str = Field("rmse", description="metric of the tables to make small; exact: by default pooled_rmse")
+    objective: str = Field(
+        "rmse", description="metric of the tables to make small; by default rmse, of an exact objective pooled_rmse"
+    )
     signal: str | None = Field(None, description="of which signal; default: the first that a closing table shows")
     only: list[str] | None = Field(None, min_length=1, description="options that are tuned; default: all that may be")
-    exact: bool = Field(False, description="take its expected value over all noise, without training runs")
+    exact_objective: bool = Field(False, description="take its expected value over all noise, without training runs")
     budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
     training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
     cells: Literal["first", "all"] = Field(
@@ -64,7 +66,7 @@ class Tune(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _has_an_exact_value(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("exact") is True:
+        if isinstance(given, dict) and given.get("exact_objective") is True:
             return {"objective": "pooled_rmse"} | given
         return given
 
@@ -104,11 +106,11 @@ class Study(BaseModel):
     tuned: TunedOptions | None = Field(
         None, description="which options were tuned, in which cell and for which metric; pcbench writes it"
     )
-    use: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
+    custom_observers: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
-    method: Literal["runs", "exact", "both"] = Field(
+    evaluation: Literal["runs", "exact", "both"] = Field(
         "runs", description="simulated runs; exact numbers without a seed; or exact ones and runs of what has none"
     )
     engine: Literal["definition", "steps", "products"] | None = Field(
@@ -121,7 +123,7 @@ class Study(BaseModel):
         64, ge=2, le=100_000, strict=True, description="over which exact numbers of random cells are averaged"
     )
     axes: dict[str, Values] = {}
-    vary: Literal["all", "each"] = Field(
+    vary: Literal["all", "one-at-a-time"] = Field(
         "all",
         description="a cell for every combination of the axes; each: for one axis at a time, the others at their first",
     )
@@ -132,7 +134,9 @@ class Study(BaseModel):
         None, description="scenarios of one's own, by name; a study file writes [scenarios.NAME]"
     )
     controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
-    tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
+    tuning: str | list[str] = Field(
+        "published", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them"
+    )
     tune: Tune = Tune()
     # what is a user's own, once the study is read: observers by label of `use`, plants and controllers by MODULE:NAME
     _own: dict[str, Own] = PrivateAttr({})

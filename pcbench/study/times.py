@@ -28,8 +28,8 @@ class Timing(NamedTuple):
 def times_of(s: Scenario) -> Timing:
     """Return a scenario's times in ticks."""
     return Timing(
-        ticks=whole(s.horizon, s),
-        tail=whole(s.scoring.tail, s),
+        ticks=whole(s.duration, s),
+        tail=whole(s.scoring.steady_start, s),
         error=whole(s.belief.assumed_delay_error, s),
         clocks=clocks(s),
     )
@@ -50,20 +50,20 @@ def clocks(s: Scenario) -> list[Clock]:
             channels=tuple(channels),
             period=whole(period, s),
             delay=None if isinstance(delay, str) else whole(delay, s),
-            profile=measured.profile
-            if isinstance(measured.profile, str)
-            else tuple(whole(v, s) for v in measured.profile),
-            jitter=whole(measured.jitter, s),
+            profile=measured.sampling_pattern
+            if isinstance(measured.sampling_pattern, str)
+            else tuple(whole(v, s) for v in measured.sampling_pattern),
+            jitter=whole(measured.sampling_jitter, s),
             spread=whole(measured.delay_jitter, s),
             steps=steps(s),
             stay=chain(measured),
             share=shares(measured, s.dt),
-            turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_turns),
+            turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
             loss=measured.loss,
-            burst=measured.burst if measured.loss else 0.0,
+            burst=measured.mean_burst_length if measured.loss else 0.0,
             stamp=stamp(s),
-            early=measured.early,
-            swing=(measured.delay_swing[0] / s.dt, measured.delay_swing[1] * s.dt),
+            early=measured.prefilled,
+            swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
         )
         for (period, delay), channels in groups.items()
     ]
@@ -72,34 +72,34 @@ def clocks(s: Scenario) -> list[Clock]:
 def stamp(s: Scenario) -> Stamp:
     """Return by how much stamps are wrong, in ticks."""
     measured = s.sampling
-    return Stamp(whole(measured.stamp_offset, s), 1e-6 * measured.stamp_drift, whole(measured.stamp_jitter, s))
+    return Stamp(whole(measured.timestamp_offset, s), 1e-6 * measured.clock_skew, whole(measured.timestamp_jitter, s))
 
 
 def steps(s: Scenario) -> tuple[int, ...]:
     """Return by how many ticks a sample may be later, where that is one of a few values, or of a gamma distribution."""
-    if s.sampling.delay_gamma:
+    if s.sampling.delay_gamma_mean:
         return tuple(range(len(shares(s.sampling, s.dt))))
-    return tuple(whole(v, s) for v in s.sampling.delay_steps)
+    return tuple(whole(v, s) for v in s.sampling.delay_values)
 
 
 def shares(measured: Sampling, dt: float) -> tuple[float, ...]:
     """Return how many of the samples are later by each of the delay's steps, where these are drawn one by one."""
-    if measured.delay_gamma:
-        return gamma(measured.delay_gamma / dt, measured.delay_shape)
-    total = sum(measured.delay_share)
-    return tuple(share / total for share in measured.delay_share)
+    if measured.delay_gamma_mean:
+        return gamma(measured.delay_gamma_mean / dt, measured.delay_gamma_shape)
+    total = sum(measured.delay_weights)
+    return tuple(share / total for share in measured.delay_weights)
 
 
 def chain(measured: Sampling) -> tuple[float, ...]:
     """Return for each of the delay's steps the probability that the next sample has the same."""
-    if measured.delay_share:
+    if measured.delay_weights:
         return ()
-    many, stay = len(measured.delay_steps), measured.delay_stay
+    many, stay = len(measured.delay_values), measured.delay_self_transition
     return (stay * many if len(stay) == 1 else stay) or (1 / many if many else 0.0,) * many
 
 
 def actuator_delay(s: Scenario) -> Delay:
     """Return the delay from command to plant [s] as a function of time [s]."""
     mean = float(s.sampling.delay[0] if s.loop.actuator_delay is None else s.loop.actuator_delay)
-    swing, pace = s.sampling.delay_swing
+    swing, pace = s.sampling.delay_sine
     return lambda t: mean + swing * np.sin(pace * t)

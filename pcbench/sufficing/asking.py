@@ -1,4 +1,4 @@
-"""`pcbench.suffices`: a question to a study, answered by a search over runs.
+"""`pcbench.find_limit`: a question to a study, answered by a search over runs.
 
 An interval that decides may be looked at several times as seeds are added, which makes it a little too narrow
 (`pcbench.dataset.precision`).
@@ -33,49 +33,49 @@ from pcbench.sufficing.axis import axis_of, scale_of
 from pcbench.sufficing.question import Question, notes, question
 from pcbench.sufficing.search import search
 
-METRIC = "tail_rmse"
+METRIC = "steady_rmse"
 BUDGET = 16  # times the study's seeds, where no budget is given
 
 
-def suffices(
+def find_limit(
     study: Described,
     *,
-    over: str | Sequence[str],
-    below: float,
+    axis: str | Sequence[str],
+    threshold: float,
     metric: str = METRIC,
     signal: str | None = None,
     between: tuple[float, float] | Sequence[tuple[float, float] | None] | None = None,
-    within: float | None = None,
+    tol: float | None = None,
     seeds: int | None = None,
     max_seeds: int | None = None,
     observers: str | list[str] | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
-    fresh: bool = False,
+    overwrite: bool = False,
     progress: Progress = SILENT,
     say: Say = lambda sentence: None,
 ) -> pd.DataFrame:
-    """Return for each observer the largest value of the axis `over` at which `metric` surely stays below a limit.
+    """Return for each observer the largest value of `axis` at which `metric` surely stays below a limit.
 
     A row an observer; columns: `pcbench.statistics.sufficing.table`. `study` is of one scenario, every other axis with one
-    value; `over` is any axis of numbers, such as "sampling_period", "plant.lam", or "delay[0]", the first channel's alone.
-    `below` is in the metric's unit. The axis is searched `between` two values (default: the ends of the study's own, or what
-    the scenario suggests) to the precision `within`, in its unit (default: a twentieth of the value, at least a tick).
+    value; `axis` is any axis of numbers, such as "sampling_period", "plant.lam", or "delay[0]", the first channel's alone.
+    `threshold` is in the metric's unit. The axis is searched `between` two values (default: the ends of the study's own, or
+    what the scenario suggests) to the precision `tol`, in its unit (default: a twentieth of the value, at least a tick).
     Intervals that hold the limit get more seeds, `max_seeds` a value at most (default: 16 times the study's). What was run
     stands in the folder `out`, a study like any other, and is used again: for another limit or metric, more seeds, a wider
     range; stopped, it goes on. The frame's `attrs` say what was asked. Raises UserError, one sentence, for whatever the user
     can mend.
 
-    `over` two axes, such as ["sampling_period", "delay"], returns their frontier: for each value of the first axis the largest
-    value of the second. The first axis takes the study's values or, `between` two, five values and those of the study within.
+    Two axes, such as ["sampling_period", "delay"], return their frontier: for each value of the first axis the largest value
+    of the second. The first axis takes the study's values or, `between` two, five values and those of the study within.
     The frame then has a row for each value and observer, with the value in a column of the axis' name. `between` is then the
     range of the first axis, or a list of two ranges, of which None is the default one. Each value has a folder of its own in
     `out`.
     """
-    if not isinstance(over, str):
-        each = {"below": below, "metric": metric, "signal": signal, "within": within, "seeds": seeds}
-        each |= {"max_seeds": max_seeds, "fresh": fresh, "progress": progress, "say": say}
-        return frontier(study, list(over), between, observers, out, overrides or [], each)
+    if not isinstance(axis, str):
+        each = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "seeds": seeds}
+        each |= {"max_seeds": max_seeds, "overwrite": overwrite, "progress": progress, "say": say}
+        return frontier(study, list(axis), between, observers, out, overrides or [], each)
     ends = _range(between)
     observers = [observers] if isinstance(observers, str) else observers
     raw = raw_of(study, overrides or [], FROM_HERE)
@@ -85,15 +85,17 @@ def suffices(
     for sentence in all_observers.sentences(raw.get("excluded")):
         say(sentence)
     with process.float64(), ExitStack() as stack:
-        q = question(described(raw, where, FROM_HERE), where, over, metric, signal, below)
-        scale = scale_of(q.axis, q.scenario, ends, within)
+        q = question(described(raw, where, FROM_HERE), where, axis, metric, signal, threshold)
+        scale = scale_of(q.axis, q.scenario, ends, tol)
         most = _budget(max_seeds, q.study.seeds)
         temporary = None if out is not None else stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-"))
         folder = str(out) if temporary is None else temporary
-        q = _with_gains(q, scale.also or (scale.low,), folder, fresh, progress)
-        earlier = [] if fresh else growing.stands(folder, q)
+        q = _with_gains(q, scale.also or (scale.low,), folder, overwrite, progress)
+        earlier = [] if overwrite else growing.stands(folder, q)
         scale = scale._replace(also=(*scale.also, *earlier))
-        found = search(growing.looking(q, folder, How(fresh=fresh, progress=progress, say=say)), scale, below, most)
+        found = search(
+            growing.looking(q, folder, How(overwrite=overwrite, progress=progress, say=say)), scale, threshold, most
+        )
     answers = {o: sufficing.answer(found[o]) for o in observers_of(q.study, q.scenario.name)}
     table = sufficing.table(answers, q.axis.called)
     table.attrs |= {
@@ -104,7 +106,7 @@ def suffices(
         "metric": metric,
         "signal": q.signal,
         "unit": q.unit,
-        "below": below,
+        "below": threshold,
         "between": (scale.low, scale.high),
         "out": None if out is None else folder,
         "notes": notes(q),
@@ -114,18 +116,20 @@ def suffices(
 
 def frontier(
     study: Described,
-    over: list[str],
+    axes: list[str],
     between: Any,
     observers: str | list[str] | None,
     out: str | Path | None,
     overrides: list[str],
     how: dict[str, Any],
 ) -> pd.DataFrame:
-    """Return the largest values of a second axis for each value of a first one; `how` are the other arguments of `suffices`."""
-    if len(over) == 1:
-        return suffices(study, over=over[0], between=between, observers=observers, out=out, overrides=overrides, **how)
-    if len(over) != 2:
-        raise UserError(f"--over: got {len(over)} axes, expected one or two; ask about two at a time.")
+    """Return the largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
+    if len(axes) == 1:
+        return find_limit(
+            study, axis=axes[0], between=between, observers=observers, out=out, overrides=overrides, **how
+        )
+    if len(axes) != 2:
+        raise UserError(f"--axis: got {len(axes)} axes, expected one or two; ask about two at a time.")
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
     raw |= {} if observers is None else {"observers": [observers] if isinstance(observers, str) else observers}
@@ -136,16 +140,16 @@ def frontier(
     several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
     first, second = (_range(each) for each in (ends if several else (between, None)))
     s = scenario_in(described(raw, where, FROM_HERE), where)
-    axis = axis_of(over[0], s, raw.get("axes", {}).get(over[0].partition("[")[0].strip().replace("-", "_")), where)
-    if axis.name == over[1].partition("[")[0].strip().replace("-", "_"):
-        raise UserError(f"--over: got {axis.name} twice, expected two axes; name another one.")
+    axis = axis_of(axes[0], s, raw.get("axes", {}).get(axes[0].partition("[")[0].strip().replace("-", "_")), where)
+    if axis.name == axes[1].partition("[")[0].strip().replace("-", "_"):
+        raise UserError(f"--axis: got {axis.name} twice, expected two axes; name another one.")
     listed = first is None and len(set(axis.own)) > 1
     values = sorted(set(axis.own)) if listed else scale_of(axis, s, first, None).start()
     tables = {}
     for value in values:
         here = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.put(value)]}}
         into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.called}={value:g}')}"
-        tables[value] = suffices(here, over=over[1], between=second, out=into, **how)
+        tables[value] = find_limit(here, axis=axes[1], between=second, out=into, **how)
     found = pd.concat([table.assign(**{axis.called: value}) for value, table in tables.items()], ignore_index=True)
     found.insert(0, axis.called, found.pop(axis.called))
     last = tables[values[-1]].attrs
@@ -171,9 +175,9 @@ def _budget(most: int | None, seeds: int) -> int:
     return BUDGET * seeds if most is None else max(most, seeds)
 
 
-def _with_gains(q: Question, at: tuple[float, ...], folder: str, fresh: bool, progress: Progress) -> Question:
+def _with_gains(q: Question, at: tuple[float, ...], folder: str, overwrite: bool, progress: Progress) -> Question:
     """The question of a study whose gains are found: designed or tuned where it asks for that, at the first value."""
-    if q.study.tunings == ["paper"]:
+    if q.study.tunings == ["published"]:
         return q
     if q.study.tune.cells == "all" and "tuned" in q.study.tunings:
         raise UserError(
@@ -181,5 +185,5 @@ def _with_gains(q: Question, at: tuple[float, ...], folder: str, fresh: bool, pr
             "and all have the gains of the first; leave it out."
         )
     here = q.study.model_copy(update={"axes": q.study.axes | {q.axis.name: [q.axis.put(at[0])]}})
-    made = versions.prepare(Grid(here, cells.cells(here, q.scenario.name)), folder, fresh, progress)
+    made = versions.prepare(Grid(here, cells.cells(here, q.scenario.name)), folder, overwrite, progress)
     return q._replace(study=made.study)

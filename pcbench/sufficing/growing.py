@@ -43,7 +43,7 @@ def looking(q: Question, folder: str | Path, how: run_study.How) -> Look:
     why, started = Refusals({}, {}, {}), list[bool]()
 
     def look(values: list[float], seeds: Mapping[float, int]) -> dict[str, list[Point]]:
-        now = how._replace(fresh=how.fresh and not started)
+        now = how._replace(overwrite=how.overwrite and not started)
         result = _run(q, values, seeds, why, folder, now)
         started.append(True)
         return points(q, values, why, result)
@@ -139,9 +139,9 @@ def points(q: Question, values: list[float], why: Refusals, result: Result) -> d
     able = [o for o in observers_of(q.study, q.scenario.name) if o not in why.observers]
     refused += [(o, Point(v, REFUSED, why=said)) for v, said in why.values.items() for o in able]
     refused += [(o, Point(v, REFUSED, why=said)) for (o, v), said in why.gains.items() if v not in why.values]
-    found = sufficing.points(rows, q.axis.called, q.below, refused)
+    found = sufficing.points(rows, q.axis.called, q.threshold, refused)
     there = {o: {p.value for p in each} for o, each in found.items()}
     silent = [
         (o, Point(v, NULL)) for o in able for v in values if v not in there.get(o, set())
     ]  # it does not estimate that
-    return sufficing.points(rows, q.axis.called, q.below, [*refused, *silent])
+    return sufficing.points(rows, q.axis.called, q.threshold, [*refused, *silent])

@@ -14,8 +14,8 @@ from pcbench.study import Study, scenarios_of
 from pcbench.sufficing.axis import Axis, axis_of
 
 SMALLER_IS_BETTER = tuple(m for m in METRICS if m not in SIGNED)
-UNITLESS = ("divergence", "unsettled")
-PUSHES = ("drift", "process_std")
+UNITLESS = ("divergence_rate", "unsettled_rate")
+PUSHES = ("parameter_drift", "process_std")
 
 
 class Question(NamedTuple):
@@ -26,7 +26,7 @@ class Question(NamedTuple):
     axis: Axis
     metric: str
     signal: str
-    below: float
+    threshold: float
 
     @property
     def unit(self) -> str:
@@ -39,22 +39,24 @@ class Question(NamedTuple):
         return AXIS_UNITS.get(self.axis.name, "").replace("1", "")
 
 
-def question(study: Study, where: str, over: str, metric: str, signal: str | None, below: float) -> Question:
+def question(study: Study, where: str, named: str, metric: str, signal: str | None, threshold: float) -> Question:
     """Return what is asked; raise UserError naming what no answer can be given to."""
     if metric not in SMALLER_IS_BETTER:
-        if metric in ("efficiency", *SIGNED):
+        if metric in ("rms_efficiency", *SIGNED):
             raise UserError(
-                f"--metric: got {metric}, of which less is not better, expected the size of an error; take tail_pooled_rmse."
+                f"--metric: got {metric}, of which less is not better, expected the size of an error; take steady_pooled_rmse."
             )
         raise unknown("--metric", "metric to be kept below a limit", metric, SMALLER_IS_BETTER)
-    if not (isfinite(below) and below > 0):
-        raise UserError(f"--below: got {below:g}, expected a number above 0, in the unit of the metric; write another.")
+    if not (isfinite(threshold) and threshold > 0):
+        raise UserError(
+            f"--threshold: got {threshold:g}, expected a number above 0, in the unit of the metric; write another."
+        )
     if len(study.scenarios) > 1:
         raise UserError(
             f"{where}: got {len(study.scenarios)} scenarios, expected one here; name one of {', '.join(study.scenarios)}."
         )
     s = scenarios_of(study)[study.scenarios[0]]
-    axis = axis_of(over, s, study.axes.get(over.partition("[")[0].strip().replace("-", "_")), where)
+    axis = axis_of(named, s, study.axes.get(named.partition("[")[0].strip().replace("-", "_")), where)
     for name, values in study.axes.items():
         if name != axis.name and len(values) > 1:
             raise UserError(
@@ -65,7 +67,7 @@ def question(study: Study, where: str, over: str, metric: str, signal: str | Non
     if signal is not None and signal not in names:
         raise unknown("--signal", f"signal of {s.name}", signal, names)
     chosen = signal or (names[0] if metric in OF_RUN else (*s.scoring.headline, *names)[0])
-    return Question(study, s, axis, metric, chosen, below)
+    return Question(study, s, axis, metric, chosen, threshold)
 
 
 def notes(q: Question) -> list[str]:

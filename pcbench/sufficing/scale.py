@@ -19,7 +19,7 @@ class Scale(NamedTuple):
     low: float
     high: float
     tick: float = 0.0  # s; 0: any number is a value
-    within: float | None = None  # the precision asked for; None: PART of the value
+    tol: float | None = None  # the precision asked for; None: PART of the value
     also: tuple[float, ...] = ()  # values to begin with besides
 
     def start(self) -> list[float]:
@@ -33,7 +33,7 @@ class Scale(NamedTuple):
     def near(self, a: float, b: float) -> bool:
         """Say whether two values, a < b, are as close as was asked."""
         floor = self.tick or (FLOOR * (self.high - self.low) if self.low <= 0 else 0.0)
-        enough = max(PART * max(abs(a), abs(b)), floor) if self.within is None else self.within
+        enough = max(PART * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
         return b - a <= enough * (1 + 1e-9) or self.between(a, b) is None
 
     def between(self, a: float, b: float) -> float | None:

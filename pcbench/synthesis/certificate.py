@@ -41,10 +41,10 @@ class Design(NamedTuple):
     gains: Any
     certificate: Certificate
     # whether its prediction to now carries the unknown input it has found; None: no such
-    carries_input: bool | None = None
+    predicts_unknown_input: bool | None = None
 
 
-class Setting(NamedTuple):
+class DesignContext(NamedTuple):
     """What a designer of an observer is told of a cell. n states, m inputs, q outputs."""
 
     scenario: str
@@ -89,7 +89,7 @@ class Setting(NamedTuple):
             return np.zeros_like(self.P0)
         return S @ S.T if S.ndim == 2 else np.diag(np.square(S))
 
-    def roomier(self, other: "Setting") -> "Setting":
+    def roomier(self, other: "DesignContext") -> "DesignContext":
         """Return the same with as much room for samples as another has, where that is more."""
         most = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
         return self._replace(**most)
@@ -100,7 +100,7 @@ class Setting(NamedTuple):
         return np.zeros(max(self.overtaking, self.spare))
 
 
-def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
+def require_certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
     """Return the certificate; raise DesignError where its margin is not above `least` (a NaN is not)."""
     if not certificate.margin > least:
         raise DesignError(
@@ -111,7 +111,7 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
     return certificate
 
 
-def uncertified(why: str) -> Certificate:
+def no_certificate(why: str) -> Certificate:
     """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
     return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status=UNCERTIFIED)
 
@@ -132,7 +132,7 @@ def least_eigenvalue(M: np.ndarray) -> float:
     return float(np.linalg.eigvalsh((M + M.T) / 2)[0]) if np.isfinite(M).all() else float("nan")
 
 
-def one_clock(setting: Setting, observer: str) -> int:
+def one_clock(setting: DesignContext, observer: str) -> int:
     """Return the (mean) period in ticks of the clock that all channels share, or say that this observer needs it."""
     if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(

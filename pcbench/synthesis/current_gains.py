@@ -31,7 +31,7 @@ from pcbench.synthesis import (
     units,
 )
 from pcbench.synthesis.again import Again
-from pcbench.synthesis.certificate import Certificate, Setting, certified
+from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.ranges import Maps
 
@@ -39,7 +39,13 @@ ROBUST = ("decay", "h2", "hinf")
 
 
 def find(
-    setting: Setting, method: str, given: Matrix | None, q: float, decay: float | None, maps: Maps | None, where: str
+    setting: DesignContext,
+    method: str,
+    given: Matrix | None,
+    q: float,
+    decay: float | None,
+    maps: Maps | None,
+    where: str,
 ) -> tuple[Matrix, Certificate]:
     """Return L and its certificate; raise DesignError where there is none that stands.
 
@@ -96,7 +102,7 @@ def _at_the_mean(
     else:
         L = riccati.current_gain(Phi, C, Q, R, where) if given is None else given
         found = current_estimator.lyapunov(Phi, C, L)
-        certificate = certified(certify(found), where)
+        certificate = require_certified(certify(found), where)
     return np.asarray(sharpened(found).L, float), certificate
 
 
@@ -123,7 +129,7 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
     return common_lyapunov.design(corners, same, decay, what, where)[1]
 
 
-def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+def _size(setting: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """The errors' size [n], for a solver's sake: a Kalman filter's where there is one, or else that of x(0)."""
     prior = units.prior_size(setting)
     try:

@@ -66,7 +66,7 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
     """Return the map [n+p, n+p] of the rate of [ebar1; s; s'] where xi and f' are zero, Ab - Bb K."""
-    Ab, Bb = _open_loop(plant.A11 - L1 @ plant.A211, plant.A21)
+    Ab, Bb = _model_only(plant.A11 - L1 @ plant.A211, plant.A21)
     return Ab - Bb @ np.hstack([np.zeros_like(plant.A21), KI, KP])
 
 
@@ -99,7 +99,7 @@ def _formed(P: Matrix, k: int, p: int) -> bool:
     return np.array_equal(P, form(P[:k, :k], *of)) and bool((of[1] >= 0).all())
 
 
-def _open_loop(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
+def _model_only(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
     p, k = A21.shape
     Ab = np.zeros((k + 2 * p, k + 2 * p))
     Ab[:k, :k], Ab[k : k + p, k + p :], Ab[k + p :, :k] = A11b, np.eye(p), A21 @ A11b
@@ -109,7 +109,7 @@ def _open_loop(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
 def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> PIGains:
     import cvxpy as cp
 
-    (p, k), (Ab, Bb) = A21.shape, _open_loop(A11b, A21)
+    (p, k), (Ab, Bb) = A21.shape, _model_only(A11b, A21)
     Q1, g = cp.Variable((k, k), symmetric=True), cp.Variable()
     q21, q23, q22 = cp.Variable(p), cp.Variable(p), cp.Variable(p)
     zero, low = np.zeros((k, p)), (cp.diag(q21), cp.diag(q23), cp.diag(q22))

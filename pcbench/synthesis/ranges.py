@@ -15,7 +15,7 @@ from pydantic import AfterValidator
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 SHOWN = 17  # maps that a solver sees; the re-check sees every one
 VALUES = 33  # of a parameter
@@ -47,7 +47,7 @@ class Maps(NamedTuple):
 
 
 def maps(
-    setting: Setting,
+    setting: DesignContext,
     periods: list[float] | None,
     parameters: dict[str, list[float]] | None,
     q: float,
@@ -74,7 +74,7 @@ def maps(
     return Maps(Phi, Q, seconds, _corners(len(ticks), len(grid)))
 
 
-def _ticks(periods: list[float], setting: Setting, where: str) -> list[int]:
+def _ticks(periods: list[float], setting: DesignContext, where: str) -> list[int]:
     low, high = (edge / setting.dt for edge in periods)
     if high - low > MOST:
         raise UserError(
@@ -89,7 +89,7 @@ def _ticks(periods: list[float], setting: Setting, where: str) -> list[int]:
     return found
 
 
-def _of(setting: Setting, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
+def _of(setting: DesignContext, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
     """The maps and process noise covariances of one model, [ticks, n, n]."""
     model = setting.variant(parameters) if parameters else setting.model
     tick = linear.input_noise(model, q, setting.dt) + setting.process_noise

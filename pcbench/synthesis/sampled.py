@@ -14,7 +14,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import rank, shown
 from pcbench.errors import DesignError, UserError, said
-from pcbench.synthesis.certificate import NO_NOISE, Setting
+from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 from pcbench.synthesis.remembered import remembered
 
 power = np.linalg.matrix_power
@@ -37,7 +37,7 @@ class Sampled(NamedTuple):
     sizes: Matrix  # [q] size of each output
 
 
-def sampled(setting: Setting, observer: str, q: float | None = None) -> Sampled:
+def sampled(setting: DesignContext, observer: str, q: float | None = None) -> Sampled:
     """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
 
     Raises UserError where channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
@@ -62,14 +62,14 @@ def sampled(setting: Setting, observer: str, q: float | None = None) -> Sampled:
     return Sampled(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
 
 
-def _whole_samples(setting: Setting, where: str) -> int:
+def _whole_samples(setting: DesignContext, where: str) -> int:
     """Return the period in ticks; raise UserError where times are not whole samples."""
     periods, dt, error = set(setting.period), setting.dt, setting.error
     if len(periods) > 1:
         seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
         raise UserError(
             f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
-            "give one period, or take dkf."
+            "give one period, or take kf."
         )
     period = periods.pop()
     times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(setting.delay)}
@@ -78,7 +78,7 @@ def _whole_samples(setting: Setting, where: str) -> int:
             low = ticks // period * period * dt
             raise UserError(
                 f"{where}: got {what.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
-                f"samples; write {low:g} or {low + period * dt:g}, or take dkf."
+                f"samples; write {low:g} or {low + period * dt:g}, or take kf."
             )
     return period
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, said
-from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.certificate import Certificate, require_certified
 
 SOLVERS = ("CLARABEL", "SCS")
 SETTINGS = {
@@ -85,4 +85,4 @@ def proven(
     if not answers and failure:
         raise failure
     best = max(answers, key=lambda each: -np.inf if np.isnan(each[1].margin) else each[1].margin)
-    return best[0], certified(best[1], where, least)
+    return best[0], require_certified(best[1], where, least)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
 def near(size: Matrix) -> Matrix:
@@ -11,7 +11,7 @@ def near(size: Matrix) -> Matrix:
     return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
 
 
-def prior_size(setting: Setting) -> Matrix:
+def prior_size(setting: DesignContext) -> Matrix:
     """Return the size of x(0) [n], 1 where it is known."""
     size = np.sqrt(np.diag(setting.P0))
     return np.where(size > 0, size, 1.0)

@@ -22,7 +22,7 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import product, rank, shown, unobservable
 from pcbench.errors import UserError
-from pcbench.synthesis.certificate import SHORT, Certificate, certified
+from pcbench.synthesis.certificate import SHORT, Certificate, require_certified
 
 TIE = 1e-9  # lengths this close are equal, and entries this small are zero
 
@@ -107,7 +107,7 @@ def proven_rate(closed: Matrix, P: Matrix) -> float:
 def require_rate(certificate: Certificate, rate: float, where: str) -> Certificate:
     """Return the certificate with the rate that was asked for; raise DesignError where less is proven."""
     numbers = dict(certificate.numbers) | {"rate_asked": rate}
-    return certified(certificate._replace(numbers=numbers), where, enough(rate))
+    return require_certified(certificate._replace(numbers=numbers), where, enough(rate))
 
 
 def enough(rate: float) -> float:

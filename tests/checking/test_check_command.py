@@ -91,7 +91,7 @@ def test_a_module_that_cannot_be_used_is_one_sentence(folder, name):
 BAD_WORDS = {
     "no colon": (["mine.py"], "expected MODULE:NAME such as mine.py:nudge, or a study file"),
     "no file": (["mime.py:nudge"], "did you mean 'mine.py'?"),
-    "no module": (["pcbench.observers.dfk:OBSERVER"], "did you mean 'pcbench.observers.dkf'?"),
+    "no module": (["pcbench.observers.dfk:OBSERVER"], "did you mean 'pcbench.observers.kf'?"),
     "no scenario": (["mine:nudge", "--scenario", "cart/whit"], "did you mean 'cart/white'?"),
     "no value": (["mine:nudge", "--set", "share"], "expected KEY=VALUE"),
 }

@@ -54,7 +54,7 @@ LAW = pcbench.Controller(lambda params, tick: jnp.zeros(1), lambda params, tick,
 
 
 def own(make=prepare, check=own_controllers.anything, **functions):
-    entry = pcbench.ControllerEntry(LAW._replace(**functions), Options, make, "yours", check)
+    entry = pcbench.ControllerSpec(LAW._replace(**functions), Options, make, "yours", check)
     return Own(own_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
 
 

@@ -34,7 +34,7 @@ def field(p, now, x):
 def swing(**changes):
     given = {"field": field, "output": lambda p, now, x: jnp.sin(x[:1]), "states": ["angle [rad]", "rate [rad/s]"],
              "numbers": Numbers(), "operating_point": ([0.0, 0.0], [0.0])}  # fmt: skip
-    return pcbench.plant(**given | changes)
+    return pcbench.make_plant(**given | changes)
 
 
 def alone(entry):
@@ -48,7 +48,7 @@ def asked(check, entry):
 
 
 def of(**functions):
-    """A plant with functions of its own, as they are: `pcbench.plant` has not seen them."""
+    """A plant with functions of its own, as they are: `pcbench.make_plant` has not seen them."""
     entry = swing()
     return entry._replace(plant=entry.plant._replace(**functions))
 
@@ -122,7 +122,7 @@ BROKEN = {
         ),
     ],
     "tick": [(lambda: swing(field=stiff), "got a tick of 0.001 s that is off by .* of a state, 10000 times.*write dt = ")],
-    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick [12], where open-loop knows")],
+    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick [12], where model-only knows")],
 }  # fmt: skip
 BROKEN = [(check, make, sentence) for check, cases in BROKEN.items() for make, sentence in cases]
 
@@ -201,7 +201,7 @@ def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_wi
         CHECKS["tick"](trial)
     advised = float(str(said.value).split("write dt = ")[1].split(",")[0])
     assert advised in finer(1e-3)
-    scenario = trial.scenario._replace(dt=advised, horizon=10.0)
+    scenario = trial.scenario._replace(dt=advised, duration=10.0)
     assert "is off by" in CHECKS["tick"](trial._replace(scenario=scenario))
 
 

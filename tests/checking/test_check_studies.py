@@ -12,20 +12,20 @@ from pcbench.checking import study as of_studies
 from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError
-from pcbench.observers import Entry
+from pcbench.observers import ObserverSpec
 from pcbench.study import read
 
-SHORT = {"horizon": 0.4, "tail": 0.1}
+SHORT = {"duration": 0.4, "steady_start": 0.1}
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
-ENTRY = Entry(mine.nudge, mine.Options, mine.design, True, "a share of a late innovation", "one clock")
+ENTRY = ObserverSpec(mine.nudge, mine.Options, mine.design, True, "a share of a late innovation", "one clock")
 SLIP = mine.nudge._replace(flow=lambda gains, memory, now: gains.Phi @ memory + gains.Gamma @ now.past_u(1))
-FREE = {"name": "t", "observers": ["dkf", "open-loop"], "lti": {
+FREE = {"name": "t", "observers": ["kf", "model-only"], "lti": {
     "A": [[0.0, 1.0], [-2.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "sampling_period": 0.05,
-    "delay": 0.05, "noise_std": 0.01, "tick": 0.01, "horizon": 0.4, "tail": 0.1,
+    "delay": 0.05, "noise_std": 0.01, "tick": 0.01, "duration": 0.4, "steady_start": 0.1,
 }}  # fmt: skip
 
 
-def free(observers=("dkf", "open-loop"), **lti):
+def free(observers=("kf", "model-only"), **lti):
     return FREE | {"observers": list(observers), "lti": FREE["lti"] | lti}
 
 
@@ -37,21 +37,21 @@ def test_a_sound_study_passes_every_check():
     found = of_studies.findings(study(LQR, **SHORT))
     assert [f.check for f in found] == ["reads", *of_studies.CHECKS]
     assert {f.verdict for f in found} == {"passes"}, found
-    assert found[0].why == "lti: 1 cell; dkf"
-    assert found[3].why == "no error in lti: dkf"
+    assert found[0].why == "lti: 1 cell; kf"
+    assert found[3].why == "no error in lti: kf"
 
 
 def test_a_study_that_cannot_be_read_says_where_and_nothing_more():
     first, *others = of_studies.findings(free(observers=["dkff"]))
     assert (first.check, first.verdict) == ("reads", "fails")
-    assert "did you mean 'dkf'?" in first.why
+    assert "did you mean 'kf'?" in first.why
     assert {f.verdict for f in others} == {"skipped"}
 
 
 def test_a_refusal_of_gains_is_named_with_its_cell():
-    raw = free(["dkf"], C=[[0.0, 1.0]], A=[[0.0, 1.0], [0.0, -0.5]]) | {"axes": {"noise_std": [0.01, 0.02]}}
+    raw = free(["kf"], C=[[0.0, 1.0]], A=[[0.0, 1.0], [0.0, -0.5]]) | {"axes": {"noise_std": [0.01, 0.02]}}
     with pytest.raises(
-        UserError, match=r"got a refusal of dkf in lti: '.* mode 0 is undetectable .*', expected gains in every"
+        UserError, match=r"got a refusal of kf in lti: '.* mode 0 is undetectable .*', expected gains in every"
     ):
         asked("gains", raw)
     assert (
@@ -70,14 +70,14 @@ def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
     text = Path(mine.__file__).read_text().replace("now.u,\n", "now.past_u(1),\n")
     (tmp_path / "slipped.py").write_text(text)
     with pytest.raises(UserError, match=r"got, from nudge in lti, an error of .* at tick [12], expected none"):
-        asked("perfect start", free(["slipped.py:nudge", "dkf"]))
+        asked("perfect start", free(["slipped.py:nudge", "kf"]))
 
 
 def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(folder):
-    with pytest.raises(Noted, match=r"the error leaves the bound of open-loop in lti \(3 of 3 runs\)"):
-        asked("runs", free(["open-loop"], bound=0.5))
-    timing = {"dt": 0.001, "sampling_period": 0.01, "delay": 0.0, "noise_std": 0.1, "horizon": 0.1}
-    table = {"plant": "four.py:burst", "x0": [1.0], "observers": ["open-loop"], "input": "zero"} | timing
+    with pytest.raises(Noted, match=r"the error leaves the bound of model-only in lti \(3 of 3 runs\)"):
+        asked("runs", free(["model-only"], divergence_threshold=0.5))
+    timing = {"dt": 0.001, "sampling_period": 0.01, "delay": 0.0, "noise_std": 0.1, "duration": 0.1}
+    table = {"plant": "four.py:burst", "x0": [1.0], "observers": ["model-only"], "input": "zero"} | timing
     with pytest.raises(UserError, match=r"got a plant of t that is not finite after 0\.01\d* s"):
         asked("runs", {"name": "t", "scenario": table})
 
@@ -93,8 +93,10 @@ def test_an_observer_that_slips_in_a_loop_has_an_error_or_says_so_and_stays_with
         in_lqr(slipped)
     modest = slipped._replace(knows_schedule=False)
     assert in_lqr(modest) == "its error in lti under lqr stays within the bound"
-    with pytest.raises(UserError, match=r"an error beyond the scenario's bound at tick 1, expected one that stays"):
-        in_lqr(modest, bound=1e-9)
+    with pytest.raises(
+        UserError, match=r"an error beyond the scenario's divergence threshold at tick 1, expected one that stays"
+    ):
+        in_lqr(modest, divergence_threshold=1e-9)
 
 
 @pytest.mark.nightly
@@ -107,12 +109,12 @@ import jax.numpy as jnp
 import pcbench
 from pcbench.controllers import CONTROLLERS, lqr, state_feedback
 from pcbench.observers import OBSERVERS
-watch = OBSERVERS["open-loop"]
+watch = OBSERVERS["model-only"]
 law = state_feedback.PLAIN
 prepare = lambda options, told: ()
 common = {"output": lambda p, now, x: x, "states": ["x"], "operating_point": ([0.0], [0.0])}
-fall = pcbench.plant(field=lambda p, now, x: now.u - x, **common)
-burst = pcbench.plant(field=lambda p, now, x: now.u + 100 * x**2, **common)
+fall = pcbench.make_plant(field=lambda p, now, x: now.u - x, **common)
+burst = pcbench.make_plant(field=lambda p, now, x: now.u + 100 * x**2, **common)
 late = {"base": "cart/white", "delay": 0.4}
 number = 3
 """
@@ -163,7 +165,7 @@ def test_each_kind_is_asked_what_it_should_be(folder):
     """A plant with a scenario of its own, a scenario as data, an observer in a loop that a file says."""
     (folder / "fall.toml").write_text(
         '[scenario]\nplant = "four.py:fall"\nx0 = [1.0]\ndt = 0.01\nsampling_period = 0.05\ndelay = 0.05\nnoise_std = 0.01\n'
-        'observers = ["dkf"]\n[controller]\nuse = "lqr"\nQ1 = 1.0\nQ2 = 1.0\n'
+        'observers = ["kf"]\n[controller]\nuse = "lqr"\nQ1 = 1.0\nQ2 = 1.0\n'
     )
     found = checking.check("four.py:fall", "fall.toml")
     assert (found.kind, found.label, found.scenario) == ("plant", "fall", "fall")
@@ -178,8 +180,8 @@ def test_each_kind_is_asked_what_it_should_be(folder):
 
 def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(monkeypatch):
     monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
-    with pytest.raises(Noted, match=r"an error remains of dkf in lti \(.* of the largest state\).*take a shorter tick"):
-        asked("perfect start", free(["dkf"]))
+    with pytest.raises(Noted, match=r"an error remains of kf in lti \(.* of the largest state\).*take a shorter tick"):
+        asked("perfect start", free(["kf"]))
 
 
 STIFF = """
@@ -190,7 +192,7 @@ class Numbers(NamedTuple):
     k: float = 2000.0
 def field(n, now, x):
     return jnp.stack([x[1], n.k * (1 - x[0] ** 2) * x[1] - x[0] + now.u[0]])
-stiff = pcbench.plant(
+stiff = pcbench.make_plant(
     field=field,
     output=lambda n, now, x: x[:1],
     states=["a [m]", "b [m/s]"],
@@ -205,6 +207,6 @@ def test_a_plant_that_is_not_finite_is_not_blamed_on_observers(tmp_path, monkeyp
     (tmp_path / "stiff.py").write_text(STIFF)
     monkeypatch.chdir(tmp_path)
     scenario = {"plant": "stiff.py:stiff", "x0": [2.0, 3.0], "dt": 1e-3, "sampling_period": 0.1, "delay": 0.1}
-    scenario |= {"noise_std": 0.1, "horizon": 2.0}
+    scenario |= {"noise_std": 0.1, "duration": 2.0}
     with pytest.raises(Skipped, match="the state of st is not finite without noise"):
         asked("perfect start", {"name": "st", "observers": ["ekf", "ukf"], "scenario": scenario})

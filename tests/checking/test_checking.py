@@ -15,13 +15,13 @@ from pcbench.checking.observer import CHECKS, findings
 from pcbench.checking.replay import none, replay
 from pcbench.checking.trial import trial
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis.certificate import Design
 
 WHERE = {"smo": "arm/sampled", "pio": "arm/sampled", "high-gain": "helicopter/constant"}  # what they are made for
-QUICK = ("open-loop", "kfbo", "no-delay")
-ENTRY = Entry(own.nudge, own.Options, own.design, True, "a share of a late innovation", "one clock")
+QUICK = ("model-only", "kfbo", "no-delay")
+ENTRY = ObserverSpec(own.nudge, own.Options, own.design, True, "a share of a late innovation", "one clock")
 SEEN, SHARE, TIMES, COUNT = [], [0.1], [np.array([1])], itertools.count()
 
 
@@ -46,7 +46,7 @@ def test_every_built_in_observer_passes(name):
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "scenario"),
-    [("ekf", "helicopter/constant"), ("dkf", "csth/10s-noise"), ("chain", "csth/10s-noise"), ("dkf", "arm/sampled")],
+    [("ekf", "helicopter/constant"), ("kf", "csth/10s-noise"), ("chain", "csth/10s-noise"), ("kf", "arm/sampled")],
 )
 def test_they_pass_on_other_plants_too(name, scenario):
     assert not failing(verdicts(OBSERVERS[name], scenario))
@@ -60,8 +60,8 @@ def test_an_observer_of_ones_own_passes_every_check():
 
 
 def narrow(gains, memory, now, arrival):
-    late = (arrival.value - arrival.note).astype(jnp.float32).astype(float)
-    return memory + gains.L @ jnp.where(arrival.fresh, late, 0.0)
+    late = (arrival.value - arrival.snapshot).astype(jnp.float32).astype(float)
+    return memory + gains.L @ jnp.where(arrival.mask, late, 0.0)
 
 
 def kept(gains, memory, now, arrival):
@@ -74,7 +74,7 @@ def counted(gains, memory, now):
 
 
 def by_global(gains, memory, now, arrival):
-    return memory + SHARE[0] * gains.C.T @ jnp.where(arrival.fresh, arrival.value - arrival.note, 0.0)
+    return memory + SHARE[0] * gains.C.T @ jnp.where(arrival.mask, arrival.value - arrival.snapshot, 0.0)
 
 
 def sets_global(setting, options):
@@ -83,7 +83,7 @@ def sets_global(setting, options):
 
 
 def by_global_table(gains, memory, now, arrival):
-    late = jnp.where(arrival.fresh, arrival.value - arrival.note, 0.0)
+    late = jnp.where(arrival.mask, arrival.value - arrival.snapshot, 0.0)
     return memory + gains.L @ (jnp.asarray(TIMES[0]) * late)
 
 
@@ -109,7 +109,7 @@ def knows_the_present(gains, memory, now, arrival):
 
 BEFORE = {  # the estimate is kept as it was before the jump
     "init": lambda gains, xhat0: (xhat0, xhat0),
-    "note": lambda gains, memory, now: gains.C @ memory[0],
+    "snapshot": lambda gains, memory, now: gains.C @ memory[0],
     "jump": lambda gains, memory, now, arrival: (own.corrected(gains, memory[0], arrival), memory[1]),
     "flow": lambda gains, memory, now: (gains.Phi @ memory[0] + gains.Gamma @ now.u,) * 2,
     "estimate": lambda gains, memory: memory[1],
@@ -138,7 +138,7 @@ BROKEN = {
     "the input of the present": ("delay 0", {"jump": knows_the_present}, "estimate of tick 200 that depends on the input"),
     "channels that are not fresh": (
         "no peeking",
-        {"jump": lambda gains, memory, now, arrival: memory + gains.L @ (arrival.value - arrival.note)},
+        {"jump": lambda gains, memory, now, arrival: memory + gains.L @ (arrival.value - arrival.snapshot)},
         "value of channel 1 where fresh is False",
     ),
     "before the jump": ("after the jump", BEFORE, "an arrival of tick .* at tick"),
@@ -178,7 +178,7 @@ def test_a_memory_changed_in_place_is_no_pure_function():
 
     changes = {
         "init": lambda gains, xhat0: {"x": xhat0},
-        "note": lambda gains, memory, now: gains.C @ memory["x"],
+        "snapshot": lambda gains, memory, now: gains.C @ memory["x"],
         "jump": jump,
         "flow": lambda gains, memory, now: {"x": gains.Phi @ memory["x"] + gains.Gamma @ now.u},
         "estimate": lambda gains, memory: memory["x"],

@@ -43,10 +43,10 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
         ("enthalpy", "J", 1000.0, 2e10),
         ("jacket_temperature", "degC", 0.25, 5e6),
     ]
-    assert (said["tick"], said["horizon"], said["tail"]) == (
+    assert (said["tick"], said["duration"], said["steady_start"]) == (
         10.0,
-        SCENARIOS["csth/10s"].horizon,
-        SCENARIOS["csth/10s"].scoring.tail,
+        SCENARIOS["csth/10s"].duration,
+        SCENARIOS["csth/10s"].scoring.steady_start,
     )
     assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
     assert catalogue.scenario("cart/white")["axes"][-4:] == [
@@ -58,10 +58,10 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
 
 
 def test_observers_say_what_they_know_and_take():
-    kfbo, dkf = catalogue.observer("kfbo"), catalogue.observer("dkf")
+    kfbo, kf = catalogue.observer("kfbo"), catalogue.observer("kf")
     assert (kfbo["knows_schedule"], kfbo["samples"]) == (False, "of one constant age")
-    assert (dkf["knows_schedule"], dkf["samples"]) == (True, "of any age, in any order, from clocks of their own")
-    assert catalogue.observer("open-loop")["options"] == {}
+    assert (kf["knows_schedule"], kf["samples"]) == (True, "of any age, in any order, from clocks of their own")
+    assert catalogue.observer("model-only")["options"] == {}
 
 
 @pytest.mark.parametrize(

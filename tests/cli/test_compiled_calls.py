@@ -59,7 +59,7 @@ def hidden(here):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_long_call_after_other_observers_are_written(here):
-    words = ["run", "cart/white", "--observers", "long.py:nudge,dkf", "--seeds", "8", "--out", "out"]
+    words = ["run", "cart/white", "--observers", "long.py:nudge,kf", "--seeds", "8", "--out", "out"]
     said, took = stopped(words, here, lambda said: blocks(here) and "takes about" in said)
     announced, last = said.splitlines()
     found = re.fullmatch(
@@ -71,15 +71,15 @@ def test_ctrl_c_ends_a_long_call_after_other_observers_are_written(here):
     assert took < 4, "one second of grace, on a machine under load"
     (block,) = blocks(here)
     assert len(pd.read_parquet(block)) == 8 * 2
-    assert "observer=dkf" in str(block)
+    assert "observer=kf" in str(block)
     assert not hidden(here)
     shares = {share.observer: share.seeds for share in verify.status(here / "out").shares}
-    assert shares == {"dkf": 8, "nudge": 0}
+    assert shares == {"kf": 8, "nudge": 0}
 
 
 @pytest.mark.slow
 def test_sigterm_ends_a_compiled_call_of_the_main_thread(here):
-    words = ["trace", "cart/white", "--observer", "long.py:nudge", "--out", "trace.csv"]
+    words = ["simulate", "cart/white", "--observer", "long.py:nudge", "--out", "trace.csv"]
     (here / "long.py").write_text((here / "long.py").read_text().replace(str(STEPS), "10**9") + MARK)
     said, took = stopped(words, here, lambda said: (here / "begun").exists(), signal.SIGTERM)
     assert said == LAST + "\n"

@@ -49,8 +49,8 @@ STUDY = {
         "name": "s/../../x",
         "summary": UNPRINTABLE,
         "source": f"[/b] </pre><script>alert(2)</script> {UNPRINTABLE}",
-        "horizon": 2.0,
-        "tail": 1.0,
+        "duration": 2.0,
+        "steady_start": 1.0,
         "options": {'kfbo-"]': {"R": 0.3}},
     },
 }
@@ -172,7 +172,7 @@ def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch
         "show --toml": ["show", "study.toml", "--toml"],
         "show --json": ["show", "study.toml", "--json"],
         "run": ["run", "study.toml", "--out", "a"],
-        "run again": ["run", "study.toml", "--out", "b", "--set", "root_seed=1", "--costs"],
+        "run again": ["run", "study.toml", "--out", "b", "--set", "root_seed=1", "--operations"],
         "status": ["status", "a"],
         "status --json": ["status", "a", "--json"],
         "verify": ["verify", "a", "--sample", "1"],
@@ -184,7 +184,7 @@ def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch
         "tables --csv": ["tables", "a", "--csv"],
         "cite": ["cite", "a"],
         "cite study": ["cite", "study.toml"],
-        "trace": ["trace", "one.toml", "--observer", LABELS[0], "--out", "t.csv"],
+        "trace": ["simulate", "one.toml", "--observer", LABELS[0], "--out", "t.csv"],
         "design": ["design", "one.toml", LABELS[0]],
         "export": ["export", "one.toml", LABELS[7], "--out", "c"],
         "check": ["check", "one.toml"],
@@ -218,9 +218,9 @@ def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch
 
 
 RECORDED = {
-    "name": "recorded", "observers": ["dkf"],
+    "name": "recorded", "observers": ["kf"],
     "lti": {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "tick": 0.05, "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1,
-            "x0": [0.0], "prior_std": [1.0], "horizon": 5.0, "input": "zero"},
+            "x0": [0.0], "prior_std": [1.0], "duration": 5.0, "input": "zero"},
 }  # fmt: skip
 
 
@@ -232,7 +232,7 @@ def test_text_of_a_recording_is_text(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "400")
     (tmp_path / "study.toml").write_text(tomli_w.dumps(RECORDED))
-    replay = ["replay", "--plant", "study.toml", "--observers", "dkf"]
+    replay = ["replay", "--plant", "study.toml", "--observers", "kf"]
     (tmp_path / "log").mkdir()
     t = np.arange(40) * 0.1
     channel = pa.table({"channel": [name] * 40, "sampled": t, "arrived": t + 0.1, "value": np.sin(t)})
@@ -242,11 +242,11 @@ def test_text_of_a_recording_is_text(name, tmp_path, capsys, monkeypatch):
         mapping = {"log": file, "channels": {name: {"field": field, "unit": "m", "delay": 0.1}}}
         (tmp_path / "mapping.toml").write_text(tomli_w.dumps(mapping), encoding="utf-8")
         (tmp_path / "flight.csv").write_text("t,x\n0,0\n0.1,1\n")
-        for words in (["log", "mapping.toml"], [*replay, "mapping.toml", "--out", "none"]):
+        for words in (["info", "mapping.toml"], [*replay, "mapping.toml", "--out", "none"]):
             with pytest.raises(UserError) as refused:
                 app(words, standalone_mode=False)
             assert is_plain(str(refused.value)), words
-    for words in (["log", "log", "--out", "d.svg"], [*replay, "log", "--out", "r"]):
+    for words in (["info", "log", "--out", "d.svg"], [*replay, "log", "--out", "r"]):
         app(words, standalone_mode=False)
         assert all(map(is_plain, capsys.readouterr())), words
     for file in (tmp_path / "d.svg", tmp_path / "r" / "replay.json"):
@@ -268,7 +268,7 @@ def test_text_of_a_plant_of_ones_own_is_refused_or_text(name, capsys):
     """Of what stands here only a path is a unit, of an odd kind: it has no other letters than m/s."""
     for state in (name, f"{name} [m]", *([] if name.endswith("evil") else [f"x [{name}]"])):
         with pytest.raises(UserError) as refused:
-            pcbench.plant(step=lambda p, now, x: x, output=lambda p, now, x: x[:1], states=[state], numbers=Numbers(),
+            pcbench.make_plant(step=lambda p, now, x: x, output=lambda p, now, x: x[:1], states=[state], numbers=Numbers(),
                           operating_point=([0.0], [0.0]), tick=0.1)  # fmt: skip
         assert is_plain(str(refused.value))
 

@@ -40,11 +40,11 @@ def here(tmp_path):
 
 
 def test_log_says_what_is_in_a_log_and_draws_it(here):
-    done = call("log", "flight", "--out", "late.svg", cwd=here)
+    done = call("info", "flight", "--out", "late.svg", cwd=here)
     assert done.returncode == 0, done.stderr
     assert "y1: 1 gap of more than five intervals, the longest 1.05 s before row 21." in done.stdout
     assert (here / "late.svg").read_text().count("<svg") == 1
-    (row,) = json.loads(call("log", "flight", "--json", cwd=here).stdout)["channels"]
+    (row,) = json.loads(call("info", "flight", "--json", cwd=here).stdout)["channels"]
     assert (row["samples"], row["gaps"], row["drift_ppm"]) == (40, 1, pytest.approx(0, abs=1e-3))
 
 
@@ -53,15 +53,15 @@ def test_a_drift_stands_with_its_interval(tmp_path):
     columns = plain()
     late = 0.1 + 0.02 * np.random.default_rng(4).random(40).round(0)
     rows(tmp_path / "flight", columns | {"arrived": columns["sampled"] + late})
-    done = call("log", "flight", cwd=tmp_path)
-    (row,) = json.loads(call("log", "flight", "--json", cwd=tmp_path).stdout)["channels"]
+    done = call("info", "flight", cwd=tmp_path)
+    (row,) = json.loads(call("info", "flight", "--json", cwd=tmp_path).stdout)["channels"]
     value, half = re.search(r"y1: drift (-?\d+) ± (\d+) ppm", done.stdout).groups()
     assert float(value) == pytest.approx(row["drift_ppm"], abs=0.1 * float(half))
     assert float(half) == pytest.approx(1.96 * row["drift_ppm_se"], rel=0.05)
 
 
 def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
-    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf", "--out", "out"]
+    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "kf", "--out", "out"]
     done = call(*words, "--json", cwd=here)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
@@ -75,10 +75,10 @@ def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
 @pytest.mark.parametrize(
     "words",
     [
-        ["log", "flight", "--out", "flight/measurements.csv/late.svg"],
-        ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf", "--out", "motor.toml"],
-        ["trace", "motor.toml", "--observer", "dkf", "--out", "run.csv", "--log", "motor.toml"],
-        ["export", "motor.toml", "dkf", "--out", "motor.toml"],
+        ["info", "flight", "--out", "flight/measurements.csv/late.svg"],
+        ["replay", "flight", "--plant", "motor.toml", "--observers", "kf", "--out", "motor.toml"],
+        ["simulate", "motor.toml", "--observer", "kf", "--out", "run.csv", "--log", "motor.toml"],
+        ["export", "motor.toml", "kf", "--out", "motor.toml"],
     ],
     ids=" ".join,
 )
@@ -96,7 +96,7 @@ def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, mon
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "shut")  # root may write everywhere
     (here / "shut").mkdir()
     with pytest.raises(pcbench.UserError, match=r"^--out .*: got .*, expected a folder .*; give another\.$"):
-        exporting.export("motor.toml", "dkf", place)
+        exporting.export("motor.toml", "kf", place)
     assert not list((here / "shut").iterdir())
 
 
@@ -177,22 +177,22 @@ def test_signal_during_replay_leaves_no_file(tmp_path, number):
         plain() | {"channel": ["y1"] * many, "sampled": t, "arrived": t, "value": t},
         kind="parquet",
     )
-    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf,ukf", "--out", "out"]
+    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "kf,ukf", "--out", "out"]
     assert interrupted(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists, number) == set()
 
 
 @pytest.mark.nightly
 def test_ctrl_c_in_an_export_leaves_all_of_its_files_or_none(tmp_path):
-    whole = {"dkf.c", "dkf.h", "dkf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
+    whole = {"kf.c", "kf.h", "kf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
     for wait in (1.5, 2.5, 3.5, 4.5):
         until = time.monotonic() + wait
-        left = interrupted(["export", "cart/white", "dkf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
+        left = interrupted(["export", "cart/white", "kf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
         assert left in (None, set(), whole)
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
 
 def test_the_picture_has_every_arrival_and_all_shares(here):
-    figure = plots.delays(pcbench.log(here / "flight"))
+    figure = plots.delays(pcbench.info(here / "flight"))
     points, shares = figure.axes[0].collections[0].get_offsets(), figure.axes[1].patches[0].get_data().values
     assert len(points) == 40
     np.testing.assert_allclose(points[:, 1], 0.1, atol=1e-9)

@@ -45,7 +45,7 @@ def test_a_plant_passes_every_check_and_its_study_is_read(here, capsys):
     assert found.findings[0].why.endswith("axes: plant.length, plant.friction, plant.gravity, plant.strength")
     grid = read.grid_of("heavy_swing.toml", {}, [])
     assert [cell.parameters for cell in grid.cells] == [{"length": 0.5}, {"length": 0.55}]
-    assert list(grid.cells[0].options) == ["ekf", "dkf", "open-loop"]
+    assert list(grid.cells[0].options) == ["ekf", "kf", "model-only"]
 
 
 def test_a_controller_passes_every_check_and_closes_a_loop(here, capsys):
@@ -74,9 +74,9 @@ def test_the_commands_that_are_printed_work_as_they_stand(here, kind):
 def test_the_plants_study_is_worth_running(here):
     """`ekf` beats the linear filter, both beat the model alone, and it finds the friction, of which it knew half a value."""
     creating.new("plant", "swing")
-    stats = pcbench.run("swing.toml", seeds=16).stats.query("metric == 'tail_rmse' and `plant.length` == 0.5")
+    stats = pcbench.run("swing.toml", seeds=16).stats.query("metric == 'steady_rmse' and `plant.length` == 0.5")
     angle = stats[stats.signal == "angle"].set_index("observer")["mean"]
-    assert angle["ekf"] < angle["dkf"] < angle["open-loop"]
+    assert angle["ekf"] < angle["kf"] < angle["model-only"]
     assert stats.query("signal == 'friction'")["mean"].item() < 0.1
 
 
@@ -94,9 +94,9 @@ def test_an_observer_of_ones_own_passes_on_a_plant_of_ones_own_in_a_loop(here):
 
 def test_an_observer_runs_beside_others(here):
     creating.new("observer", "mine")
-    stats = pcbench.run("cart/slow", observers=["mine.py:mine", "open-loop"], seeds=8).stats
-    error = stats[(stats.metric == "tail_rmse") & (stats.signal == "position")].set_index("observer")["mean"]
-    assert 0 < error["mine"] < error["open-loop"]
+    stats = pcbench.run("cart/slow", observers=["mine.py:mine", "model-only"], seeds=8).stats
+    error = stats[(stats.metric == "steady_rmse") & (stats.signal == "position")].set_index("observer")["mean"]
+    assert 0 < error["mine"] < error["model-only"]
 
 
 def test_a_scenario_is_the_published_one_to_start_from(here):

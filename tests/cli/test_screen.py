@@ -30,7 +30,7 @@ OWN = Path(__file__).parents[1] / "support" / "own_observer.py"
 MANY = {
     "name": "many",
     "scenarios": ["cart/slow"],
-    "observers": ["pccebo", "kfbo", "dkf", "open-loop"],
+    "observers": ["pccebo", "kfbo", "kf", "model-only"],
     "seeds": 5,
     "axes": {"noise_std": [0.1, 0.5], "delay": [0.2, 0.6], "assumed_delay_error": [0.0, 0.05]},
 }
@@ -41,7 +41,7 @@ def many():
     return pcbench.run(MANY)
 
 
-def shown(result, width=80, metric="tail_rmse", signals=None):
+def shown(result, width=80, metric="steady_rmse", signals=None):
     console = Screen(file=io.StringIO(), width=width)
     results.closing(result, console, metric, signals)
     return console.file.getvalue()
@@ -56,7 +56,7 @@ def test_no_number_is_cut_at_any_width(many, width):
     text = shown(many, width)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
-    rows = many.stats[(many.stats.metric == "tail_rmse") & (many.stats.signal == "position")]
+    rows = many.stats[(many.stats.metric == "steady_rmse") & (many.stats.signal == "position")]
     flat = " ".join(text.split())
     assert len(rows) == 32
     for row in rows.to_dict("records"):
@@ -70,14 +70,14 @@ def test_no_number_is_cut_at_any_width(many, width):
 
 def test_an_axis_column_stands_where_there_is_room(many):
     text = shown(many, 200)
-    assert re.search(r"delay +noise_std +assumed_delay_error +observer +tail_rmse +less the best", text)
+    assert re.search(r"delay +noise_std +assumed_delay_error +observer +steady_rmse +less the best", text)
     assert "Left out" not in text
 
 
-@pytest.mark.parametrize("metric", ["tail_rmse", "mae", "rmse", "settling_time", "tail_mse", "peak"])
+@pytest.mark.parametrize("metric", ["steady_rmse", "mae", "rmse", "settling_time", "steady_mse", "max_abs_error"])
 def test_a_head_is_the_name_of_one_metric(whole, metric):
     """The column that ranks bears the metric's name, and no other column does."""
-    result = pcbench.opened(whole)
+    result = pcbench.open_result(whole)
     text = shown(result, 160, metric)
     head = next(line for line in text.splitlines() if "observer" in line and metric in line)
     words = [w for w in re.split(r"  +", head.strip()) if w]
@@ -91,7 +91,7 @@ def test_a_head_is_the_name_of_one_metric(whole, metric):
         f"{metric} [s]",
         f"{metric} [(m)^2]",
         "less the best",
-        "efficiency",
+        "rms_efficiency",
         "settling_time [s]",
         "rmse",
     }
@@ -101,8 +101,8 @@ def test_a_head_is_the_name_of_one_metric(whole, metric):
 
 
 def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whole):
-    result = pcbench.opened(whole)
-    for metric in ("tail_rmse", "peak"):
+    result = pcbench.open_result(whole)
+    for metric in ("steady_rmse", "max_abs_error"):
         mine = result.stats[
             (result.stats.metric == metric) & (result.stats.signal == "position") & (result.stats.cell == 1)
         ]
@@ -119,7 +119,7 @@ def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whol
 
 
 def test_signals_can_be_chosen(whole):
-    result = pcbench.opened(whole)
+    result = pcbench.open_result(whole)
     assert shown(result).count("error of ") == 1
     assert shown(result, signals=[]).count("error of ") == 2
     assert "error of velocity [m/s]" in shown(result, signals=["velocity"])
@@ -129,20 +129,23 @@ def test_signals_can_be_chosen(whole):
 @pytest.mark.nightly  # what it prints is tested above, and what it refuses in test_cli
 def test_the_command_takes_signals_and_a_metric(tmp_path):
     """And another name is one sentence, before anything runs."""
-    words = ["run", "cart/slow", "--seeds", "3", "--observers", "dkf,open-loop", "--out", tmp_path / "out"]
-    done = call(*words, "--signal", "all", "--metric", "peak")
+    words = ["run", "cart/slow", "--seeds", "3", "--observers", "kf,model-only", "--out", tmp_path / "out"]
+    done = call(*words, "--signal", "all", "--metric", "max_abs_error")
     assert done.returncode == 0, done.stderr
     assert "error of velocity [m/s], 3 seeds" in done.stdout
-    assert re.search(r"observer +peak +less the best", done.stdout)
+    assert re.search(r"observer +max_abs_error +less the best", done.stdout)
     assert done.stdout.rstrip().endswith(f"Now look at it: pcbench report {tmp_path / 'out'}")
     done = call("run", "cart/slow", "--signal", "speed", "--out", tmp_path / "no")
     assert done.returncode == 2
     assert "--signal: 'speed' is no signal of cart/slow; valid: position, velocity." in done.stderr
     assert not (tmp_path / "no").exists()
     page = tmp_path / "page.html"
-    assert call("report", tmp_path / "out", "--signal", "velocity", "--metric", "peak", "--out", page).returncode == 0
+    assert (
+        call("report", tmp_path / "out", "--signal", "velocity", "--metric", "max_abs_error", "--out", page).returncode
+        == 0
+    )
     text = page.read_text()
-    assert "peak [m/s]" in text
+    assert "max_abs_error [m/s]" in text
     assert "Error of velocity [m/s]" in text
     assert "Error of position" not in text
     assert "of position" not in text
@@ -153,8 +156,8 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
 def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 8)
     text = shown(many)
-    assert "least tail_rmse of position, over 8 cells" in text
-    assert "median tail_rmse [m]" in text
+    assert "least steady_rmse of position, over 8 cells" in text
+    assert "median steady_rmse [m]" in text
     assert "less the best" not in text, "a footnote of columns that are not there"
     order = [line.split()[0] for line in text.splitlines() if line.split()[:1] and line.split()[0] in MANY["observers"]]
     won = {
@@ -162,7 +165,7 @@ def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
         for line in text.splitlines()
         if line.split()[:1] and line.split()[0] in order
     }
-    stats = many.stats[(many.stats.metric == "tail_rmse") & (many.stats.signal == "position")]
+    stats = many.stats[(many.stats.metric == "steady_rmse") & (many.stats.signal == "position")]
     medians = stats.groupby("observer")["mean"].median()
     assert order == sorted(order, key=lambda o: (-won[o], medians[o])), "ties by the median, not by the alphabet"
 
@@ -293,14 +296,14 @@ def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypat
     proof = 'Certificate("none: for tests", 1.0, "none", "none")'
     text = OWN.read_text()
     assert proof in text
-    (tmp_path / "mine.py").write_text(text.replace(proof, 'pcbench.uncertified("by hand")'))
+    (tmp_path / "mine.py").write_text(text.replace(proof, 'pcbench.no_certificate("by hand")'))
     monkeypatch.chdir(tmp_path)
     result = pcbench.run("cart/slow", observers=["mine.py:nudge", "kfbo"], seeds=4)
     screen = Screen(record=True, width=100)
-    results.closing(result, screen, "tail_rmse")
+    results.closing(result, screen, "steady_rmse")
     sentence = "Nothing proves the gains of nudge (by hand)."
     assert sentence in screen.export_text()
-    (table,) = headline.headlines(result, "cart/slow", "position", "tail_rmse")
+    (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse")
     assert table.note.endswith(sentence), "and so says the report"
 
 
@@ -312,8 +315,8 @@ def believed(cells, squares=SQUARES):
     rows = []
     for cell in range(cells):
         for metric, (mean, low, high) in squares.items():
-            rows.append((cell, "dkf", metric, mean, mean, mean))
-            rows.append((cell, "dkf", f"{metric}_band", 1.0, low, high))
+            rows.append((cell, "kf", metric, mean, mean, mean))
+            rows.append((cell, "kf", f"{metric}_band", 1.0, low, high))
     return pd.DataFrame(rows, columns=["cell", "observer", "metric", "mean", "ci_low", "ci_high"])
 
 
@@ -352,7 +355,7 @@ def test_a_title_says_what_was_averaged_over(method, n, words):
 
 
 def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
-    about = SimpleNamespace(signals=[("x", "m")], oldest=3, dt=0.1, newer=0, observer="dkf", scenario="lti")
+    about = SimpleNamespace(signals=[("x", "m")], oldest=3, dt=0.1, newer=0, observer="kf", scenario="lti")
     for error, shown in ((0.5, True), (float("nan"), False)):
         found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
         console = shared.console()

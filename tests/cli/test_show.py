@@ -36,7 +36,7 @@ def test_what_stands_there_as_a_comment_is_a_value_that_changes_nothing(name):
 
 def test_a_tail_is_said_even_where_it_is_the_records_default():
     """Left out of a table, it would begin after 30 % of the horizon."""
-    assert "\ntail = 3.0" in scenario_toml.as_study(SCENARIOS["cart/white"].having(horizon=20.0))
+    assert "\nsteady_start = 3.0" in scenario_toml.as_study(SCENARIOS["cart/white"].having(duration=20.0))
 
 
 @pytest.mark.nightly  # by default its identity is enough: equal in every field that a number depends on
@@ -78,9 +78,9 @@ def test_what_is_no_scenario_is_one_sentence(words, sentence):
 
 def test_a_study_with_options_of_labels_is_printed_with_them(tmp_path, capsys):
     text = """observers = ["kfbo", 'kfbo-"]x']\n[scenario]\nbase = "cart/white"\n[options.'kfbo-"]x']\nR = 0.3\n"""
-    (tmp_path / "own.toml").write_text(text + "[options.scenario]\nrandom_start = true\n")
+    (tmp_path / "own.toml").write_text(text + "[options.scenario]\nrandom_initial_state = true\n")
     again = read.parse(tomllib.loads(shown(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
-    assert again.options == {'kfbo-"]x': {"R": 0.3}, "scenario": {"random_start": True}}
+    assert again.options == {'kfbo-"]x': {"R": 0.3}, "scenario": {"random_initial_state": True}}
 
 
 def shown(capsys, *words):
@@ -88,10 +88,10 @@ def shown(capsys, *words):
     return capsys.readouterr().out
 
 
-FAULTS = {"delay_jitter": 0.2, "loss": 0.1, "process_std": [0.0, 0.05], "stamp_drift": 20.0, "delay": 0.15}
+FAULTS = {"delay_jitter": 0.2, "loss": 0.1, "process_std": [0.0, 0.05], "clock_skew": 20.0, "delay": 0.15}
 OWN = (
     """name = "a"
-observers = ["dkf", "kfbo"]
+observers = ["kf", "kfbo"]
 [lti]
 A = [[0.0, 1.0], ["-k", -2.0]]
 B = [[0.0], [3.0]]
@@ -100,7 +100,7 @@ tick = 0.01
 sampling_period = 0.1
 noise_std = 0.1
 x0 = [1.0, 0.0]
-horizon = 5.0
+duration = 5.0
 """
     + "".join(f"{key} = {value}\n" for key, value in FAULTS.items())
     + "[lti.parameters]\nk = 2.0\n[axes]\nloss = [0.1, 0.2]\n"
@@ -116,7 +116,7 @@ def test_show_names_every_field_that_is_not_as_usual(tmp_path, capsys, monkeypat
             f"{key.replace('_', ' ')}: {', '.join(f'{v:g}' for v in value) if isinstance(value, list) else f'{value:g}'}\n"
             in text
         )
-    assert "observers: dkf, kfbo\n" in text
+    assert "observers: kf, kfbo\n" in text
     assert "axes of the study: loss 0.1, 0.2\n" in text
     assert "plant.k" in text
 
@@ -125,12 +125,12 @@ def test_what_show_says_to_type_is_accepted(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     (tmp_path / "own.toml").write_text(OWN)
     assert shown(capsys, tmp_path / "own.toml").rstrip().endswith(f"then pcbench run {tmp_path}/own.toml")
-    for name in ("cart/white", "late"):
+    for name in ("cart/white", "delayed-measurements"):
         assert f"pcbench show {name} --toml" in shown(capsys, name)
         assert shown(capsys, name, "--toml").startswith("name = ")
 
 
-@pytest.mark.parametrize("name", ["late", "reactor/batch"])
+@pytest.mark.parametrize("name", ["delayed-measurements", "reactor/batch"])
 def test_a_study_is_printed_with_its_observers_and_axes(name, capsys):
     study = read.load(name)
     again = read.parse(tomllib.loads(shown(capsys, name, "--toml")), "mine.toml")

@@ -13,7 +13,7 @@ from pcbench.dataset.compare import Comparison
 from pcbench.dataset.cost import Cost
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
 from pcbench.study import STUDIES, Study
-from pcbench.synthesis.certificate import Certificate, Design, uncertified
+from pcbench.synthesis.certificate import Certificate, Design, no_certificate
 
 NAN = float("nan")
 
@@ -79,13 +79,13 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
 
 def test_what_is_found_of_gains_that_nothing_proves_says_so():
     proven = Certificate("radius < 1", 0.5, "poles", "solved")
-    for certificate in (uncertified("by hand"), proven):
+    for certificate in (no_certificate("by hand"), proven):
         known = {"certified": certificate is proven}
         option = {"share": 0.1, "rate": NAN, "margin": 1.0, "solver": "none", "fallback": "", "refused": ""} | known
         version = {"scenario": "s", "metric": "mae", "signal": "x", "unit": "m", "cell": 0, "observer": "mine"}
-        version |= {"tuning": "paper", "label": "mine", "note": "", "diverged": 0, **known}
+        version |= {"tuning": "published", "label": "mine", "note": "", "diverged": 0, **known}
         version |= dict.fromkeys(
-            ("held_out", "held_out_se", "efficiency", "training", "training_se", "gap", "gap_se"), NAN
+            ("held_out", "held_out_se", "rms_efficiency", "training", "training_se", "gap", "gap_se"), NAN
         )
         found = SimpleNamespace(
             judged=[],
@@ -109,15 +109,21 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
 
 def stats(**means):
     """Rows of a closing table for two cells of one scenario."""
-    metrics = ("mae", "pooled_rmse", "tail_pooled_rmse", "settling_time", "divergence")
+    metrics = ("mae", "pooled_rmse", "steady_pooled_rmse", "settling_time", "divergence_rate")
     rows = []
     for observer, (first, second, lost) in means.items():
         for cell, mean in enumerate((first, second)):
             for metric in metrics:
-                value = lost / 10 if metric == "divergence" else mean
+                value = lost / 10 if metric == "divergence_rate" else mean
                 rows.append(
                     {"study": "t", "scenario": "cart/white", "plant": "cart", "observer": observer, "cell": cell}
-                    | {"delay": 0.2 + cell, "signal": "position", "unit": "m", "carries_input": None, "metric": metric}
+                    | {
+                        "delay": 0.2 + cell,
+                        "signal": "position",
+                        "unit": "m",
+                        "predicts_unknown_input": None,
+                        "metric": metric,
+                    }
                     | {"certified": None, "method": "runs"}
                     | row(value, value - 0.01, value + 0.01, n=10 - lost, diverged=lost, p50=mean)
                 )

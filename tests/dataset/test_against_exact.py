@@ -21,7 +21,7 @@ def rows(**columns):
         "metric": "mae",
         "n": 100,
         "exact_se": 0.0,
-        "peak": 0.0,
+        "max_abs_error": 0.0,
     }
     many = len(columns["mean"])
     return against_exact.judged(pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(many)]))
@@ -40,7 +40,7 @@ def test_the_error_of_schedules_counts_too():
 def test_runs_that_do_not_vary_must_be_equal_and_zero_is_zero():
     found = rows(
         mean=[1.0 + 1e-12, 1.001, 1e-14, 1e-28], se=[0.0, 0.0, 1e-17, 1e-31], exact=[1.0, 1.0, 2e-14, 2e-28],
-        metric=["mae", "mae", "final", "tail_mse"],
+        metric=["mae", "mae", "final_error", "steady_mse"],
     )  # fmt: skip
     assert found.z.isna().all()
     assert (found.apart > against_exact.ROUNDING).tolist() == [False, True, False, False]
@@ -48,12 +48,12 @@ def test_runs_that_do_not_vary_must_be_equal_and_zero_is_zero():
 
 def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
     """A tank's enthalpy, from 3e4: 5e-11 is zero there; 1e-8 that came from 1 is known to the rounding of 1."""
-    columns = {"metric": ["tail_mae", "tail_mse", "final", "final", "mse"], "se": [0.0] * 5}
+    columns = {"metric": ["steady_mae", "steady_mse", "final_error", "final_error", "mse"], "se": [0.0] * 5}
     columns |= {
         "mean": [5.4e-11, 3.2e-21, 1e-8, 1e-8, 4.0],
         "exact": [4.9e-11, 2.9e-21, 1e-8 + 3e-17, 1.00001e-8, 4.0001],
     }
-    found = rows(**columns, peak=[3.2e4, 3.2e4, 1.0, 1.0, 3.2e4])
+    found = rows(**columns, max_abs_error=[3.2e4, 3.2e4, 1.0, 1.0, 3.2e4])
     assert (found.apart > against_exact.ROUNDING).tolist() == [False, False, False, True, True]
 
 
@@ -80,11 +80,11 @@ def test_the_quantile_plot_has_a_point_for_every_mean():
 
 @pytest.mark.nightly
 def test_the_cart_passes_and_exact_results_have_nothing_to_compare(tmp_path):
-    axes = {"delay": [0.2, 0.6], "drift": [0.0, 1.0]}
+    axes = {"delay": [0.2, 0.6], "parameter_drift": [0.0, 1.0]}
     pcbench.run("cart/gaussian", seeds=512, axes=axes, out=tmp_path / "runs")
     found = against_exact.check(tmp_path / "runs")
     assert found.wrong.empty, found.wrong
     assert len(found.z) > 50
-    pcbench.run("cart/gaussian", method="exact", observers=["dkf"], out=tmp_path / "exact")
+    pcbench.run("cart/gaussian", evaluation="exact", observers=["kf"], out=tmp_path / "exact")
     with pytest.raises(UserError, match="has no runs to be compared"):
         against_exact.check(tmp_path / "exact")

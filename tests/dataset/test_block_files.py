@@ -65,7 +65,7 @@ def test_blocks_that_follow_one_another_double_nothing():
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     out = tmp_path_factory.mktemp("ledger") / "out"
-    pcbench.run("cart/slow", observers=["kfbo"], seeds=6, block=4, out=out)
+    pcbench.run("cart/slow", observers=["kfbo"], seeds=6, block_size=4, out=out)
     return out
 
 
@@ -169,7 +169,7 @@ def test_a_study_with_noise_by_channel_has_nothing_left_to_do(tmp_path):
     study = {
         "name": "s",
         "scenarios": ["csth/10s"],
-        "observers": ["open-loop"],
+        "observers": ["model-only"],
         "axes": {"noise_std": [[0.1, 0.2, 0.1]]},
     }
     assert pcbench.run(study, seeds=2, out=tmp_path).cost.runs == 2

@@ -190,11 +190,11 @@ def test_another_root_seed_is_other_draws_of_the_same_study(whole, tmp_path):
 
 def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy, tmp_path):
     with hurried.programs():
-        pcbench.run(STUDY | {"observers": ["pccebo", "dkf"]}, out=tmp_path / "o")
+        pcbench.run(STUDY | {"observers": ["pccebo", "kf"]}, out=tmp_path / "o")
     with pytest.raises(UserError, match=r"is of another study than .*kfbo there, not here.*expected the same study"):
         compare.compare(whole, tmp_path / "o")
     text = (copy / "study.toml").read_text()
-    (copy / "study.toml").write_text(text.replace("drift = 0.0", "drift = 5.0", 1))
+    (copy / "study.toml").write_text(text.replace("parameter_drift = 0.0", "parameter_drift = 5.0", 1))
     with pytest.raises(
         UserError, match=r"\(cart/\S+drift: 0.0 there, 5.0 here\), expected"
     ):  # once, and this way round
@@ -238,9 +238,9 @@ def test_a_copy_of_a_tuned_study_with_an_observer_of_ones_own_is_the_same_study(
         "scenarios": ["cart/slow"],
         "observers": ["nudge"],
         "seeds": 4,
-        "use": {"nudge": "mine.py:nudge"},
+        "custom_observers": {"nudge": "mine.py:nudge"},
     }
-    study |= {"tuning": ["paper", "tuned"], "tune": {"budget": 2, "training": 4}}
+    study |= {"tuning": ["published", "tuned"], "tune": {"budget": 2, "training": 4}}
     pcbench.run(study, out="o")
     shutil.copytree("o", "copy")
     assert compare.compare("o", "copy").identical

@@ -66,7 +66,7 @@ def test_a_flipped_bit_anywhere_in_a_closing_file_is_seen(copy, name):
         (copy / name).write_bytes(bytes(spoilt))
         assert verify.status(copy).damaged == [name], at
         with pytest.raises(UserError):
-            pcbench.opened(copy)
+            pcbench.open_result(copy)
     (wrong,) = verify.verify(copy, 0, 0).wrong
     assert name in wrong
     pcbench.run(STUDY, out=copy)
@@ -82,7 +82,7 @@ def _alike(spoilt, content):
 
 @pytest.mark.nightly
 def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
-    study = pcbench.opened(copy).study
+    study = pcbench.open_result(copy).study
     made = one_run.of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
     content, table = path.read_bytes(), parquet.parsed(store.get(store.target(copy), f"examples/{path.name}"))
@@ -130,7 +130,7 @@ def test_a_flipped_bit_in_a_page_is_not_drawn(copy):
     content[200] ^= 4
     block.write_bytes(bytes(content))
     with pytest.raises(UserError, match="is damaged"):
-        pcbench.opened(copy).runs  # noqa: B018
+        pcbench.open_result(copy).runs  # noqa: B018
 
 
 @pytest.mark.parametrize("last", [10**20, 10**13])
@@ -189,7 +189,7 @@ def test_a_pipe_is_no_study(tmp_path):
 
 def test_a_mark_of_the_byte_order_is_no_mistake(tmp_path):
     (tmp_path / "marked.toml").write_bytes(b'\xef\xbb\xbfscenarios = ["cart/slow"]\nseeds = 2\n')
-    done = call("run", tmp_path / "marked.toml", "--observers", "open-loop", "--quiet", "--out", tmp_path / "out")
+    done = call("run", tmp_path / "marked.toml", "--observers", "model-only", "--quiet", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
 
 

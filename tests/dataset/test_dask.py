@@ -54,11 +54,11 @@ def test_a_killed_worker_costs_nothing_but_time(tmp_path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    pcbench.run(study, out=out, dask="local", workers=2, block=1024)
+    pcbench.run(study, out=out, dask="local", workers=2, block_size=1024)
     over.set()
     killer.join()
     assert killed
-    pcbench.run(study, out=tmp_path / "undisturbed", block=1024)
+    pcbench.run(study, out=tmp_path / "undisturbed", block_size=1024)
     assert tables(out) == tables(tmp_path / "undisturbed")
 
 

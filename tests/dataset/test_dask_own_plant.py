@@ -24,7 +24,7 @@ def output(p, now, x):
     return x[:1]
 
 def plant(field, output):
-    return pcbench.plant(field=field, output=output, states=["position [m]", "velocity [m/s]"], numbers=Numbers(),
+    return pcbench.make_plant(field=field, output=output, states=["position [m]", "velocity [m/s]"], numbers=Numbers(),
                          operating_point=([0.0, 0.0], [0.0]))
 
 named = plant(field, output)
@@ -37,7 +37,7 @@ observers = {observers}
 [scenario]
 plant = "duffing.py:{plant}"
 dt = 0.05
-horizon = 1.0
+duration = 1.0
 x0 = [1.2, 0.3]
 sampling_period = 0.2
 delay = 0.2

@@ -16,9 +16,9 @@ from pcbench.study import cells, read
 KEYS = ["cell", "observer", "seed", "signal"]
 RANDOM = {
     "name": "engines",
-    "observers": ["dkf", "kf-now", "ukf"],
+    "observers": ["kf", "kf-ignore-delay", "ukf"],
     "axes": {"loss": [0.2], "delay_jitter": [0.05]},
-    "options": {"scenario": {"random_start": True}},
+    "options": {"scenario": {"random_initial_state": True}},
     "lti": {
         "A": [[0.0, 1.0], [-2.0, -0.6]],
         "B": [[0.0], [1.5]],
@@ -28,10 +28,10 @@ RANDOM = {
         "noise_std": 0.3,
         "process_std": [0.02, 0.05],
         "tick": 0.01,
-        "horizon": 2.0,
+        "duration": 2.0,
     },
 }
-STUDY = {"name": "engines", "scenarios": ["cart/white"], "observers": ["dkf"], "seeds": 4}
+STUDY = {"name": "engines", "scenarios": ["cart/white"], "observers": ["kf"], "seeds": 4}
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 
@@ -61,10 +61,10 @@ def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkey
     assert (grown.cost.runs, grown.study.engine) == (2, "steps")
     with pytest.raises(UserError, match="engine: 'steps' there, 'products' here"):
         pcbench.run(STUDY | {"engine": "products"}, out=tmp_path / "steps")
-    assert pcbench.opened(tmp_path / "products").study.engine == "products"
+    assert pcbench.open_result(tmp_path / "products").study.engine == "products"
     a, b = (pd.read_parquet(tmp_path / e / "runs").sort_values(["seed", "signal"]) for e in ("steps", "products"))
     a = a[a.seed < 4]
-    for name in ("rmse", "peak", "settling_time"):
+    for name in ("rmse", "max_abs_error", "settling_time"):
         np.testing.assert_allclose(a[name], b[name], rtol=1e-11)
     assert compare.compare(tmp_path / "products", tmp_path / "steps").largest < 1e-11
 
@@ -78,7 +78,7 @@ def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
     pcbench.run(STUDY, out=tmp_path / "out")
     path = tmp_path / "out" / "study.toml"
     path.write_text(path.read_text().replace('engine = "steps"', "engine = 5"))
-    for read_again in (lambda: pcbench.run(STUDY, out=tmp_path / "out"), lambda: pcbench.opened(tmp_path / "out")):
+    for read_again in (lambda: pcbench.run(STUDY, out=tmp_path / "out"), lambda: pcbench.open_result(tmp_path / "out")):
         with pytest.raises(UserError, match="engine: got 5, expected 'definition', 'steps' or 'products'"):
             read_again()
 
@@ -88,7 +88,7 @@ def rows(study, **changes):
     return runs.set_index(KEYS).sort_index()
 
 
-@pytest.mark.parametrize("study", [STUDY | {"observers": ["dkf", "ukf"]}, RANDOM], ids=["shared", "random"])
+@pytest.mark.parametrize("study", [STUDY | {"observers": ["kf", "ukf"]}, RANDOM], ids=["shared", "random"])
 def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_other_observers(study):
     many = rows(study, seeds=70)
     for changes in ({"seeds": 1}, {"seeds": 3}, {"seeds": 3, "observers": ["ukf"]}):
@@ -98,9 +98,9 @@ def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_o
 
 def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
     """Runs of one call have at most two arrivals at a tick, those of another one."""
-    study = RANDOM | {"axes": {"loss": [0.9], "delay_jitter": [0.1]}, "observers": ["dkf"], "seeds": 200}
-    study |= {"lti": RANDOM["lti"] | {"tick": 0.05, "horizon": 1.0}, "engine": "definition"}
-    many = pcbench.run(study, out=tmp_path / "o", block=200).runs.set_index(KEYS).sort_index()
+    study = RANDOM | {"axes": {"loss": [0.9], "delay_jitter": [0.1]}, "observers": ["kf"], "seeds": 200}
+    study |= {"lti": RANDOM["lti"] | {"tick": 0.05, "duration": 1.0}, "engine": "definition"}
+    many = pcbench.run(study, out=tmp_path / "o", block_size=200).runs.set_index(KEYS).sort_index()
     some = rows(study, seeds=3)
     pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
 
@@ -118,22 +118,22 @@ def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
 
 @pytest.mark.parametrize("engine", ["definition", "steps"])
 def test_a_trace_has_heavy_observers_and_others_whatever_the_engine(engine):
-    found = pcbench.trace(RANDOM | {"engine": engine}, ["dkf", "particle"])
-    assert {"dkf.x1", "particle.x1"} <= set(found.columns)
+    found = pcbench.simulate(RANDOM | {"engine": engine}, ["kf", "particle"])
+    assert {"kf.x1", "particle.x1"} <= set(found.columns)
 
 
 def kept(out):
-    return pcbench.opened(out).runs.set_index(KEYS).sort_index()
+    return pcbench.open_result(out).runs.set_index(KEYS).sort_index()
 
 
 def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_path):
     """Wherever its blocks begin and end."""
     first, second = tmp_path / "first", tmp_path / "second"
-    pcbench.run(STUDY | {"engine": "definition", "seeds": 3}, out=first, first_seed=2, block=2)
+    pcbench.run(STUDY | {"engine": "definition", "seeds": 3}, out=first, first_seed=2, block_size=2)
     pcbench.run(STUDY | {"engine": "steps", "seeds": 6}, out=second)
     report = merge.merge([first, second], tmp_path / "both")
     assert (report.doubled, report.missing) == (3, 0)
-    both = pcbench.opened(tmp_path / "both")
+    both = pcbench.open_result(tmp_path / "both")
     assert both.provenance["engines"] == ["definition", "steps"]
     mine, a, b = kept(tmp_path / "both"), kept(first), kept(second)
     pd.testing.assert_frame_equal(mine.loc[a.index], a, check_exact=True)
@@ -150,8 +150,8 @@ def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
         "prior_std": [1e-5, 1e-5],
         "x0": [1e-5, 1e-5],
     }
-    small = RANDOM | {"lti": small | {"input": "zero"}, "observers": ["dkf"], "axes": {}, "seeds": 3}
-    small |= {"options": {"scenario": {"random_start": True, "consistency": True}}}
+    small = RANDOM | {"lti": small | {"input": "zero"}, "observers": ["kf"], "axes": {}, "seeds": 3}
+    small |= {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
     for study, engines in ((small, ("definition", "steps")), (STUDY | {"observers": ["ukf"]}, ("products", "steps"))):
         outs = [tmp_path / engines[0] / engine for engine in engines]
         for engine, out in zip(engines, outs, strict=True):
@@ -172,8 +172,8 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     monkeypatch.setattr(jaxpr_compat, "NEWEST", (0, 1))
     said = []
     for changes in ({}, {"engine": "steps"}):
-        fresh = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", say=said.append)
-        assert fresh.study.engine == "definition"
+        overwrite = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", say=said.append)
+        assert overwrite.study.engine == "definition"
     assert ["computed by their definition" in sentence for sentence in said] == [True, True]
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
     assert (grown.study.engine, len(said)) == ("steps", 3)
@@ -201,7 +201,7 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
 @pytest.mark.parametrize(
     ("column", "before", "after", "same"),
     [
-        ("final", [1e-17, 2e-16], [3e-16, -2e-16], True),  # zero beside a peak of 1e3
+        ("final_error", [1e-17, 2e-16], [3e-16, -2e-16], True),  # zero beside a peak of 1e3
         ("rmse", [1.0, 2.0], [1.0, 2.0 + 1e-8], True),
         ("settling_time", [1.0, 2.0], [1.0, 2.0 + 1e-8], False),
         ("settling_time", [1.0, np.nan], [1.0, np.nan], True),
@@ -212,5 +212,5 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
     ],
 )
 def test_a_number_is_held_against_the_largest_of_its_column_an_error_against_its_peak(column, before, after, same):
-    tables = [pa.table({"signal": ["x", "x"], "peak": [1e3, 1e3], column: each}) for each in (before, after)]
+    tables = [pa.table({"signal": ["x", "x"], "max_abs_error": [1e3, 1e3], column: each}) for each in (before, after)]
     assert rows_apart.of_one_run(*tables, within=1e-11) == same

@@ -14,7 +14,7 @@ from rich.console import Console
 import pcbench
 from pcbench.cli.screen import folder, results, took
 from pcbench.dataset import columns, compare, exact_part, parquet, store, verify
-from pcbench.dataset.result import opened
+from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
 from pcbench.plots import time_series
 from pcbench.report import page, sentences
@@ -23,9 +23,9 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 LTI = {
     "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
-    "tick": 0.01, "horizon": 3.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
+    "tick": 0.01, "duration": 3.0, "steady_start": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
 }  # fmt: skip
-STUDY = {"name": "sure", "lti": LTI, "observers": ["dkf", "open-loop"], "seeds": 8, "axes": {"delay": [0.1, 0.3]}}
+STUDY = {"name": "sure", "lti": LTI, "observers": ["kf", "model-only"], "seeds": 8, "axes": {"delay": [0.1, 0.3]}}
 SIGNED = """
 import jax.numpy as jnp
 from pcbench import Certificate, Design, Observer
@@ -33,7 +33,7 @@ from pcbench import Certificate, Design, Observer
 def start(gains, xhat0): return xhat0
 def note(gains, memory, now): return jnp.zeros(0)
 def jump(gains, memory, now, arrival):
-    return memory + 0.1 * jnp.sign(jnp.where(arrival.fresh[0], arrival.value[0] - memory[0], 0.0))
+    return memory + 0.1 * jnp.sign(jnp.where(arrival.mask[0], arrival.value[0] - memory[0], 0.0))
 def flow(gains, memory, now): return memory
 def estimate(gains, memory): return memory
 def design(setting, options): return Design((), Certificate("none: a sign", 1.0, "none", "as it is", {}))
@@ -44,17 +44,17 @@ OBSERVER = Observer(start, note, jump, flow, estimate)
 @pytest.fixture(scope="module")
 def out(in_a_hurry, tmp_path_factory):
     folder = tmp_path_factory.mktemp("exact") / "out"
-    pcbench.run(STUDY, method="exact", out=folder)
+    pcbench.run(STUDY, evaluation="exact", out=folder)
     return folder
 
 
 def test_the_tables_are_those_of_runs_with_a_method_and_a_reason(out):
-    found = opened(out)
+    found = open_result(out)
     mse = found.stats[(found.stats.metric == "mse") & (found.stats.signal == "x1")]
     assert (mse.method == "exact").all()
     assert (mse.se == 0).all()
     assert len(mse) == 4
-    peak = found.stats[found.stats.metric == "peak"]
+    peak = found.stats[found.stats.metric == "max_abs_error"]
     assert peak["mean"].isna().all()
     assert peak.reason.notna().all()
     with pytest.raises(UserError, match="has no runs"):
@@ -62,32 +62,32 @@ def test_the_tables_are_those_of_runs_with_a_method_and_a_reason(out):
 
 
 def test_differences_of_exact_numbers_are_sure(out):
-    pairs = opened(out).pairs
+    pairs = open_result(out).pairs
     row = pairs[(pairs.metric == "mse") & (pairs.signal == "x1") & (pairs.cell == 0)].iloc[0]
-    wide = opened(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
-    assert row.mean_diff == wide[0, "dkf", "x1", "mse"] - wide[0, "open-loop", "x1", "mse"]
+    wide = open_result(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
+    assert row.mean_diff == wide[0, "kf", "x1", "mse"] - wide[0, "model-only", "x1", "mse"]
     assert (row.n, row.se, row.method) == (0, 0.0, "exact")
 
 
 def test_moments_over_time_stand_beside(out):
-    moments = opened(out).moments
-    mine = moments[(moments.cell == 1) & (moments.observer == "dkf") & (moments.signal == "x2")]
-    wide = opened(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
+    moments = open_result(out).moments
+    mine = moments[(moments.cell == 1) & (moments.observer == "kf") & (moments.signal == "x2")]
+    wide = open_result(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
     square = mine["mean"] ** 2 + mine["std"] ** 2
     np.testing.assert_allclose(mine.t, 0.01 * np.arange(301), rtol=1e-12)
-    assert square[:-1].mean() == pytest.approx(wide[1, "dkf", "x2", "mse"], rel=1e-12)
+    assert square[:-1].mean() == pytest.approx(wide[1, "kf", "x2", "mse"], rel=1e-12)
 
 
 def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
     copy = shutil.copytree(out, tmp_path / "copy")
-    whole = opened(out).moments
+    whole = open_result(out).moments
     (other,) = copy.glob("moments/*/cell=0.parquet")
     other.write_bytes(b"PAR1")
-    found = opened(copy).moments_of("lti", 1)
+    found = open_result(copy).moments_of("lti", 1)
     pd.testing.assert_frame_equal(found, whole[whole.cell == 1].reset_index(drop=True))
-    assert opened(copy).moments_of("lti", 7).empty
+    assert open_result(copy).moments_of("lti", 7).empty
     with pytest.raises(UserError, match="is damaged"):
-        _ = opened(copy).moments
+        _ = open_result(copy).moments
 
 
 def test_verify_status_and_compare_take_them(out, tmp_path):
@@ -124,10 +124,14 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
 def test_both_simulates_what_is_not_affine_alone(tmp_path):
     (tmp_path / "mine.py").write_text(SIGNED)
     said = []
-    study = STUDY | {"observers": ["dkf", "signed"], "use": {"signed": f"{tmp_path}/mine.py:OBSERVER"}, "axes": {}}
-    done = pcbench.run(study, method="both", out=tmp_path / "out", say=said.append)
+    study = STUDY | {
+        "observers": ["kf", "signed"],
+        "custom_observers": {"signed": f"{tmp_path}/mine.py:OBSERVER"},
+        "axes": {},
+    }
+    done = pcbench.run(study, evaluation="both", out=tmp_path / "out", say=said.append)
     methods = done.stats[done.stats.metric == "mse"].groupby("observer").method.unique()
-    assert methods["dkf"].tolist() == ["exact"]
+    assert methods["kf"].tolist() == ["exact"]
     assert methods["signed"].tolist() == ["runs"]
     assert list(done.runs.observer.unique()) == ["signed"]
     assert len(said) == 1
@@ -141,20 +145,20 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
     """Shares of diverged runs stood there as nan %, and medians of observers that have no exact answer."""
     monkeypatch.setattr(results, "LONGEST", longest)
     (tmp_path / "mine.py").write_text(SIGNED)
-    study = STUDY | {"observers": ["dkf", "signed"], "use": {"signed": f"{tmp_path}/mine.py:OBSERVER"}}
-    done, shown = pcbench.run(study | {"axes": {}}, method="exact", out=tmp_path / "out"), io.StringIO()
+    study = STUDY | {"observers": ["kf", "signed"], "custom_observers": {"signed": f"{tmp_path}/mine.py:OBSERVER"}}
+    done, shown = pcbench.run(study | {"axes": {}}, evaluation="exact", out=tmp_path / "out"), io.StringIO()
     results.closing(done, Console(file=shown, width=200), "rmse")
     html = re.sub(r"<(script|style|svg).*?</\1>", "", page.page(done), flags=re.DOTALL)
     for text in (shown.getvalue(), html):
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
-    assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of dkf, and of signed"
+    assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of kf, and of signed"
     assert took.sentence(done, "there") == "Exact numbers of one cell are in there."
 
 
 def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
-    result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, method="exact", out=tmp_path / "out")
+    result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
     assert exact_part.whole(store.target(tmp_path / "out")) is not None
     said = took.sentence(result, "out")
@@ -175,13 +179,13 @@ def test_a_sealed_table_with_lists_is_known_again():
 def test_of_a_plant_that_is_not_affine_it_is_said_who_and_by_how_much_in_every_row(tmp_path):
     """Nothing is computed of it: its rows had been left out, the sentence too, and the closing table ended in a traceback."""
     (tmp_path / "s.toml").write_text(BENT)
-    said = call("run", str(tmp_path / "s.toml"), "--exact", "--out", str(tmp_path / "out"))
+    said = call("run", str(tmp_path / "s.toml"), "--evaluation", "exact", "--out", str(tmp_path / "out"))
     sentence = "reactor/batch, cell 0: ekf is not affine in the noise: "
     assert said.returncode == 0, said.stderr
     for words in (sentence, "off by", "take runs for it", "No number in "):
         assert words in said.stdout + said.stderr
-    stats = opened(tmp_path / "out").stats
-    assert {"mse", "mae", "final", "tail_pooled_rmse"} <= set(stats.metric)
+    stats = open_result(tmp_path / "out").stats
+    assert {"mse", "mae", "final_error", "steady_pooled_rmse"} <= set(stats.metric)
     assert (stats.method == "none").all()
     assert stats.reason.str.startswith(sentence).all()
 
@@ -192,7 +196,7 @@ scenarios = ["reactor/batch"]
 observers = ["ekf"]
 seeds = 8
 [options.scenario]
-random_start = true
+random_initial_state = true
 """
 
 

@@ -15,8 +15,8 @@ AXES = {"noise_std": [0.5, 0.6]}
 
 
 def test_particle_and_mhe_have_programs_of_their_own():
-    cells = read.grid_of("cart/white", {"observers": ["dkf", "particle", "open-loop", "mhe"]}, []).cells
-    assert [p.labels for p in planning.drafts(cells, apart=True)] == [("dkf", "open-loop"), ("particle",), ("mhe",)]
+    cells = read.grid_of("cart/white", {"observers": ["kf", "particle", "model-only", "mhe"]}, []).cells
+    assert [p.labels for p in planning.drafts(cells, apart=True)] == [("kf", "model-only"), ("particle",), ("mhe",)]
     assert [p.labels for p in planning.drafts(cells, (), apart=True)] == [()], "what is not computed has one draft"
 
 
@@ -38,20 +38,20 @@ def done(tmp_path, monkeypatch):
 
 def test_observers_of_one_cell_do_not_wait_for_an_expensive_one(done):
     raw = {"name": "order", "scenarios": ["cart/white"], "seeds": 4, "axes": AXES}
-    result = pcbench.run(raw | {"observers": ["mine.py:nudge", "dkf"]}, out="out", devices=1)
-    assert [labels for _, labels, _ in done] == [["dkf"]] * 3 + [["nudge"]] * 3
+    result = pcbench.run(raw | {"observers": ["mine.py:nudge", "kf"]}, out="out", devices=1)
+    assert [labels for _, labels, _ in done] == [["kf"]] * 3 + [["nudge"]] * 3
     assert [timed for *_, timed in done].count(True) == 2, "once for each program"
-    alone = pcbench.run(raw | {"observers": ["dkf"]}, out="alone", devices=1)
-    columns = ["cell", "signal", "seed", "rmse", "peak"]
-    both = result.runs.query("observer == 'dkf'")[columns].reset_index(drop=True)
+    alone = pcbench.run(raw | {"observers": ["kf"]}, out="alone", devices=1)
+    columns = ["cell", "signal", "seed", "rmse", "max_abs_error"]
+    both = result.runs.query("observer == 'kf'")[columns].reset_index(drop=True)
     assert both.equals(alone.runs[columns].reset_index(drop=True))
 
 
 def test_long_calls_are_announced(done, monkeypatch):
     monkeypatch.setattr("pcbench.dataset.call_time.seconds", lambda made, job: 3 * 3600.0)
     said = []
-    pcbench.run("cart/white", observers=["dkf"], seeds=100, block=50, out="out", say=said.append)
+    pcbench.run("cart/white", observers=["kf"], seeds=100, block_size=50, out="out", say=said.append)
     assert said == [
-        "cart/white: a call of dkf, of up to 256 runs, takes about 3.0 h or more; calls to do: 1. "
+        "cart/white: a call of kf, of up to 256 runs, takes about 3.0 h or more; calls to do: 1. "
         "Runs are written at the end of their call."
     ]

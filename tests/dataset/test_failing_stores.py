@@ -31,11 +31,11 @@ def test_a_disk_that_fills_up_keeps_every_finished_block(whole, tmp_path, monkey
 
     monkeypatch.setattr(store.os, "fsync", fill_up)
     with pytest.raises(UserError, match=r"No space left on device\); every file already written is complete"):
-        pcbench.run(STUDY, out=tmp_path / "out", block=16)
+        pcbench.run(STUDY, out=tmp_path / "out", block_size=16)
     monkeypatch.undo()
     finished = tables(tmp_path / "out")
     assert 0 < len(finished) < 12
     assert all(tables(whole)[name] == content for name, content in finished.items())
     assert not verify.status(tmp_path / "out").closed
-    pcbench.run(STUDY, out=tmp_path / "out", block=16)
+    pcbench.run(STUDY, out=tmp_path / "out", block_size=16)
     assert tables(tmp_path / "out") == tables(whole)

@@ -23,10 +23,22 @@ READS = {  # commands that run no code of a dataset, by what is said after their
     "merge": ["ds", "ds2", "--out", "merged"],
     "compare": ["ds", "ds2", "-q"],
     "verify": ["ds", "--sample", "0", "-q"],
-    "run": ["cart/slow", "--out", "ds", "--observers", "dkf", "--seeds", "2", "-q"],
-    "suffices": ["cart/slow", "--below", "1", "--over", "noise_std", "--range", "0.1", "0.5", "--out", "ds", "-q"],
+    "run": ["cart/slow", "--out", "ds", "--observers", "kf", "--seeds", "2", "-q"],
+    "find-limit": [
+        "cart/slow",
+        "--threshold",
+        "1",
+        "--axis",
+        "noise_std",
+        "--range",
+        "0.1",
+        "0.5",
+        "--out",
+        "ds",
+        "-q",
+    ],
 }
-SLOW = ("run", "suffices", "report")  # asked only where the study is refused
+SLOW = ("run", "find-limit", "report")  # asked only where the study is refused
 CODE = """
 import pathlib
 pathlib.Path(__file__).with_name("MARK").touch()
@@ -35,8 +47,8 @@ sc = {"base": "cart/slow"}
 
 
 def in_use(study, reference):
-    study["use"] = {"nudge": reference}
-    study["observers"] = ["dkf", "nudge"]
+    study["custom_observers"] = {"nudge": reference}
+    study["observers"] = ["kf", "nudge"]
 
 
 def in_tables(study, **table):
@@ -55,8 +67,8 @@ PLACES = {  # where a name of code may stand in a study: what puts a reference t
     "observers of tables": lambda s, ref: in_tables(s, observers=[ref]),
     "controller": lambda s, ref: s.update(controller={"use": ref}),
     "use": in_use,
-    "observers": lambda s, ref: s.update(observers=["dkf", ref]),
-    "a table of observers": lambda s, ref: s.update(observers={"dkf": {}, "mine": {"use": ref}}),
+    "observers": lambda s, ref: s.update(observers=["kf", ref]),
+    "a table of observers": lambda s, ref: s.update(observers={"kf": {}, "mine": {"use": ref}}),
 }
 
 
@@ -64,7 +76,7 @@ PLACES = {  # where a name of code may stand in a study: what puts a reference t
 def made(tmp_path_factory):
     """A dataset of one run, to be copied."""
     out = tmp_path_factory.mktemp("foreign") / "ds"
-    pcbench.run("cart/slow", observers=["dkf"], seeds=2, out=out)
+    pcbench.run("cart/slow", observers=["kf"], seeds=2, out=out)
     return out
 
 
@@ -164,10 +176,11 @@ def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):
 def test_the_security_page_says_of_every_command_what_it_runs():
     """Its table has the commands of READS in rows that run no code of the dataset, and all others that take one."""
     rows = [row.split("|")[1:-1] for row in PAGE.read_text().splitlines() if row.startswith("| `pcbench")]
-    none = {name for row in rows if row[1].strip().startswith("none") for name in re.findall(r"`pcbench (\w+)", row[0])}
-    runs = {name for row in rows if "the copy" in row[1] for name in re.findall(r"`pcbench (\w+)", row[0])}
+    named = re.compile(r"`pcbench ((?:external )?[\w-]+)")
+    none = {name for row in rows if row[1].strip().startswith("none") for name in named.findall(row[0])}
+    runs = {name for row in rows if "the copy" in row[1] for name in named.findall(row[0])}
     assert none == {*READS}
-    assert runs == {"verify", "score"}
+    assert runs == {"verify", "external score"}
     assert all(row[2].strip().startswith("none") for row in rows)
 
 
@@ -177,8 +190,8 @@ def test_every_command_is_known_to_read_a_dataset_or_not():
         "guide",
         "show",
         "new",
-        "trace",
-        "log",
+        "simulate",
+        "info",
         "replay",
         "design",
         "tune",
@@ -186,6 +199,6 @@ def test_every_command_is_known_to_read_a_dataset_or_not():
         "check",
         "reproduce",
     }
-    runs_its_code = {"score"}
-    writes_one = {"draws", "guest"}
+    runs_its_code = {"external score"}
+    writes_one = {"external prepare", "external run"}
     assert {*READS} | takes_none | runs_its_code | writes_one == set(ALL)

@@ -21,7 +21,7 @@ def test_more_seeds_extend_a_study(copy, tmp_path):
 
 GROWN = [
     {"axes": {"noise_std": [0.1, 0.5, 1.0]}},
-    pytest.param({"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}}, marks=pytest.mark.nightly),
+    pytest.param({"axes": {"noise_std": [0.1, 0.5], "parameter_drift": [0.0, 1.0]}}, marks=pytest.mark.nightly),
     pytest.param(
         {"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44}, marks=pytest.mark.nightly
     ),
@@ -36,14 +36,14 @@ def test_more_cells_extend_a_study_and_old_ones_keep_their_numbers(copy, tmp_pat
     a, b = rows(copy), rows(tmp_path / "at-once")
     kept = a[(a.cell < 2) & (a.seed < 40)].reset_index(drop=True)
     pd.testing.assert_frame_equal(kept, before, check_exact=True)
-    by = ["noise_std", "drift", "delay", "observer", "seed", "signal"]
+    by = ["noise_std", "parameter_drift", "delay", "observer", "seed", "signal"]
     a, b = (f.sort_values(by, ignore_index=True).drop(columns="cell") for f in (a, b))
     pd.testing.assert_frame_equal(a, b, check_exact=True)
 
 
 @pytest.mark.nightly
 def test_another_observer_extends_a_study(copy, tmp_path):
-    more = STUDY | {"observers": ["pccebo", "kfbo", "open-loop"]}
+    more = STUDY | {"observers": ["pccebo", "kfbo", "model-only"]}
     pcbench.run(more, out=copy)
     pcbench.run(more, out=tmp_path / "at-once")
     same(copy, tmp_path / "at-once")
@@ -57,7 +57,10 @@ CHANGED = {
     "name": ({"name": "other"}, "name: 'small' there, 'other' here"),
     "an observer less": ({"observers": ["kfbo"]}, "observers: pccebo there, not here"),
     "an option": ({"options": {"kfbo": {"R": 0.7}}}, r"options of cart/slow.kfbo.R: 0.3 there, 0.7 here"),
-    "a choice": ({"options": {"scenario": {"random_start": True}}}, r"random_start: False there, True here"),
+    "a choice": (
+        {"options": {"scenario": {"random_initial_state": True}}},
+        r"random_initial_state: False there, True here",
+    ),
     "scenario": ({"scenarios": ["cart/white"]}, "scenarios: cart/slow there, not here"),
 }
 
@@ -74,13 +77,20 @@ def test_a_changed_study_is_refused_with_what_changed(copy, case):
 
 def test_fresh_starts_over_and_only_when_asked(copy, tmp_path):
     other = STUDY | {"seeds": 8}
-    pcbench.run(other, out=copy, fresh=True)
+    pcbench.run(other, out=copy, overwrite=True)
     pcbench.run(other, out=tmp_path / "new")
     same(copy, tmp_path / "new")
 
 
 MISTAKES = [
-    *({"memory": "2Gx"}, {"block": 0}, {"until_se": "mae"}, {"dask": "nonsense"}, {"max_seeds": 3}, {"workers": 2}),
+    *(
+        {"memory": "2Gx"},
+        {"block_size": 0},
+        {"until_se": "mae"},
+        {"dask": "nonsense"},
+        {"max_seeds": 3},
+        {"workers": 2},
+    ),
     *({"dask": "local", "workers": 0}, {"devices": -1}),
 ]
 
@@ -90,7 +100,7 @@ def test_a_mistake_beside_fresh_removes_nothing(copy, mistake, monkeypatch):
     monkeypatch.setattr(executors, "PATIENCE", "1s")
     before = tables(copy)
     with pytest.raises(UserError) as caught:
-        pcbench.run(STUDY | {"seeds": 8}, out=copy, fresh=True, **mistake)
+        pcbench.run(STUDY | {"seeds": 8}, out=copy, overwrite=True, **mistake)
     assert "\n" not in str(caught.value)
     assert tables(copy) == before
 
@@ -98,7 +108,7 @@ def test_a_mistake_beside_fresh_removes_nothing(copy, mistake, monkeypatch):
 def test_fresh_keeps_a_study_that_somebody_wrote(tmp_path):
     (tmp_path / "study.toml").write_text('name = "mine"\nscenarios = ["cart/slow"]\n')
     with pytest.raises(UserError, match="is not as pcbench run has written it"):
-        pcbench.run(STUDY, out=tmp_path, fresh=True)
+        pcbench.run(STUDY, out=tmp_path, overwrite=True)
     assert (tmp_path / "study.toml").exists()
 
 
@@ -125,7 +135,7 @@ def test_nor_is_a_folder_taken_that_holds_nothing_but_such_a_text(tmp_path, text
 @pytest.mark.nightly
 def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
     """One number for all channels stays one: a list beside it could not be read together."""
-    tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["dkf"], "seeds": 2}
+    tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["kf"], "seeds": 2}
     with hurried.programs():
         pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0]]}}, out=tmp_path / "out")
     with pytest.raises(UserError, match=r"axes.delay: a number for all channels"):
@@ -134,9 +144,9 @@ def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
 
 def test_fresh_removes_nothing_of_others(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
-    for fresh in (False, True):
+    for overwrite in (False, True):
         with pytest.raises(UserError, match="holds other files"):
-            pcbench.run(STUDY, out=tmp_path, fresh=fresh)
+            pcbench.run(STUDY, out=tmp_path, overwrite=overwrite)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 

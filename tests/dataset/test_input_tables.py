@@ -20,12 +20,12 @@ from pcbench.study import read
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 STATES = {"link_angle", "link_velocity", "motor_angle", "motor_velocity"}
-NAMES = ["smo", "smo-reconstruct", "open-loop"]
+NAMES = ["smo", "smo-reconstruct", "model-only"]
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    short = {"base": "arm/sampled", "horizon": 0.5, "tail": 0.2}
+    short = {"base": "arm/sampled", "duration": 0.5, "steady_start": 0.2}
     out = tmp_path_factory.mktemp("arm") / "out"
     return pcbench.run({"name": "arm", "scenario": short}, observers=NAMES, seeds=3, out=out)
 
@@ -35,22 +35,22 @@ def test_rows_exist_for_what_an_observer_estimates(done):
     for table in (done.runs, done.stats):
         signals = table.groupby("observer").signal.unique()
         assert set(signals["smo"]) == STATES | {"input"}
-        assert set(signals["open-loop"]) == STATES
+        assert set(signals["model-only"]) == STATES
     both = done.pairs.groupby(["observer_a", "observer_b"]).signal.unique()
     assert set(both["smo", "smo-reconstruct"]) == STATES | {"input"}
-    assert set(both["smo", "open-loop"]) == STATES
+    assert set(both["smo", "model-only"]) == STATES
     units = done.stats.query("metric == 'mae'").set_index(["observer", "signal"]).unit
     assert units["smo", "input"] == "rad/s^2"
 
 
 def test_every_table_says_whether_a_prediction_carries_the_input(done):
     for table in (done.runs, done.stats):
-        said = table.groupby("observer").carries_input.unique()
+        said = table.groupby("observer").predicts_unknown_input.unique()
         assert list(said["smo"]) == [False]
         assert list(said["smo-reconstruct"]) == [True]
-        assert list(said["open-loop"]) == [None]
+        assert list(said["model-only"]) == [None]
     row = done.pairs.query("observer_a == 'smo' and observer_b == 'smo-reconstruct'").iloc[0]
-    assert (row.carries_input_a, row.carries_input_b) == (False, True)
+    assert (row.predicts_unknown_input_a, row.predicts_unknown_input_b) == (False, True)
 
 
 def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
@@ -67,16 +67,16 @@ def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
 
 @pytest.mark.nightly
 def test_a_trace_has_the_input_beside_the_states():
-    frame = pcbench.trace("arm/sawtooth", ["smo", "open-loop"])
+    frame = pcbench.simulate("arm/sawtooth", ["smo", "model-only"])
     assert {"input", "smo.input"} <= set(frame.columns)
-    assert "open-loop.input" not in frame
+    assert "model-only.input" not in frame
     t = np.arange(len(frame)) * 1e-4
     d2 = 0.025 * (2 * np.abs(10 * t - 20 * np.floor(t / 2) - 6.5) - 13)
     np.testing.assert_array_equal(frame.input, d2)
     recorded = (frame.input - frame["smo.input"]).to_numpy()[60_000:100_001]
     outside = np.abs(recorded) > SCENARIOS["arm/sawtooth"].scoring.settle_band[-1]
     last = [np.flatnonzero(outside[at : at + 20_000])[-1] + 1 for at in (0, 20_000)]
-    runs = pcbench.run("arm/sawtooth", observers=["smo", "open-loop"], seeds=1).runs.query("signal == 'input'")
+    runs = pcbench.run("arm/sawtooth", observers=["smo", "model-only"], seeds=1).runs.query("signal == 'input'")
     assert runs.recovery_time.item() == pytest.approx(max(last) * 1e-4, rel=1e-12)
 
 
@@ -97,12 +97,17 @@ def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_ne
 
 @pytest.mark.nightly
 def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift():
-    axes = {"sampling_period": [0.005, 0.1], "delay": [0.0, 0.1], "noise_std": [0.0, 1e-3], "drift": [0.0, 0.05]}
+    axes = {
+        "sampling_period": [0.005, 0.1],
+        "delay": [0.0, 0.1],
+        "noise_std": [0.0, 1e-3],
+        "parameter_drift": [0.0, 0.05],
+    }
     chosen = read.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
     short = [p._replace(problem=p.problem._replace(windows=np.array([[0, 600], [600, 900], [900, 901]])))
              for p in planning.plan(chosen)]  # fmt: skip
     before = runner.compilations()
-    results = [d.results["smo"]["tail_peak"] for d in in_memory.execute(chosen, short, seeds=np.arange(2))]
+    results = [d.results["smo"]["steady_max_abs_error"] for d in in_memory.execute(chosen, short, seeds=np.arange(2))]
     assert runner.compilations() - before == 2, "with drift every run draws its plant's numbers"
     assert len({r[0, 0].item() for r in results}) == 16, "every cell has its own numbers"
 

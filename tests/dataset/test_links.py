@@ -12,7 +12,7 @@ from pcbench.gains import versions
 from pcbench.study import STUDIES
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-ASKED = {"study": "cart/slow", "observers": ["dkf"], "seeds": 2}
+ASKED = {"study": "cart/slow", "observers": ["kf"], "seeds": 2}
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +39,9 @@ def content(folder):
     return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("fresh", [True, False])
+@pytest.mark.parametrize("overwrite", [True, False])
 @pytest.mark.parametrize("name", ["code", "runs", "moments", "runs/scenario=cart%2Fslow", "study.toml"])
-def test_no_link_is_followed_below_a_dataset(ds, victim, name, fresh):
+def test_no_link_is_followed_below_a_dataset(ds, victim, name, overwrite):
     before, place = content(victim), ds / name
     if place.is_dir():
         shutil.copytree(place, victim / "copy")
@@ -52,7 +52,7 @@ def test_no_link_is_followed_below_a_dataset(ds, victim, name, fresh):
     place.symlink_to(victim / "copy" if (victim / "copy").exists() else victim)
     before = content(victim)
     with suppress(pcbench.UserError):  # a link that is in nobody's way is left alone
-        pcbench.run(**ASKED | {"seeds": 4}, out=ds, fresh=fresh)
+        pcbench.run(**ASKED | {"seeds": 4}, out=ds, overwrite=overwrite)
     assert content(victim) == before
 
 
@@ -60,7 +60,7 @@ def test_a_table_that_is_a_link_is_not_read(ds, tmp_path):
     (ds / "stats.parquet").rename(tmp_path / "private.parquet")
     (ds / "stats.parquet").symlink_to(tmp_path / "private.parquet")
     with pytest.raises(pcbench.UserError, match=r"stats.parquet: is a symbolic link"):
-        pcbench.opened(ds)
+        pcbench.open_result(ds)
     (block,) = (ds / "runs").rglob("*.parquet")
     (ds / "stats.parquet").unlink()
     block.rename(tmp_path / "block.parquet")
@@ -71,7 +71,7 @@ def test_a_table_that_is_a_link_is_not_read(ds, tmp_path):
 
 def test_a_link_to_the_dataset_itself_may_be_given(ds, tmp_path):
     (tmp_path / "there").symlink_to(ds)
-    assert len(pcbench.opened(tmp_path / "there").runs)
+    assert len(pcbench.open_result(tmp_path / "there").runs)
 
 
 def test_a_folder_of_the_users_own_beside_a_study_is_refused_with_fresh_too(ds, tmp_path):
@@ -80,11 +80,11 @@ def test_a_folder_of_the_users_own_beside_a_study_is_refused_with_fresh_too(ds, 
     shutil.copy(ds / "study.toml", mixed)
     (mixed / "code" / "mylib.py").write_text("my = 1")
     with pytest.raises(pcbench.UserError, match=r"mixed: holds other files \(code/mylib.py\)"):
-        pcbench.run(**ASKED, out=mixed, fresh=True)
+        pcbench.run(**ASKED, out=mixed, overwrite=True)
     (mixed / "thesis.tex").write_text("mine")
     (mixed / "code" / "mylib.py").rename(mixed / "mylib.py")
     with pytest.raises(pcbench.UserError, match=r"mixed: holds other files \(mylib.py\)"):
-        pcbench.run(**ASKED, out=mixed, fresh=True)
+        pcbench.run(**ASKED, out=mixed, overwrite=True)
     assert sorted(p.name for p in mixed.rglob("*.*")) == ["mylib.py", "study.toml", "thesis.tex"]
 
 
@@ -93,13 +93,13 @@ def test_fresh_removes_only_what_a_run_has_written(ds):
     (ds / "code" / "mylib.py").write_text("my = 1")
     before = content(ds)
     with pytest.raises(pcbench.UserError, match=r"holds other files \(code/mylib.py\)"):
-        pcbench.run(**ASKED, out=ds, fresh=True)
+        pcbench.run(**ASKED, out=ds, overwrite=True)
     assert content(ds) == before
     (ds / "code" / "mylib.py").unlink()
     (ds / "code" / "0123456789ab").mkdir()
     (ds / "code" / "0123456789ab" / "mine.py").write_text("")
     (ds / "thesis.tex").write_text("mine")
-    pcbench.run(**ASKED, out=ds, fresh=True)
+    pcbench.run(**ASKED, out=ds, overwrite=True)
     assert not list((ds / "code").rglob("*.py"))
     assert (ds / "thesis.tex").exists()
 
@@ -109,14 +109,14 @@ def test_forms_of_what_is_removed_leave_names_of_users_alone(tmp_path):
     assert [n for n in (ours, "moments.md", "moments/mine.parquet") if exact_part.OVER_TIME.fullmatch(n)] == [ours]
     for name in (
         "tuning/mine/notes.txt",
-        "tuning/dkf/history.parquet",
-        "tuning/dkf/tuned.toml",
-        "tuning/dkf/tuned.toml.old",
+        "tuning/kf/history.parquet",
+        "tuning/kf/tuned.toml",
+        "tuning/kf/tuned.toml.old",
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
     versions._ours(STUDIES["quick"], tmp_path, True)
-    assert store.names(store.target(tmp_path)) == ["tuning/dkf/tuned.toml.old", "tuning/mine/notes.txt"]
+    assert store.names(store.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
 
 
 def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
@@ -140,5 +140,5 @@ def test_fresh_accepts_the_report_beside_exact_results(ds):
     for name in store.names(store.target(ds), "runs"):
         (ds / name).unlink()
     (ds / "report.html").write_text("a page of pcbench report")
-    pcbench.run(**ASKED, out=ds, fresh=True)
+    pcbench.run(**ASKED, out=ds, overwrite=True)
     assert (ds / "stats.parquet").exists()

@@ -10,20 +10,20 @@ from small_study import STUDY, same, tables
 
 import pcbench
 from pcbench.dataset import block_files, exact_part, merge, ownership, parquet, store, verify
-from pcbench.dataset.result import opened
+from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
 
 LTI = {
     "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
-    "tick": 0.1, "horizon": 2.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
+    "tick": 0.1, "duration": 2.0, "steady_start": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
 }  # fmt: skip
-SURE = {"name": "sure", "lti": LTI, "observers": ["dkf", "open-loop"], "axes": {"noise_std": [0.1, 0.5]}}
+SURE = {"name": "sure", "lti": LTI, "observers": ["kf", "model-only"], "axes": {"noise_std": [0.1, 0.5]}}
 
 
 def test_two_halves_merged_are_the_whole(whole, tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
-    pcbench.run(STUDY, out=a, seeds=25, block=16)
-    pcbench.run(STUDY, out=b, seeds=24, first_seed=16, block=10)
+    pcbench.run(STUDY, out=a, seeds=25, block_size=16)
+    pcbench.run(STUDY, out=b, seeds=24, first_seed=16, block_size=10)
     made = merge.merge([b, a], tmp_path / "both")
     assert (made.missing, made.doubled) == (0, 2 * 2 * 9)
     same(tmp_path / "both", whole)
@@ -76,8 +76,8 @@ def test_other_studies_are_not_merged(whole, tmp_path):
 @pytest.fixture(scope="module")
 def exact_parts(in_a_hurry, tmp_path_factory):
     a, b = (tmp_path_factory.mktemp("exact") / name for name in "ab")
-    pcbench.run(SURE, out=a, seeds=4, method="exact")
-    pcbench.run(SURE | {"axes": {"noise_std": [0.5, 0.1]}}, out=b, seeds=4, first_seed=4, method="exact")
+    pcbench.run(SURE, out=a, seeds=4, evaluation="exact")
+    pcbench.run(SURE | {"axes": {"noise_std": [0.5, 0.1]}}, out=b, seeds=4, first_seed=4, evaluation="exact")
     return a, b
 
 
@@ -86,7 +86,7 @@ def test_a_part_without_exact_numbers_takes_the_others_cell_by_cell(exact_parts,
     (a / "exact.parquet").unlink()
     shutil.rmtree(a / "moments")
     merge.merge([a, b], tmp_path / "both")
-    one, both = opened(exact_parts[0]), opened(tmp_path / "both")
+    one, both = open_result(exact_parts[0]), open_result(tmp_path / "both")
     pd.testing.assert_frame_equal(one.stats, both.stats, rtol=1e-12)
     pd.testing.assert_frame_equal(one.moments, both.moments, rtol=1e-12)
 
@@ -117,8 +117,8 @@ def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
 
 
 def test_a_damaged_part_and_another_method_are_refused(exact_parts, tmp_path):
-    pcbench.run(SURE, out=tmp_path / "c", seeds=4, method="both")
-    with pytest.raises(UserError, match="method: exact there, both here"):
+    pcbench.run(SURE, out=tmp_path / "c", seeds=4, evaluation="both")
+    with pytest.raises(UserError, match="evaluation: exact there, both here"):
         merge.merge([exact_parts[0], tmp_path / "c"], tmp_path / "both")
     b = shutil.copytree(exact_parts[1], tmp_path / "b")
     (b / "exact.parquet").write_bytes((b / "exact.parquet").read_bytes()[:-9] + b"123456789")

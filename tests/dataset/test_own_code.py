@@ -65,7 +65,7 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     (here / "mine.py").unlink()
     forget(here)
     assert page.write(out, here / "page.html")
-    assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
+    assert set(pcbench.open_result(out).stats.observer) == {"nudge", "kfbo"}
     assert verify.status(out).closed
     assert compare(out, out).largest == 0
     merge.merge([out, out], here / "merged")
@@ -75,7 +75,7 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     read.load(str(out / "study.toml"))
     assert (here / "mark").exists(), "as a study file it is"
     copy.unlink()
-    assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
+    assert set(pcbench.open_result(out).stats.observer) == {"nudge", "kfbo"}
 
 
 def test_exact_values_with_a_sample_of_none_are_refused_and_run_no_code(here, out):
@@ -110,7 +110,7 @@ def test_another_version_is_refused_with_what_changed(here, out):
     with pytest.raises(pcbench.UserError, match=changed):
         pcbench.run(STUDY | {"seeds": 32}, out="out")
     assert tables(out) == before
-    pcbench.run(STUDY | {"seeds": 8}, out="out", fresh=True)
+    pcbench.run(STUDY | {"seeds": 8}, out="out", overwrite=True)
     assert len(list((out / "code").rglob("*.py"))) == 1, "the old copy went with the old runs"
 
 
@@ -121,7 +121,9 @@ def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
     (here / "part.py").write_text("SHARE = 0.1\n")
     tuned = {"tuning": "tuned", "tune": {"budget": 1, "training": 2}, "seeds": 2}
     study = (
-        STUDY | tuned | {"observers": ["mine.py:nudge"], "scenario": {"base": "cart/slow", "horizon": 2.0, "tail": 1.0}}
+        STUDY
+        | tuned
+        | {"observers": ["mine.py:nudge"], "scenario": {"base": "cart/slow", "duration": 2.0, "steady_start": 1.0}}
     )
     del study["scenarios"]
     pcbench.run(study, out="out")
@@ -130,13 +132,13 @@ def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
     assert "The gains of nudge were tuned for rmse of position" in text
     before = tables(here / "out")
     (here / "part.py").write_text("SHARE = 0.2\n")
-    found = r"out/tuning/nudge: holds another tuning \(the code of nudge: part.py has changed since.*; give .* with --fresh.$"
+    found = r"out/tuning/nudge: holds another tuning \(the code of nudge: part.py has changed .*; give .* with --overwrite.$"
     with pytest.raises(pcbench.UserError, match=found):
         pcbench.run(study, out="out")
     with pytest.raises(
-        pcbench.UserError, match=r"out: holds .* \(the code of nudge: part.py has changed since.* --fresh.$"
+        pcbench.UserError, match=r"out: holds .* \(the code of nudge: part.py has changed since.* --overwrite.$"
     ):
-        pcbench.run(study | {"tuning": "paper"}, out="out")
+        pcbench.run(study | {"tuning": "published"}, out="out")
     assert tables(here / "out") == before
     (here / "part.py").write_text("SHARE = 0.1\n")
     found = r"nudge: holds another tuning \(.*sampling_period.*expected the same study"
@@ -165,14 +167,14 @@ def test_only_what_is_named_is_copied(here):
     assert store.names(store.target("plain"), "code") == []
 
 
-LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "dkf"], "seeds": 4}
+LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "kf"], "seeds": 4}
 
 
 @pytest.mark.nightly
 def test_plants_and_laws_are_kept_likewise(here):
     """One dataset of an observer, a plant, a law and a scenario: read without the file, come out again by the copy."""
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
-    entry = 'law = pcbench.ControllerEntry(options=Gentle, prepare=prepare, summary="PI", controller='
+    entry = 'law = pcbench.ControllerSpec(options=Gentle, prepare=prepare, summary="PI", controller='
     loop = loop.replace("law = ", entry, 1).replace("params.m,\n)", "params.m,\n))")
     (here / "mine.py").write_text(marking(SOURCE.read_text() + loop))
     pcbench.run(LOOP, out="out")
@@ -180,8 +182,8 @@ def test_plants_and_laws_are_kept_likewise(here):
     kept = (here / "mine.py").rename(here / "aside.py")
     forget(here)
     assert page.write(here / "out", here / "page.html")
-    opened = pcbench.opened("out")
-    assert set(opened.stats.observer) == {"nudge", "dkf"}
+    opened = pcbench.open_result("out")
+    assert set(opened.stats.observer) == {"nudge", "kf"}
     assert verify.status(here / "out").closed
     assert compare(here / "out", here / "out").largest == 0
     assert not (here / "mark").exists(), "nothing of it was run"
@@ -210,14 +212,14 @@ def test_a_report_has_the_run_in_time_that_was_kept(here):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("study", [STUDY, LOOP | {"observers": ["dkf"], "seeds": 8}], ids=["observer", "plant and law"])
+@pytest.mark.parametrize("study", [STUDY, LOOP | {"observers": ["kf"], "seeds": 8}], ids=["observer", "plant and law"])
 def test_workers_need_no_file(here, study):
     """Two Dask workers that stand in another folder leave the bytes that this process leaves."""
     pytest.importorskip("distributed")
     if study is not STUDY:
         shutil.copy(SOURCE.with_name("own_loop.py"), here / "mine.py")
-    pcbench.run(study, out=here / "whole", block=4)
-    code = f"import pcbench; pcbench.run({study!r}, out={str(here / 'out')!r}, block=4, dask='local', workers=2)"
+    pcbench.run(study, out=here / "whole", block_size=4)
+    code = f"import pcbench; pcbench.run({study!r}, out={str(here / 'out')!r}, block_size=4, dask='local', workers=2)"
     script = here / "go.py"
     script.write_text(f"if __name__ == '__main__':\n    {code}\n")
     subprocess.run([sys.executable, str(script)], check=True, cwd=here, env=os.environ | {"PYTHONPATH": ROOT})

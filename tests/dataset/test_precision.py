@@ -15,7 +15,7 @@ from pcbench.errors import UserError
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 STUDY = {
     "name": "until",
-    "scenario": {"base": "cart/slow", "horizon": 4.0, "tail": 2.0},
+    "scenario": {"base": "cart/slow", "duration": 4.0, "steady_start": 2.0},
     "observers": ["pccebo", "kfbo"],
     "seeds": 64,
     "axes": {"noise_std": [0.0, 0.1, 0.5]},
@@ -25,11 +25,11 @@ STUDY = {
 @pytest.fixture(scope="module")
 def done(tmp_path_factory, in_a_hurry):
     out = tmp_path_factory.mktemp("until") / "out"
-    return pcbench.run(STUDY, out=out, until_se="tail_rmse=0.002", max_seeds=3000)
+    return pcbench.run(STUDY, out=out, until_se="steady_rmse=0.002", max_seeds=3000)
 
 
 def test_every_observer_of_every_cell_reaches_the_goal_or_the_budget(done):
-    rows = done.stats[(done.stats.metric == "tail_rmse") & (done.stats.signal == "position")]
+    rows = done.stats[(done.stats.metric == "steady_rmse") & (done.stats.signal == "position")]
     for _, cell in rows.groupby("cell"):
         n = cell.n.iloc[0]
         assert (cell.n == n).all(), "observers of a cell have the same seeds"
@@ -42,7 +42,7 @@ def test_every_observer_of_every_cell_reaches_the_goal_or_the_budget(done):
 def test_no_more_seeds_are_added_than_were_needed(done):
     """The prediction from the first 64 seeds is at most a third off, with its margin of 5 %."""
     rows = done.stats[
-        (done.stats.metric == "tail_rmse") & (done.stats.signal == "position") & (done.stats.noise_std == 0.1)
+        (done.stats.metric == "steady_rmse") & (done.stats.signal == "position") & (done.stats.noise_std == 0.1)
     ]
     worst = rows.loc[rows.se.idxmax()]
     needed = worst.n * (worst.se / 0.002) ** 2
@@ -51,7 +51,7 @@ def test_no_more_seeds_are_added_than_were_needed(done):
 
 def test_the_same_command_again_adds_nothing(done):
     before = {p: p.stat().st_mtime_ns for p in done.out.rglob("*.parquet")}
-    pcbench.run(STUDY, out=done.out, until_se="tail_rmse=0.002", max_seeds=3000)
+    pcbench.run(STUDY, out=done.out, until_se="steady_rmse=0.002", max_seeds=3000)
     pcbench.run(STUDY, out=done.out)
     assert {p: p.stat().st_mtime_ns for p in done.out.rglob("*.parquet")} == before
 
@@ -64,7 +64,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(done, tmp_path):
         path.unlink()
     plain = pcbench.run(STUDY, out=shutil.copytree(out, tmp_path / "plain"))
     assert plain.stats.groupby(["cell", "metric"]).n.nunique().max() == 1
-    pcbench.run(STUDY, out=out, until_se="tail_rmse=0.002", max_seeds=3000)
+    pcbench.run(STUDY, out=out, until_se="steady_rmse=0.002", max_seeds=3000)
     for name in ("stats.parquet", "pairs.parquet"):
         assert (out / name).read_bytes() == want[Path(name)]
 

@@ -60,9 +60,9 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
 @pytest.mark.usefixtures("in_a_hurry")
 def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
     study = {"name": "far", "scenarios": ["cart/slow"], "observers": ["kfbo"], "seeds": 6}
-    here = pcbench.run(study, out=tmp_path / "out", block=4)
-    pcbench.run(study, out=s3("far"), seeds=5, block=4)
-    there = pcbench.run(study, out=s3("far"), block=4)
+    here = pcbench.run(study, out=tmp_path / "out", block_size=4)
+    pcbench.run(study, out=s3("far"), seeds=5, block_size=4)
+    there = pcbench.run(study, out=s3("far"), block_size=4)
     pd.testing.assert_frame_equal(here.runs, there.runs)
     pd.testing.assert_frame_equal(here.stats, there.stats)
     assert verify.status(s3("far")).closed

@@ -36,7 +36,7 @@ def test_what_is_missing_is_done_and_nothing_else(copy, keep, monkeypatch):
         path.unlink()
     (copy / "stats.parquet").unlink()
     stamps = {p: p.stat().st_mtime_ns for p in (copy / "runs").rglob("*.parquet")}
-    pcbench.run(STUDY, out=copy, block=16)
+    pcbench.run(STUDY, out=copy, block_size=16)
     assert tables(copy) == want
     assert all(p.stat().st_mtime_ns == t for p, t in stamps.items()), "what stood was not touched"
     assert sum(one.runs for one in done) == sum(len(pd.read_parquet(p)) // 2 for p in files if p not in stamps)
@@ -46,7 +46,7 @@ def test_a_damaged_block_is_named_and_done_again(copy):
     want, said = tables(copy), []
     path = sorted((copy / "runs").rglob("*.parquet"))[3]
     path.write_bytes(path.read_bytes()[:-20])
-    pcbench.run(STUDY, out=copy, block=16, say=said.append)
+    pcbench.run(STUDY, out=copy, block_size=16, say=said.append)
     assert len(said) == 1
     assert path.name in said[0]
     assert tables(copy) == want
@@ -55,7 +55,7 @@ def test_a_damaged_block_is_named_and_done_again(copy):
 def test_rows_that_two_blocks_hold_are_kept_once(copy):
     """Another process with blocks of another size was at work in the folder."""
     said = []
-    pcbench.run(STUDY, out=copy.parent / "other", block=8)
+    pcbench.run(STUDY, out=copy.parent / "other", block_size=8)
     for path in list((copy.parent / "other" / "runs").rglob("*.parquet"))[:7]:
         shutil.copy(path, copy / path.relative_to(copy.parent / "other"))
     pcbench.run(STUDY, out=copy, say=said.append)
@@ -65,13 +65,13 @@ def test_rows_that_two_blocks_hold_are_kept_once(copy):
 
 @pytest.mark.parametrize("size", [8, 2048])
 def test_blocks_of_any_size_hold_the_same(whole, tmp_path, size):
-    pcbench.run(STUDY, out=tmp_path / "out", block=size)
+    pcbench.run(STUDY, out=tmp_path / "out", block_size=size)
     same(whole, tmp_path / "out")
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_any_number_of_calls_at_a_time_leaves_the_same_bytes(whole, tmp_path, count):
-    pcbench.run(STUDY, out=tmp_path / "out", block=16, devices=count)
+    pcbench.run(STUDY, out=tmp_path / "out", block_size=16, devices=count)
     assert tables(tmp_path / "out") == tables(whole)
 
 
@@ -89,7 +89,7 @@ def test_tasks_done_twice_and_in_any_order_leave_each_row_once(whole, tmp_path, 
         return made()
 
     monkeypatch.setattr(executors, "here", twice_and_backwards)
-    pcbench.run(STUDY, out=tmp_path / "out", block=16)
+    pcbench.run(STUDY, out=tmp_path / "out", block_size=16)
     assert tables(tmp_path / "out") == tables(whole)
 
 
@@ -97,7 +97,7 @@ def test_a_damaged_block_does_not_stand_when_a_study_grows_over_it(copy, tmp_pat
     """The gap is cut anew, under another name."""
     path = max((copy / "runs").rglob("*.parquet"))
     path.write_bytes(path.read_bytes()[:-20])
-    pcbench.run(STUDY, out=copy, seeds=61, block=100)
+    pcbench.run(STUDY, out=copy, seeds=61, block_size=100)
     pcbench.run(STUDY, out=tmp_path / "at-once", seeds=61)
     same(copy, tmp_path / "at-once")
 
@@ -136,10 +136,11 @@ def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path, made):
     with made():
         pcbench.run(alone, out=tmp_path / "one")
         pcbench.run(
-            alone | {"axes": {"noise_std": [0.1, 0.5], "delay": [1.0, 3.0], "drift": [0.0, 1.0]}}, out=tmp_path / "many"
+            alone | {"axes": {"noise_std": [0.1, 0.5], "delay": [1.0, 3.0], "parameter_drift": [0.0, 1.0]}},
+            out=tmp_path / "many",
         )
     a, b = rows(tmp_path / "one"), rows(tmp_path / "many")
-    b = b[(b.delay == 1.0) & (b.drift == 0.0)]
+    b = b[(b.delay == 1.0) & (b.parameter_drift == 0.0)]
     by = ["noise_std", "observer", "seed", "signal"]
     a, b = (f.sort_values(by, ignore_index=True).drop(columns="cell") for f in (a, b))
     pd.testing.assert_frame_equal(a, b, check_exact=True)
@@ -148,7 +149,7 @@ def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path, made):
 ELSEWHERE = {
     "csth/10s-noise": ({"delay": [[20.0, 50.0, 70.0], [20.0, 50.0, 120.0]]}, {}),
     "cart/variable": ({"delay": [0.2, 0.6], "loss": [0.0, 0.2]}, {}),
-    "arm/sampled": ({"delay": [0.02, 0.1], "drift": [0.0, 0.05]}, {}),
+    "arm/sampled": ({"delay": [0.02, 0.1], "parameter_drift": [0.0, 0.05]}, {}),
     "helicopter/constant": (
         {"delay": [0.01, 0.04], "sampling_period": [0.05, 0.2]},
         {"observers": ["high-gain", "ekf"]},

@@ -39,7 +39,7 @@ def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last
 
 
 def test_chunks_of_seeds_that_begin_elsewhere_end_at_the_same_seeds(tmp_path, monkeypatch):
-    pcbench.run("cart/slow", observers=["kfbo"], seeds=20, first_seed=5, block=9, out=tmp_path / "out")
+    pcbench.run("cart/slow", observers=["kfbo"], seeds=20, first_seed=5, block_size=9, out=tmp_path / "out")
     monkeypatch.setattr(statistics, "CHUNK", 8)
     assert [len(chunk["kfbo"]["diverged"]) for chunk in parts(tmp_path / "out")] == [3, 8, 8, 1]
 
@@ -64,8 +64,8 @@ def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monke
     """With a cell whose runs diverge, which is taken by itself, and one that has fewer seeds."""
     study = {
         "name": "some",
-        "scenario": {"base": "cart/slow", "bound": 50.0},
-        "observers": ["kfbo", "open-loop"],
+        "scenario": {"base": "cart/slow", "divergence_threshold": 50.0},
+        "observers": ["kfbo", "model-only"],
         "axes": {"noise_std": [0.1, 0.2, 80.0, 0.3, 0.4]},
     }
     place = store.target(tmp_path / "out")

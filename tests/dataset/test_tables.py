@@ -21,25 +21,27 @@ AXES = [
     "sampling_period",
     "delay",
     "noise_std",
-    "drift",
-    "profile",
-    "jitter",
+    "parameter_drift",
+    "sampling_pattern",
+    "sampling_jitter",
     "delay_jitter",
     "loss",
     "assumed_delay_error",
     "actuator_delay",
 ]
 RUNS = (
-    "seed signal unit carries_input mae rmse mse peak final settling_time recovery_time tail_mae tail_rmse tail_mse tail_peak "
-    "tracking_rmse tail_tracking_rmse status diverged first_bad_time"
+    "seed signal unit predicts_unknown_input mae rmse mse max_abs_error final_error settling_time recovery_time steady_mae "
+    "steady_rmse steady_mse steady_max_abs_error "
+    "tracking_rmse steady_tracking_rmse status diverged divergence_time"
 )
 STATS = (
-    "signal unit carries_input certified metric method n diverged mean se ci_low ci_high "
+    "signal unit predicts_unknown_input certified metric method n diverged mean se ci_low ci_high "
     + " ".join(f"{q} {q}_low {q}_high" for q in ("p05", "p25", "p50", "p75", "p95"))
     + " reason"
 )
 PAIRS = (
-    "observer_a observer_b carries_input_a carries_input_b certified_a certified_b signal unit metric method n mean_diff se "
+    "observer_a observer_b predicts_unknown_input_a predicts_unknown_input_b certified_a certified_b signal unit "
+    "metric method n mean_diff se "
     "ci_low ci_high prob_a_better p_value p_holm"
 )
 
@@ -94,9 +96,9 @@ def test_stats_follow_from_runs(done):
         rows = done.stats.query(
             "scenario == @scenario and observer == @observer and cell == @cell and signal == 'position'"
         )
-        row = rows[rows.metric == "tail_rmse"].iloc[0]
-        assert row["mean"] == pytest.approx(part.tail_rmse.mean(), rel=1e-12)
-        assert row["p50"] == pytest.approx(part.tail_rmse.median(), rel=1e-12)
+        row = rows[rows.metric == "steady_rmse"].iloc[0]
+        assert row["mean"] == pytest.approx(part.steady_rmse.mean(), rel=1e-12)
+        assert row["p50"] == pytest.approx(part.steady_rmse.median(), rel=1e-12)
         pooled = rows[rows.metric == "pooled_rmse"].iloc[0]
         assert pooled["mean"] == pytest.approx(np.sqrt(part.mse.mean()), rel=1e-12)
 
@@ -108,15 +110,16 @@ def test_in_memory_equals_on_disk(done):
 
 
 def test_a_start_that_is_not_of_the_prior_has_no_efficiency():
-    study = {"name": "s", "scenarios": ["cart/white"], "observers": ["open-loop"], "seeds": 4}
+    study = {"name": "s", "scenarios": ["cart/white"], "observers": ["model-only"], "seeds": 4}
     found = [
-        pcbench.run(study | {"options": {"scenario": o}}).stats for o in ({"start_spread": 0.5}, {"random_start": True})
+        pcbench.run(study | {"options": {"scenario": o}}).stats
+        for o in ({"initial_spread": 0.5}, {"random_initial_state": True})
     ]
-    assert [(stats.metric == "efficiency").any() for stats in found] == [False, True]
+    assert [(stats.metric == "rms_efficiency").any() for stats in found] == [False, True]
 
 
 def test_efficiency_stands_only_where_there_is_a_bound(done):
-    rows = done.stats[done.stats.metric == "efficiency"]
+    rows = done.stats[done.stats.metric == "rms_efficiency"]
     assert set(rows.noise_std) == {0.5}
     assert set(rows.signal) == {"position"}, "velocity's bound is zero for every purpose"
 
@@ -124,11 +127,13 @@ def test_efficiency_stands_only_where_there_is_a_bound(done):
 @pytest.mark.nightly
 def test_there_is_no_bound_where_the_model_is_wrong():
     result = pcbench.run(
-        "cart/white", seeds=4, observers=["dkf"], axes={"plant.lam": [110.0, 122.0], "drift": [0.0, 1.0]}
+        "cart/white", seeds=4, observers=["kf"], axes={"plant.lam": [110.0, 122.0], "parameter_drift": [0.0, 1.0]}
     )
     assert set(result.stats.metric) >= {"mae"}
-    rows = result.stats[result.stats.metric == "efficiency"]
-    assert rows[["plant.lam", "drift"]].to_numpy().tolist() == [[122.0, 0.0]], "elsewhere the model is not the plant's"
+    rows = result.stats[result.stats.metric == "rms_efficiency"]
+    assert rows[["plant.lam", "parameter_drift"]].to_numpy().tolist() == [[122.0, 0.0]], (
+        "elsewhere the model is not the plant's"
+    )
 
 
 def test_velocity_compares_nothing():
@@ -140,7 +145,7 @@ def test_velocity_compares_nothing():
 
 def test_every_metric_has_its_own_unit(done):
     units = done.stats[done.stats.signal == "position"].groupby("metric").unit.first()
-    assert units[["mae", "settling_time", "mse", "tail_mse", "pooled_rmse", "efficiency"]].tolist() == [
+    assert units[["mae", "settling_time", "mse", "steady_mse", "pooled_rmse", "rms_efficiency"]].tolist() == [
         "m", "s", "(m)^2", "(m)^2", "m", "1",
     ]  # fmt: skip
 
@@ -169,7 +174,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     from pcbench.scenarios import SCENARIOS
     from pcbench.study.cells import cell_of
 
-    s = SCENARIOS["cart/slow"].having(bound=20.0)
+    s = SCENARIOS["cart/slow"].having(divergence_threshold=20.0)
     options = {
         "kfbo": study.options_of(
             read.parse(
@@ -187,11 +192,11 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     (p,) = padding.fit([planning.draft(cell_of(s), options)])
     (done,) = in_memory.execute(read.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
-    trace = pcbench.trace(
+    trace = pcbench.simulate(
         "cart/slow", "kfbo", overrides=["options.kfbo.sampled-innovation=true", "options.kfbo.R=0.0001"]
     )
     e = (trace["position"] - trace["kfbo.position"]).abs().to_numpy()
     first = np.flatnonzero(~(e <= 20.0))[0]
     assert found["diverged"].all()
-    np.testing.assert_allclose(found["first_bad_time"], trace["t"][first])
+    np.testing.assert_allclose(found["divergence_time"], trace["t"][first])
     assert np.isnan(found["mae"]).all()

@@ -29,7 +29,7 @@ def test_status_says_how_far_a_study_is(copy):
 @pytest.fixture
 def mine(tmp_path):
     """The small study in blocks of 16 seeds."""
-    pcbench.run(STUDY, out=tmp_path / "mine", block=16)
+    pcbench.run(STUDY, out=tmp_path / "mine", block_size=16)
     return tmp_path / "mine"
 
 
@@ -72,11 +72,11 @@ def test_commands_on_a_dataset_answer(copy, tmp_path):
 
 def errors(**columns):
     """Two runs of a signal whose largest error is 1000, and other numbers of them."""
-    return pa.table({"signal": ["x", "x"], "peak": [1e3, 10.0]} | columns)
+    return pa.table({"signal": ["x", "x"], "max_abs_error": [1e3, 10.0]} | columns)
 
 
 @pytest.mark.parametrize(
-    ("metric", "part"), [("rmse", 1e-10), ("tail_rmse", 1e-10), ("mse", 1e-13), ("tail_mse", 1e-13)]
+    ("metric", "part"), [("rmse", 1e-10), ("steady_rmse", 1e-10), ("mse", 1e-13), ("steady_mse", 1e-13)]
 )
 def test_what_is_left_of_zero_is_a_part_of_the_largest_error_and_of_a_square_of_its_square(metric, part):
     found = verify.difference(errors(**{metric: [1.0, 1e-7]}), errors(**{metric: [1.0, 2e-7]}))

@@ -21,7 +21,7 @@ from pcbench.observers import OBSERVERS
 
 DOUBLE = 1e-12  # of the signal's size: sums of a few products, in another order
 EXPORTED = [name for name in OBSERVERS if name not in exports.REFUSED]
-QUICK = ("dkf",)
+QUICK = ("kf",)
 
 
 def _once(names):
@@ -51,7 +51,7 @@ def test_a_published_scenario_is_replayed_to_rounding(name):
 @pytest.mark.parametrize("name", [*EXPORTED, "mhe-bounded"])
 def test_products_and_bytes_are_those_of_the_cost_column(name):
     found = exports.of(name)
-    cost = pcbench.costs(exports.HOMES.get(name, "cart/white"), observers=[name]).iloc[0]
+    cost = pcbench.operation_counts(exports.HOMES.get(name, "cart/white"), observers=[name]).iloc[0]
     numbers = [int(n) for n in re.findall(r"\d+", exports.ran(found).splitlines()[-1])]
     products = numbers[3:] or [0, 0]
     assert (products[0], products[1]) == (cost["sample"], cost["tick"])
@@ -60,7 +60,7 @@ def test_products_and_bytes_are_those_of_the_cost_column(name):
 
 @pytest.mark.nightly
 def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
-    done = call("export", "cart/slow", "dkf", "--out", "c", cwd=tmp_path)
+    done = call("export", "cart/slow", "kf", "--out", "c", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     if files.compiler() is None:
         pytest.skip("there is no C compiler here: install one, for this to be tested")
@@ -69,25 +69,25 @@ def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
     line = re.search(r"Compile: (cc .*)$", done.stdout, re.M)[1]
     ran = subprocess.run(line, shell=True, cwd=tmp_path / "c", capture_output=True, text=True, check=True)
     assert "position: differs by" in ran.stdout
-    strict = ["cc", "-std=c99", "-pedantic-errors", "-Wall", "-Wno-unused", "-Werror", "-c", "dkf.c"]
+    strict = ["cc", "-std=c99", "-pedantic-errors", "-Wall", "-Wno-unused", "-Werror", "-c", "kf.c"]
     subprocess.run(strict, cwd=tmp_path / "c", check=True)
-    text = "".join((tmp_path / "c" / name).read_text() for name in ("dkf.c", "dkf.h", "dkf_gains.h"))
+    text = "".join((tmp_path / "c" / name).read_text() for name in ("kf.c", "kf.h", "kf_gains.h"))
     assert set(re.findall(r"#include <(.*)>", text)) == {"math.h", "stdbool.h", "stdint.h"}
     assert not re.search(r"alloc|free\(", text)
     assert "position [m], velocity [m/s]" in text
 
 
 def test_gains_and_model_are_the_designs_in_json_and_mat():
-    found = exports.of("dkf", True)
+    found = exports.of("kf", True)
     told, mat = (
         json.loads(found.files["gains.json"]),
         loadmat(io.BytesIO(found.files["gains.mat"]), simplify_cells=True),
     )
-    gains = pcbench.design(dict(exports.WILD), "dkf").gains
+    gains = pcbench.design(dict(exports.WILD), "kf").gains
     np.testing.assert_array_equal(told["gains"]["P0"], gains.P0)
     np.testing.assert_array_equal(mat["gains"]["motion_powers"], gains.motion.powers)
     np.testing.assert_array_equal(np.squeeze(told["model"]["A"]), mat["model"]["A"])
-    assert told["options"] == OBSERVERS["dkf"].options().model_dump(mode="json")
+    assert told["options"] == OBSERVERS["kf"].options().model_dump(mode="json")
     assert told["signals"] == ["position", "velocity"]
     assert told["units"] == ["m", "m/s"]
 
@@ -98,7 +98,7 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
         ("cart/white", "particle", ["particle: init needs", "erf_inv", "cannot be written in C"]),
         ("cart/white", "oosm-lag", ["oosm_lag: jump needs lu", "export another observer"]),
         ("arm/sine", "pio", ["measures continuously", "take one with a sampling period"]),
-        ({"name": "two", "scenarios": ["cart/white"], "axes": {"noise_std": [0.1, 0.2]}}, "dkf", ["two: got 2 cells"]),
+        ({"name": "two", "scenarios": ["cart/white"], "axes": {"noise_std": [0.1, 0.2]}}, "kf", ["two: got 2 cells"]),
     ],
 )
 def test_what_cannot_be_exported_says_what_stands_in_the_way(study, observer, words):
@@ -144,8 +144,8 @@ _with_own_slope.defvjp(lambda x: (_with_own_slope(x), x), lambda x, g: (2 * x * 
 
 def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
     monkeypatch.setitem(program.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
-    with pytest.raises(UserError, match=r"^dkf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):
-        files.exported("cart/white", "dkf")
+    with pytest.raises(UserError, match=r"^kf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):
+        files.exported("cart/white", "kf")
 
 
 def _compiled(f, *given):

@@ -30,7 +30,7 @@ int main(int argc, char **argv)
         int64_t ages[2] = {{{late}, strtoll(argv[1], NULL, 10)}};
         for (int i = 0; i < 2; i++) {{
             if (i == 0 ? k < {late} || (k - {late}) % {every} : k != {at}) continue;
-            {label}_arrival a = {{.value = {{0.3}}, .fresh = {{true}}, .age = {{ages[i]}}}};
+            {label}_arrival a = {{.value = {{0.3}}, .mask = {{true}}, .age = {{ages[i]}}}};
             int64_t taken = ages[i] >= 0 && ages[i] <= k ? k - ages[i] : 0;
             {carry}
             memcpy(&old, &m, sizeof m);
@@ -55,9 +55,9 @@ def driven(found, folder, every, late, at, ticks, age):
     label = found.about.label
     if not (folder / "driver").exists():
         files.write(found, folder)
-        noted = f"{label}_note(" in found.files[f"{label}.h"]
-        note = f"{label}_note(&{label}_nominal, &m, &now, notes[k]);" if noted else "(void)notes;"
-        carry = "memcpy(a.note, notes[taken], sizeof a.note);" if noted else "(void)taken;"
+        noted = f"{label}_snapshot(" in found.files[f"{label}.h"]
+        note = f"{label}_snapshot(&{label}_nominal, &m, &now, notes[k]);" if noted else "(void)notes;"
+        carry = "memcpy(a.snapshot, notes[taken], sizeof a.snapshot);" if noted else "(void)taken;"
         text = DRIVER.format(label=label, every=every, late=late, at=at, ticks=ticks, note=note, carry=carry)
         (folder / "driver.c").write_text(text)
         line = [files.compiler(), "-std=c99", "-O1", "driver.c", f"{label}.c", "-lm", "-o", "driver"]
@@ -67,11 +67,11 @@ def driven(found, folder, every, late, at, ticks, age):
 
 
 @pytest.mark.parametrize(
-    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "kf-rewind", "mhe"))]
+    "name", ["kf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "kf-reprocess", "mhe"))]
 )
 def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_path):
     """Before, one such measurement made every estimate NaN for good (the servo that was asked about, 0.3 s)."""
-    plant = MOTOR | {"name": "fast", "lti": MOTOR["lti"] | {"delay": 0.05, "sampling_period": 0.05, "horizon": 3.0}}
+    plant = MOTOR | {"name": "fast", "lti": MOTOR["lti"] | {"delay": 0.05, "sampling_period": 0.05, "duration": 3.0}}
     found = files.exported(plant, name)
     oldest = found.about.oldest
     assert re.search(rf"_OLDEST_AGE {oldest} /\* ticks \*/", found.files[f"{found.about.label}.h"])
@@ -91,7 +91,7 @@ def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_
 
 def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
     """Measurements so old that they are in order at the age that the header names."""
-    found = files.exported(MOTOR, "dkf")
+    found = files.exported(MOTOR, "kf")
     oldest = found.about.oldest
     assert driven(found, tmp_path, every=oldest + 1, late=oldest, at=2 * oldest, ticks=3 * oldest + 2, age=oldest)[
         :2
@@ -101,7 +101,7 @@ def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
 def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
     """No sample overtakes another on this schedule, so there is no room: what was garbage is refused."""
     plant = MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0}}
-    found = files.exported(plant, "dkf")
+    found = files.exported(plant, "kf")
     refused, code, same, xhat = driven(found, tmp_path, every=2, late=0, at=50, ticks=99, age=3)
     assert (refused, code, same) == (0, 1, 1)
     assert np.isfinite(xhat)
@@ -109,7 +109,7 @@ def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
 
 def test_jump_uses_measurement_after_as_many_newer_ones_as_the_header_names(tmp_path):
     """A measurement comes every 2 ticks, without delay; one of age 2 N - 1 arrives after N newer ones."""
-    found = files.exported(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "dkf")
+    found = files.exported(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "kf")
     newer = found.about.newer
     assert newer > 1
     for age, code in ((2 * newer - 1, 0), (2 * newer + 1, 1)):
@@ -134,7 +134,7 @@ def _recording(folder):
 
 
 @pytest.mark.parametrize(
-    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "pccebo", "kf-cloning", "mhe"))]
+    "name", ["kf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "pccebo", "kf-cloning", "mhe"))]
 )
 def test_c_of_recording_equals_its_replay(name, tmp_path):
     log = _recording(tmp_path / "flight")
@@ -147,7 +147,7 @@ def test_c_of_recording_equals_its_replay(name, tmp_path):
 def test_c_without_room_for_recording_is_not_silent(tmp_path):
     """The C of the plant file alone, run on the recording: it says how many measurements it refused, and is finite."""
     log = _recording(tmp_path / "flight")
-    narrow, wide = files.exported(MOTOR, "dkf"), files.exported(MOTOR, "dkf", log=log)
+    narrow, wide = files.exported(MOTOR, "kf"), files.exported(MOTOR, "kf", log=log)
     mixed = narrow._replace(files=narrow.files | {"vector.h": wide.files["vector.h"]})
-    with pytest.raises(files.UserError, match=r"\d+ measurements are older than the room of dkf"):
+    with pytest.raises(files.UserError, match=r"\d+ measurements are older than the room of kf"):
         exports.ran(mixed)

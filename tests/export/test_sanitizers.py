@@ -10,7 +10,7 @@ from pcbench.observers import OBSERVERS
 
 EXPORTED = [name for name in OBSERVERS if name not in exports.REFUSED]
 FLAGS = ["-std=c99", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-QUICK = ("dkf",)
+QUICK = ("kf",)
 HARNESS = """#include <stdio.h>
 #include <stdlib.h>
 #include "{label}.h"
@@ -50,10 +50,10 @@ int main(void)
         {label}_init(&{label}_nominal, x0, m);
         for (int64_t k = 0; k < {ticks}; k++) {{
 {note}{sampled}            for (uint64_t i = draw() % 3; i; i--) {{
-                {label}_arrival a = {{.since = age(k)}};
+                {label}_arrival a = {{.ticks_since_arrival = age(k)}};
                 for (int j = 0; j < OUTPUTS; j++) {{
                     a.value[j] = ({label}_real)value();
-                    a.fresh[j] = draw() % 4 != 0;
+                    a.mask[j] = draw() % 4 != 0;
                     a.age[j] = age(k);
                     a.index[j] = age(k);
                 }}
@@ -77,16 +77,16 @@ int main(void)
 def harness(found, ticks, runs, seed):
     """The program that feeds an exported observer arrivals of any age, order and value."""
     label, text = found.about.label, found.files[f"{found.about.label}.h"]
-    note = f"            {label}_note(&{label}_nominal, m, now, note);\n"
+    note = f"            {label}_snapshot(&{label}_nominal, m, now, note);\n"
     sampled = (
         "            bool fresh[OUTPUTS];\n            for (int j = 0; j < OUTPUTS; j++) fresh[j] = draw() % 2;\n"
         f"            {label}_sampled(&{label}_nominal, m, now, fresh);\n"
     )
-    carry = "                for (unsigned j = 0; j < sizeof a.note / sizeof *a.note; j++) a.note[j] = note[j];\n"
-    has = {name: f"{label}_{name}(" in text for name in ("note", "sampled")}
+    carry = "                for (unsigned j = 0; j < sizeof a.snapshot / sizeof *a.snapshot; j++) a.snapshot[j] = note[j];\n"
+    has = {name: f"{label}_{name}(" in text for name in ("snapshot", "sampled")}
     return HARNESS.format(
         label=label, inputs=found.about.inputs, outputs=found.about.outputs, seed=seed, oldest=found.about.oldest, ticks=ticks,
-        runs=runs, note=note * has["note"], sampled=sampled * has["sampled"], carry=carry * has["note"],
+        runs=runs, note=note * has["snapshot"], sampled=sampled * has["sampled"], carry=carry * has["snapshot"],
     )  # fmt: skip
 
 

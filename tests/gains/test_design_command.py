@@ -24,7 +24,7 @@ IN = {
     "pio": "arm/sampled",
     "high-gain": "helicopter/constant",
     "ekf-delay": "cart/unknown-delay",
-    "bank": "cart/unknown-delay",
+    "mmae-delay": "cart/unknown-delay",
 }
 PROMISES = {
     "pccebo",
@@ -34,7 +34,7 @@ PROMISES = {
     "chain",
     "smo",
     "pio",
-}  # no-delay diverges there, dkf's gain varies in time
+}  # no-delay diverges there, kf's gain varies in time
 
 
 ALWAYS = ("rate", "margin", "solver", "fallback", "certified", "refused")  # columns of a trade-off
@@ -57,9 +57,9 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     path.write_text(design.to_toml(table))
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
     proven = proof.pop("certified", None)
-    unproven = ("ekf", "high-gain", "no-delay", "kf-now", "kf-shift", "kf-larsen", "kf-alexander")
-    unproven += ("iekf", "ukf", "mhe", "particle", "ekf-delay", "bank")
-    assert proven == (None if observer == "open-loop" else observer not in unproven), "in the files as well"
+    unproven = ("ekf", "high-gain", "no-delay", "kf-ignore-delay", "kf-shifted-innovation", "kf-larsen", "kf-alexander")
+    unproven += ("ekf-iterated", "ukf", "mhe", "particle", "ekf-delay", "mmae-delay")
+    assert proven == (None if observer == "model-only" else observer not in unproven), "in the files as well"
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)
     same(found, again)
@@ -83,7 +83,7 @@ WAYS = [
 @pytest.mark.parametrize(("observer", "scenario", "method", "options"), WAYS)
 def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, scenario, method, options):
     changes = [f"options.{observer}.{name}={value}" for name, value in options.items()]
-    table, found = written(observer, scenario, method=method, overrides=changes)
+    table, found = written(observer, scenario, gain=method, overrides=changes)
     again = pcbench.design({k: v for k, v in table.items() if k != "resolved"}, observer)
     same(found, again)
     if "decay" in options:
@@ -92,16 +92,16 @@ def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, sc
 
 
 def test_a_design_that_is_read_back_promises_nearly_the_decay_that_was_asked_and_keeps_other_options():
-    changes = ["options.pccebo.decay=1.0", "options.scenario.start_spread=0.2", "options.dkf.R=3.0"]
-    table, _ = written("pccebo", "cart/gaussian", method="h2", overrides=changes)
+    changes = ["options.pccebo.decay=1.0", "options.scenario.initial_spread=0.2", "options.kf.R=3.0"]
+    table, _ = written("pccebo", "cart/gaussian", gain="h2", overrides=changes)
     assert table["options"]["pccebo"]["decay"] == pytest.approx(0.999)
     assert set(table["options"]["pccebo"]) >= {"L", "decay"}
-    assert table["options"]["scenario"] == {"start_spread": 0.2}
-    assert table["options"]["dkf"] == {"R": 3.0}
+    assert table["options"]["scenario"] == {"initial_spread": 0.2}
+    assert table["options"]["kf"] == {"R": 3.0}
 
 
 def test_a_trade_off_shows_gains_and_noise_and_not_what_proves_them():
-    table = pcbench.trade_off("cart/gaussian", "pccebo", "q", [0.01, 1.0], method="riccati")
+    table = pcbench.trade_off("cart/gaussian", "pccebo", "q", [0.01, 1.0], gain="riccati")
     numbers = [name for name in table.columns if name not in ("q", *ALWAYS)]
     assert [name for name in numbers if not name.startswith("eigenvalues")] == [
         "L[0]",
@@ -110,7 +110,7 @@ def test_a_trade_off_shows_gains_and_noise_and_not_what_proves_them():
         "noise_rms[1]",
     ]
     for value, row in zip((0.01, 1.0), table.to_dict("records"), strict=True):
-        found = pcbench.design("cart/gaussian", "pccebo", method="riccati", overrides=[f"options.pccebo.q={value}"])
+        found = pcbench.design("cart/gaussian", "pccebo", gain="riccati", overrides=[f"options.pccebo.q={value}"])
         assert [row["L[0]"], row["L[1]"]] == found.gains.L[:, 0].tolist()
 
 
@@ -120,7 +120,7 @@ def test_the_command_writes_a_study_that_runs_and_says_what_is_promised(tmp_path
         "design",
         "cart/gaussian",
         "pccebo",
-        "--method",
+        "--gain",
         "h2",
         "--set",
         "options.pccebo.decay=1.0",
@@ -142,7 +142,7 @@ def test_the_command_writes_a_study_that_runs_and_says_what_is_promised(tmp_path
 @pytest.mark.nightly
 def test_a_trade_off_is_a_row_for_each_value_and_says_what_is_refused(tmp_path):
     out = tmp_path / "curve.parquet"
-    words = ["design", "cart/gaussian", "pccebo", "--method", "h2", "--sweep", "decay=0.5,1,1000"]
+    words = ["design", "cart/gaussian", "pccebo", "--gain", "h2", "--sweep", "decay=0.5,1,1000"]
     done = call(*words, "--out", str(out))
     assert "expected 20 at most" in done.stdout.replace("\n", " "), done.stderr
     table = pd.read_parquet(out)
@@ -151,10 +151,10 @@ def test_a_trade_off_is_a_row_for_each_value_and_says_what_is_refused(tmp_path):
     assert table["noise_rms[0]"][1] > table["noise_rms[0]"][0]
     rows = json.loads(call(*words, "--json").stdout)
     assert [row["decay"] for row in rows] == [0.5, 1, 1000]
-    ranges = pcbench.trade_off("cart/gaussian", "pccebo", "period-range", [[0.5, 0.7], [0.1, 1.0]], method="decay")
+    ranges = pcbench.trade_off("cart/gaussian", "pccebo", "period-range", [[0.5, 0.7], [0.1, 1.0]], gain="decay")
     assert ranges.rate[0] > ranges.rate[1] > 0
     with pytest.raises(UserError, match="expected 20 at most"):
-        pcbench.trade_off("cart/gaussian", "pccebo", "decay", [1000.0], method="h2")
+        pcbench.trade_off("cart/gaussian", "pccebo", "decay", [1000.0], gain="h2")
 
 
 TRADES = {
@@ -176,14 +176,14 @@ def test_a_faster_promise_costs_something(observer):
 
 
 MISTAKES = {
-    ("--method", "beauty"): "'beauty' is no way to find gains of pccebo; did you mean 'decay'?",
+    ("--gain", "beauty"): "'beauty' is no way to find gains of pccebo; did you mean 'decay'?",
     ("--sweep", "decay"): "expected OPTION=A,B,...",
     ("--sweep", "beauty=1,2"): "'beauty' is no option",
     ("--set", "options.pccebo.period-range=[3.0,1.0]"): "expected a range: [lowest, highest]",
     ("--set", "options.pccebo.parameter-range={mass=[1.0,2.0]}"): "'mass' is no parameter of plant cart",
     ("--set", "options.pccebo.parameter-range={lam=3}"): "parameter_range.lam: got 3, expected a valid list",
     ("--set", "options.pccebo.period-range=[0.0001,0.0002]"): "expected one with a multiple of the tick",
-    ("--method", "riccati", "--set", "options.pccebo.decay=1.0"): "errors decay at 0.168 1/s",
+    ("--gain", "riccati", "--set", "options.pccebo.decay=1.0"): "errors decay at 0.168 1/s",
     ("--out", "/proc/none/x.toml"): "/proc/none",
 }
 
@@ -198,9 +198,9 @@ def test_mistakes_are_one_sentence(words, tmp_path):
 
 
 def test_an_observer_with_one_way_says_so():
-    done = call("design", "cart/gaussian", "dkf", "--method", "h2")
+    done = call("design", "cart/gaussian", "kf", "--gain", "h2")
     assert done.returncode == 2
-    assert "dkf has one way to find its gains; leave it out" in done.stderr
+    assert "kf has one way to find its gains; leave it out" in done.stderr
 
 
 def test_a_sweep_of_what_the_gains_do_not_come_from_says_so():

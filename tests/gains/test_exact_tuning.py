@@ -27,7 +27,7 @@ STUDY = {
     "name": "odd",
     "lti": {
         "A": ODD.A.tolist(), "B": ODD.B.tolist(), "C": ODD.C.tolist(), "x0": X0, "xhat0": XHAT0,
-        "prior_std": [0.4, 0.3, 0.5], "tick": TICK, "horizon": N * TICK, "tail": TAIL * TICK, "noise_std": NOISE,
+        "prior_std": [0.4, 0.3, 0.5], "tick": TICK, "duration": N * TICK, "steady_start": TAIL * TICK, "noise_std": NOISE,
         "sampling_period": TE * TICK, "delay": LATE * TICK, "states": ["a", "b", "c"], "input": "sine,sawtooth",
     },
     "options": {"pccebo": {"L": L}},
@@ -35,11 +35,11 @@ STUDY = {
 LOOP = {
     "name": "loop",
     "lti": {
-        "A": [[0.3]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.8], "prior_std": [0.5], "tick": 0.1, "horizon": 4.0,
-        "tail": 1.0, "noise_std": 0.3, "process_std": 0.1, "sampling_period": 0.3, "delay": 0.2, "states": ["a"],
+        "A": [[0.3]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.8], "prior_std": [0.5], "tick": 0.1, "duration": 4.0,
+        "steady_start": 1.0, "noise_std": 0.3, "process_std": 0.1, "sampling_period": 0.3, "delay": 0.2, "states": ["a"],
     },
     "controller": {"use": "state-feedback", "K": [[1.0]]},
-    "options": {"dkf": {"R": 0.05}},
+    "options": {"kf": {"R": 0.05}},
 }  # fmt: skip
 
 OWN = {"name": "own", "lti": LOOP["lti"] | {"input": "sine"}}
@@ -64,7 +64,7 @@ def asked(study, observer, objective, signal=None, only=None):
 def by_impulses(gain):
     """Mean and variance [N+1, 3] of pccebo's error, a sample's noise at a time."""
     model = linear.Model(ODD.A, ODD.B, ODD.C, TICK)
-    driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
+    driven = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
 
     def error_of(u, start, xhat0, noise):
         x, samples = linear.simulate(model, u, start, [TE, TE], [LATE, LATE], noise)
@@ -76,12 +76,12 @@ def by_impulses(gain):
 
 
 KNOWN = {
-    "tail_pooled_rmse": lambda m, p: moments.root_expected_mse(m, p, TAIL, N)[1],
+    "steady_pooled_rmse": lambda m, p: moments.root_expected_mse(m, p, TAIL, N)[1],
     "mae": lambda m, p: moments.expected_mae(m, p, 0, N)[1],
 }
 
 
-@pytest.mark.parametrize("metric", ["tail_pooled_rmse", pytest.param("mae", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("metric", ["steady_pooled_rmse", pytest.param("mae", marks=pytest.mark.nightly)])
 def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     """The value to 1e-10; the gradient to what central differences of the other give: 1e-7."""
     of = KNOWN[metric]
@@ -99,7 +99,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
 def test_a_loops_gradient_is_that_of_its_values():
     """Where tuning by runs has none."""
     with process.float64():
-        evaluate, start = asked(LOOP, "dkf", "pooled_rmse")
+        evaluate, start = asked(LOOP, "kf", "pooled_rmse")
         _, slope = evaluate(start)
         step = 1e-4
         apart = [
@@ -121,7 +121,7 @@ def test_a_gain_of_zero_has_its_slope_though_a_tick_is_the_same_without_it():
 
 def refused(*words, **changes):
     with pytest.raises(UserError) as caught:
-        pcbench.tune(*words, exact=True, **changes)
+        pcbench.tune(*words, exact_objective=True, **changes)
     said = str(caught.value)
     assert "\n" not in said
     return said
@@ -129,7 +129,9 @@ def refused(*words, **changes):
 
 def test_what_has_no_exact_value_says_so_and_what_to_do():
     assert "rmse, which has no exact value (the mean of a root" in refused("cart/slow", "pccebo", objective="rmse")
-    assert "tail_peak, which has no exact value" in refused("cart/slow", "pccebo", objective="tail_peak")
+    assert "steady_max_abs_error, which has no exact value" in refused(
+        "cart/slow", "pccebo", objective="steady_max_abs_error"
+    )
     assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training=(0, 8))
     random = refused("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
     assert random.endswith("expected what all runs share, as a gradient is of one schedule; "
@@ -138,12 +140,12 @@ def test_what_has_no_exact_value_says_so_and_what_to_do():
 
 def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
     with process.float64():
-        _, cell = read.one_cell(OWN, ["open-loop"], [])
+        _, cell = read.one_cell(OWN, ["model-only"], [])
         (p,) = padding.fit(list(planning.drafts([cell])))
     boxed = p._replace(layout=p.layout._replace(scattered=True))
     expected.check(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
-    with pytest.raises(UserError, match="got tail_mae of an error that is not normal"):
-        expected.check(objective_of("tail_mae", cell.scenario, None, "test"), boxed, "test")
+    with pytest.raises(UserError, match="got steady_mae of an error that is not normal"):
+        expected.check(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
 
 
 def test_an_observer_that_is_not_affine_is_tuned_on_runs():
@@ -155,13 +157,13 @@ def test_an_observer_that_is_not_affine_is_tuned_on_runs():
 
 @pytest.mark.nightly
 def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
-    how = {"objective": "tail_pooled_rmse", "signal": "b", "exact": True}
+    how = {"objective": "steady_pooled_rmse", "signal": "b", "exact": True}
     found = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
     (judged,) = found.judged
     assert (judged.what, judged.seeds.many, judged.tuned_se) == ("exact", 0, 0)
     assert judged.tuned < 0.99 * judged.start
-    stats = pcbench.exact(tmp_path / "out" / "tuned.toml").stats
-    row = stats.query("signal == 'b' and metric == 'tail_mse'")
+    stats = pcbench.exact_moments(tmp_path / "out" / "tuned.toml").stats
+    row = stats.query("signal == 'b' and metric == 'steady_mse'")
     assert row["mean"].item() == pytest.approx(judged.tuned, rel=1e-12)
     again = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
     assert again.found == found.found

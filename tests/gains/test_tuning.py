@@ -19,7 +19,7 @@ from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
 from pcbench.observers import OBSERVERS, entry_of
 
-SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "tail_rmse"}
+SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "steady_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
 
 
@@ -28,7 +28,7 @@ def options(observer):
 
 
 @pytest.mark.parametrize(
-    "observer", [name for name, entry in OBSERVERS.items() if parameters.tunable(entry) and name != "open-loop"]
+    "observer", [name for name, entry in OBSERVERS.items() if parameters.tunable(entry) and name != "model-only"]
 )
 @given(data=st.data())
 def test_every_vector_of_numbers_is_an_option(observer, data):
@@ -45,7 +45,7 @@ def test_every_vector_of_numbers_is_an_option(observer, data):
             np.testing.assert_allclose(its, mine, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "tail_pooled_rmse"])
+@pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "steady_pooled_rmse"])
 def test_a_goals_slope_is_its_derivative_and_a_lost_run_has_no_number(metric):
     goal, runs, lost = Objective(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
     assert goal.slope(2.0) == pytest.approx((goal.of(2.0 + 1e-6) - goal.of(2.0 - 1e-6)) / 2e-6, rel=1e-8)
@@ -159,7 +159,7 @@ def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tm
     assert training.tuned == pytest.approx(min(p.value for p in found.points), rel=1e-12)
     assert training.start == pytest.approx(found.points[0].value, rel=1e-12)
     result = pcbench.run(tmp_path / "out" / "tuned.toml", seeds=40, first_seed=100)
-    (row,) = result.stats.query("signal == 'position' and metric == 'tail_rmse'").to_dict("records")
+    (row,) = result.stats.query("signal == 'position' and metric == 'steady_rmse'").to_dict("records")
     assert row["mean"] == pytest.approx(judging.tuned, rel=1e-12)
     assert not found.kept_start
     assert judging.tuned < 0.8 * judging.start
@@ -184,16 +184,16 @@ def test_an_observer_without_slopes_is_searched():
 
 
 MISTAKES = {
-    ("cart/slow", "open-loop"): "without free parameters",
+    ("cart/slow", "model-only"): "without free parameters",
     ("cart/slow", "pccebo", "--objective", "beauty"): "'beauty' is no metric to tune for",
     ("cart/slow", "pccebo", "--budget", "0"): "--budget: got 0, expected 1 or more",
-    ("cart/slow", "pccebo", "--train", "0:64", "--judge", "63:99"): "which overlap",
-    ("cart/slow", "pccebo", "--train", "5"): "expected FIRST:END",
-    ("cart/slow", "pccebo", "--train", "0:1"): "two seeds or more",
+    ("cart/slow", "pccebo", "--training-seeds", "0:64", "--validation-seeds", "63:99"): "which overlap",
+    ("cart/slow", "pccebo", "--training-seeds", "5"): "expected FIRST:END",
+    ("cart/slow", "pccebo", "--training-seeds", "0:1"): "two seeds or more",
     ("cart/slow", "pccebo", "--signal", "speed"): "'speed' is no signal",
     ("cart/slow", "pccebo", "--only", "gain"): "got 'gain' to tune, expected L",
-    ("cart/slow", "pccebo", "--method", "prayer"): "expected descent or search",
-    ("cart/slow", "pccebo", "--objective", "settling_time", "--method", "descent"): "settling_time has no gradient",
+    ("cart/slow", "pccebo", "--optimizer", "prayer"): "expected descent or search",
+    ("cart/slow", "pccebo", "--objective", "settling_time", "--optimizer", "descent"): "settling_time has no gradient",
     ("cart/slow", "pccebo", "--set", "options.pccebo.L=[[2.5],[0.0]]"): "is not certified",
     ("cart/slow", "pccebo", "--set", "options.pccebo.L=[[2.5]]"): "expected a matrix of shape [2, 1]",
     ("cart/slow", "nobody"): "'nobody' is no observer",
@@ -212,7 +212,18 @@ def test_mistakes_are_one_sentence(words, tmp_path):
 
 @pytest.mark.nightly
 def test_the_command_says_what_it_found(tmp_path):
-    words = ["cart/slow", "pccebo", "--budget", "2", "--train", "0:4", "--judge", "4:8", "--out", str(tmp_path / "out")]
+    words = [
+        "cart/slow",
+        "pccebo",
+        "--budget",
+        "2",
+        "--training-seeds",
+        "0:4",
+        "--validation-seeds",
+        "4:8",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = call("tune", *words)
     assert "tuned - start" in done.stdout, done.stderr
     assert "Now run it: pcbench run" in done.stdout
@@ -222,9 +233,7 @@ def test_the_command_says_what_it_found(tmp_path):
 
 
 def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
-    scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["dkf", "pccebo"]}
+    scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["kf", "pccebo"]}
     studies = [scenario | {"options": {"pccebo": {"q": R}}} for R in (0.02, 0.03)]
-    one, two = (
-        tune.tune(each, "dkf", budget=2, training=(0, 4), judges=(4, 8), out=tmp_path / "t") for each in studies
-    )
+    one, two = (tune.tune(each, "kf", budget=2, training=(0, 4), judges=(4, 8), out=tmp_path / "t") for each in studies)
     assert (one.found, one.judged) == (two.found, two.judged)

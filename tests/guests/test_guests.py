@@ -15,10 +15,17 @@ from pcbench.errors import UserError
 from pcbench.guests import draws, entry, guest, score, worker
 from pcbench.study import own_entries, read
 
-SCENARIO = {"base": "cart/white", "horizon": 3.0, "tail": 1.0, "jitter": 0.05, "delay_jitter": 0.6, "loss": 0.2}
-STUDY = {"name": "away", "scenario": SCENARIO, "observers": ["dkf"], "seeds": 3, "axes": {"noise_std": [0.1, 0.5]}}
-PROMPT = {"base": "cart/white", "horizon": 3.0, "tail": 1.0, "delay": 0.0}
-NOW = {"name": "now", "scenario": PROMPT, "observers": ["dkf"], "seeds": 1}
+SCENARIO = {
+    "base": "cart/white",
+    "duration": 3.0,
+    "steady_start": 1.0,
+    "sampling_jitter": 0.05,
+    "delay_jitter": 0.6,
+    "loss": 0.2,
+}
+STUDY = {"name": "away", "scenario": SCENARIO, "observers": ["kf"], "seeds": 3, "axes": {"noise_std": [0.1, 0.5]}}
+PROMPT = {"base": "cart/white", "duration": 3.0, "steady_start": 1.0, "delay": 0.0}
+NOW = {"name": "now", "scenario": PROMPT, "observers": ["kf"], "seeds": 1}
 KALMAN = blocks("python", "code_and_guests.md")[0]
 WRONG = """
 
@@ -55,12 +62,12 @@ class Filter:
 """
 
 
-def traces(study, observer="dkf"):
+def traces(study, observer="kf"):
     """The simulation's own estimates of every run of a study, as somebody else would leave them."""
     rows = []
     for cell, noise in enumerate(study["axes"]["noise_std"]):
         for seed in range(study["seeds"]):
-            run = pcbench.trace({**study, "axes": {"noise_std": [noise]}}, observer, seed=seed)
+            run = pcbench.simulate({**study, "axes": {"noise_std": [noise]}}, observer, seed=seed)
             names = {f"{observer}.{s}": s for s in ("position", "velocity")}
             found = run[list(names)].rename(columns=names)
             rows.append(found.assign(scenario="away", cell=cell, seed=seed, tick=np.arange(len(found))))
@@ -80,7 +87,7 @@ def study(tmp_path_factory):
 def test_samples_that_arrive_are_those_of_the_simulation(study):
     folder, _ = study
     samples = pd.read_parquet(folder / "draws" / "samples.parquet")
-    run = pcbench.trace({**STUDY, "axes": {"noise_std": [0.5]}}, "dkf", seed=2)
+    run = pcbench.simulate({**STUDY, "axes": {"noise_std": [0.5]}}, "kf", seed=2)
     mine = samples[(samples.cell == 1) & (samples.seed == 2)]
     assert mine.arrived_tick.isna().any(), "some are lost"
     each = samples.dropna().sort_values("sampled").groupby(["cell", "seed"])
@@ -95,19 +102,19 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"stamp_offset": 0.05, "stamp_drift": 2e4}, {"stamp_jitter": 0.02}, {"assumed_delay_error": 0.1}]
+    "wrong", [{"timestamp_offset": 0.05, "clock_skew": 2e4}, {"timestamp_jitter": 0.02}, {"assumed_delay_error": 0.1}]
 )
 def test_stamps_of_draws_are_those_that_observers_get_and_a_log_has(tmp_path, wrong):
-    scenario = {"base": "cart/white", "horizon": 2.0, "tail": 1.0}
+    scenario = {"base": "cart/white", "duration": 2.0, "steady_start": 1.0}
     study = {
         "name": "wrong",
         "scenario": scenario,
-        "observers": ["open-loop"],
+        "observers": ["model-only"],
         "axes": {k: [v] for k, v in wrong.items()},
     }
     draws.write(read.grid_of(study | {"seeds": 1}, {}, []), tmp_path / "out")
     drawn = pd.read_parquet(tmp_path / "out" / "draws" / "samples.parquet").dropna().sort_values("sample")
-    pcbench.trace(study, "open-loop", log=tmp_path / "log")
+    pcbench.simulate(study, "model-only", log=tmp_path / "log")
     logged = pd.read_parquet(tmp_path / "log" / "measurements.parquet").dropna().sort_values("arrived")
     true = np.round(0.2 * np.arange(len(drawn)), 3)
     assert np.abs(drawn.sampled - true)[1:].max() > 0.005, "stamps are wrong"
@@ -118,12 +125,12 @@ def test_stamps_of_draws_are_those_that_observers_get_and_a_log_has(tmp_path, wr
 @pytest.mark.nightly
 def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_path):
     folder, said = study[0], []
-    traces(STUDY).to_parquet(tmp_path / "dkf.parquet", index=False)
-    result = score.score(folder, tmp_path / "dkf.parquet", "my-dkf", say=said.append)
+    traces(STUDY).to_parquet(tmp_path / "kf.parquet", index=False)
+    result = score.score(folder, tmp_path / "kf.parquet", "my-kf", say=said.append)
     assert any("cannot be checked" in sentence and "trusted" in sentence for sentence in said)
     key = ["cell", "signal", "metric"]
     ours, theirs = (
-        result.stats[result.stats.observer == name].set_index(key)[["n", "mean", "se"]] for name in ("dkf", "my-dkf")
+        result.stats[result.stats.observer == name].set_index(key)[["n", "mean", "se"]] for name in ("kf", "my-kf")
     )
     pd.testing.assert_frame_equal(ours, theirs, rtol=1e-9, atol=1e-9)
     pairs = result.pairs[(result.pairs.metric == "rmse") & (result.pairs.n == STUDY["seeds"])]
@@ -131,8 +138,8 @@ def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_pat
     assert np.abs(pairs.mean_diff).max() < 1e-9
     assert not verify.verify(str(folder), None, 0).differing
     again = pcbench.run(folder / "study.toml", out=folder)
-    assert set(again.stats.observer) == {"dkf", "my-dkf"}
-    with pytest.raises(UserError, match=r"got no estimates of my-dkf for 2 runs, expected them scored"):
+    assert set(again.stats.observer) == {"kf", "my-kf"}
+    with pytest.raises(UserError, match=r"got no estimates of my-kf for 2 runs, expected them scored"):
         pcbench.run(folder / "study.toml", seeds=5, out=folder)
 
 
@@ -162,7 +169,7 @@ def test_estimates_that_are_not_whole_are_refused(study, tmp_path, what):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("dkf-2", "no name that begins as one of pcbench's own"), ("a b", "expected letters")]
+    ("name", "words"), [("kf-2", "no name that begins as one of pcbench's own"), ("a b", "expected letters")]
 )
 def test_a_guests_name_is_its_own(study, name, words):
     with pytest.raises(UserError, match=words):
@@ -185,28 +192,28 @@ def test_closed_loops_have_no_draws(tmp_path):
 
 
 def _estimated(tmp_path, text):
-    """What a guest makes of one run without delay, and what `dkf` does."""
+    """What a guest makes of one run without delay, and what `kf` does."""
     (tmp_path / "mine.py").write_text(text)
     draws.write(read.grid_of(dict(NOW), {}, []), tmp_path / "out")
     worker.main(str(tmp_path / "out"), f"{tmp_path}/mine.py:Filter", str(tmp_path / "e.parquet"))
     found = pd.read_parquet(tmp_path / "e.parquet")
-    run = pcbench.trace(dict(NOW), "dkf")
-    return found[["position", "velocity"]].to_numpy(), run[["dkf.position", "dkf.velocity"]].to_numpy()[:-1]
+    run = pcbench.simulate(dict(NOW), "kf")
+    return found[["position", "velocity"]].to_numpy(), run[["kf.position", "kf.velocity"]].to_numpy()[:-1]
 
 
-def test_a_kalman_filter_of_ten_lines_is_dkf_where_nothing_is_late(tmp_path):
+def test_a_kalman_filter_of_ten_lines_is_kf_where_nothing_is_late(tmp_path):
     theirs, ours = _estimated(tmp_path, KALMAN)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 
-def test_filterpys_filter_is_dkf_where_nothing_is_late(tmp_path):
+def test_filterpys_filter_is_kf_where_nothing_is_late(tmp_path):
     pytest.importorskip("filterpy", reason="filterpy is not installed: pip install filterpy")
     theirs, ours = _estimated(tmp_path, FILTERPY)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 
 def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
-    """A Kalman filter that reads only the CSV files and cells.json equals dkf, process noise and assumed values included."""
+    """A Kalman filter that reads only the CSV files and cells.json equals kf, process noise and assumed values included."""
     scenario = PROMPT | {"process_std": [0.01, 0.1], "assumed_noise_scale": 3.0}
     study = NOW | {"scenario": scenario}
     folder = draws.write(read.grid_of(study, {}, []), tmp_path / "out", csv=True) and tmp_path / "out" / "draws"
@@ -228,7 +235,7 @@ def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
             x, P = x + K @ (values[tick] - C @ x), (np.eye(2) - K @ C) @ P
         u = np.array([float(row["u1"])])
         found.append(x)
-    run = pcbench.trace(study, "dkf")[["dkf.position", "dkf.velocity"]].to_numpy()
+    run = pcbench.simulate(study, "kf")[["kf.position", "kf.velocity"]].to_numpy()
     np.testing.assert_allclose(found, run[: len(found)], rtol=0, atol=1e-10)
     draws.write(read.grid_of(study, {}, []), tmp_path / "out")
     assert not list(folder.glob("*.csv")), "no table of an earlier call remains"
@@ -251,7 +258,7 @@ def test_a_guest_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_pat
     means = result.stats[(result.stats.metric == "rmse") & (result.stats.signal == "position")].set_index("observer")[
         "mean"
     ]
-    assert means["theirs"] == pytest.approx(means["dkf"], rel=1e-9)
+    assert means["theirs"] == pytest.approx(means["kf"], rel=1e-9)
     assert "guest: one run at a time" in json.dumps(result.provenance["certificates"])
     with pytest.raises(UserError, match="holds no draws"):
         guest.run(tmp_path, f"{tmp_path}/mine.py:Filter", "theirs")

@@ -11,7 +11,7 @@ import pytest
 from commands import call
 
 import pcbench
-from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.observers.parts import options
 from pcbench.protocols import Observer
 
@@ -40,20 +40,20 @@ def test_every_command_that_is_quoted_exists():
     for script in (".ci/run", ".ci/docs", ".ci/site", ".ci/smoke"):
         assert script in block
         assert (ROOT / script).stat().st_mode & 0o100
-    for command in set(re.findall(r"`pcbench (\w+)", TEXT)):
+    for command in set(re.findall(r"`pcbench ((?:external )?[\w-]+)", TEXT)):
         assert call(command, "--help").returncode == 0
 
 
 def test_the_words_of_the_protocols_are_those_of_the_code():
-    for word in ("init", "note", "jump", "flow", "estimate"):
+    for word in ("init", "snapshot", "jump", "flow", "estimate"):
         assert word in Observer._fields
-    for word in ("note", "jump", "flow"):
+    for word in ("snapshot", "jump", "flow"):
         assert f"`{word}`" in TEXT or f"**{word}**" in TEXT
-    assert "knows_schedule" in Entry._fields
+    assert "knows_schedule" in ObserverSpec._fields
     assert callable(options.tunable)
     assert callable(options.way)
     for name in ("Gains", "Options", "design", "OBSERVER"):
-        assert hasattr(sys.modules[OBSERVERS["open-loop"].design.__module__], name)
+        assert hasattr(sys.modules[OBSERVERS["model-only"].design.__module__], name)
 
 
 def test_the_folders_with_nightly_tests_are_listed():

@@ -63,7 +63,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
     """With other flags bits differ: a dataset knows its own, and verify says whose numbers they are."""
     for name, flags in (("plain", "--xla_dump_hlo_as_text=false"), ("fast", "--xla_cpu_enable_fast_math=true")):
         assert command(*RUN, "--out", name, cwd=tmp_path, XLA_FLAGS=flags).returncode == 0
-    said = {name: pcbench.opened(tmp_path / name).provenance["compiler"] for name in ("plain", "fast")}
+    said = {name: pcbench.open_result(tmp_path / name).provenance["compiler"] for name in ("plain", "fast")}
     assert said == {"plain": "defaults", "fast": "--xla_cpu_enable_fast_math=true"}
     place = store.target(tmp_path / "plain")
     for b in block_files.present(place):

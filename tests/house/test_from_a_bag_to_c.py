@@ -72,7 +72,7 @@ def test_its_numbers_come_out(sitting):
     assert tuned["said"] == ["Q[0]: the log does not tell, so no interval is given; --only tunes the others alone."]
     truth = pd.read_parquet(folder / "recorded" / "truth.parquet")
     errors = [
-        truth.angle - pd.read_parquet(folder / run / "estimates.parquet")["dkf.angle"] for run in ("first", "second")
+        truth.angle - pd.read_parquet(folder / run / "estimates.parquet")["kf.angle"] for run in ("first", "second")
     ]
     assert [(e[truth.t >= 10] ** 2).mean() ** 0.5 for e in errors] == pytest.approx([0.068, 0.034], abs=6e-4)
     assert {p.name for p in folder.glob("*.svg")} == {"delays.svg", "angle.svg"}
@@ -83,11 +83,11 @@ def test_its_numbers_come_out(sitting):
 def test_filter_in_c_equals_replay_of_bag(sitting):
     folder, said = sitting
     assert "oldest admissible age" in " ".join(said["export"].split())
-    ticks = int(re.search(r"define TICKS (\d+)", (folder / "dkf-in-c" / "vector.h").read_text())[1])
+    ticks = int(re.search(r"define TICKS (\d+)", (folder / "kf-in-c" / "vector.h").read_text())[1])
     assert ticks == len(pd.read_parquet(folder / "second" / "estimates.parquet")), "the C is tested on the bag"
     *_, lines = blocks("sh", PAGE)
     done = subprocess.run(["sh", "-ec", lines], cwd=folder, capture_output=True, text=True, check=True)
     off = [float(line.split(" at most")[0].split(", ")[1]) for line in done.stdout.splitlines() if "at most" in line]
     assert len(off) == 2
     assert max(off) < 1e-12
-    assert len(list((folder / "dkf-in-c").iterdir())) == 7
+    assert len(list((folder / "kf-in-c").iterdir())) == 7

@@ -25,7 +25,7 @@ def pendulum(tmp_path, monkeypatch):
 
 def test_the_pendulums_file_is_a_study(pendulum):
     (cell,) = read.grid_of("pendulum.py:late_camera", {}, []).cells
-    assert list(cell.options) == ["dkf", "ekf", "pccebo", "shortcut"]
+    assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]
     (p,) = plan(read.study_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []))
     assert p.certificates["shortcut"].status == "uncertified"
     assert not read.unstable(read.grid_of("pendulum.py:late_camera", {}, []))
@@ -46,12 +46,12 @@ def test_the_pendulums_observers_are_as_the_page_says(pendulum):
     wide = result.stats[result.stats.signal == "position"].set_index(["metric", "observer"])["mean"]
     said = {cells[0].strip("` "): cells[1:] for cells in rows(LOOP) if cells[0].startswith("`")}
     for observer, (rms, _, cost) in said.items():
-        assert wide["tail_rmse", observer] == pytest.approx(float(rms.split("±")[0]), rel=0.1)
-        assert wide["cost", observer] == pytest.approx(float(cost.split("±")[0]), rel=0.1)
-    assert wide["tail_rmse", "shortcut"] < wide["tail_rmse", "pccebo"]
-    assert wide["cost", "shortcut"] > wide["cost", "pccebo"] > wide["cost", "dkf"]
-    alike = result.pairs.query("metric == 'tail_rmse' and signal == 'position' and p_holm > 0.05")
-    assert {tuple(sorted(pair)) for pair in alike[["observer_a", "observer_b"]].to_numpy()} == {("dkf", "ekf")}
+        assert wide["steady_rmse", observer] == pytest.approx(float(rms.split("±")[0]), rel=0.1)
+        assert wide["lq_cost", observer] == pytest.approx(float(cost.split("±")[0]), rel=0.1)
+    assert wide["steady_rmse", "shortcut"] < wide["steady_rmse", "pccebo"]
+    assert wide["lq_cost", "shortcut"] > wide["lq_cost", "pccebo"] > wide["lq_cost", "kf"]
+    alike = result.pairs.query("metric == 'steady_rmse' and signal == 'position' and p_holm > 0.05")
+    assert {tuple(sorted(pair)) for pair in alike[["observer_a", "observer_b"]].to_numpy()} == {("kf", "ekf")}
 
 
 def rows(page):

@@ -44,11 +44,14 @@ def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     path.write_text(text)
     result = pcbench.run(str(path))
     wide = result.stats.set_index(["signal", "metric", "plant.input_bias", "observer"])["mean"]
-    rms, least = wide["angle", "tail_pooled_rmse"], wide.xs("efficiency", level="metric").xs("dkf", level="observer")
-    assert rms[0.2, "dkf"] / rms[0.2, "dkf-load"] == pytest.approx(1.7, abs=0.05)
-    assert rms[0.0, "dkf-load"] / rms[0.0, "dkf"] == pytest.approx(1.01, abs=0.01)
+    rms, least = (
+        wide["angle", "steady_pooled_rmse"],
+        wide.xs("rms_efficiency", level="metric").xs("kf", level="observer"),
+    )
+    assert rms[0.2, "kf"] / rms[0.2, "kf-load"] == pytest.approx(1.7, abs=0.05)
+    assert rms[0.0, "kf-load"] / rms[0.0, "kf"] == pytest.approx(1.01, abs=0.01)
     np.testing.assert_allclose(least, 1.0, atol=0.02)  # of three signals: the bound is attained
-    lost = result.pairs.query("metric == 'tail_rmse' and observer_a == 'dkf' and observer_b == 'open-loop'")
+    lost = result.pairs.query("metric == 'steady_rmse' and observer_a == 'kf' and observer_b == 'model-only'")
     lost = lost[lost["plant.input_bias"] == 0.0]
     assert len(lost) == 3
     assert (lost.mean_diff < 0).all()
@@ -60,8 +63,8 @@ def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
     """The error grows with the period, surely, and passes what is asked for between two of them."""
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
     axes = {"plant.input_bias": [0.0], "sampling_period": [[p, 0.01] for p in (0.04, 0.08, 0.16)]}
-    stats = pcbench.run(tomllib.loads(text) | {"observers": ["dkf"]}, axes=axes).stats
-    rows = stats[(stats.signal == "angle") & (stats.metric == "tail_pooled_rmse")]
+    stats = pcbench.run(tomllib.loads(text) | {"observers": ["kf"]}, axes=axes).stats
+    rows = stats[(stats.signal == "angle") & (stats.metric == "steady_pooled_rmse")]
     assert (rows.ci_high.to_numpy()[:-1] < rows.ci_low.to_numpy()[1:]).all()
     assert rows.ci_high.iloc[1] < 0.014 < rows.ci_low.iloc[2]
 
@@ -70,17 +73,17 @@ def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
 def test_the_longest_period_of_the_motors_camera_is_found(tmp_path):
     path = tmp_path / "motor.toml"
     path.write_text(next(b for b in blocks("toml") if '"motor"' in b))
-    how = {"signal": "angle", "metric": "tail_pooled_rmse", "overrides": ["axes.plant.input_bias=0.0"]}
-    found = pcbench.suffices(path, over="sampling_period[0]", below=0.014, between=(0.04, 0.32), **how)
+    how = {"signal": "angle", "metric": "steady_pooled_rmse", "overrides": ["axes.plant.input_bias=0.0"]}
+    found = pcbench.find_limit(path, axis="sampling_period[0]", threshold=0.014, between=(0.04, 0.32), **how)
     found = found.set_index("observer")
-    assert 0.08 <= found.largest["dkf"] < found.exceeds["dkf"] <= 0.16
-    assert found.answer["open-loop"] == "no value"
+    assert 0.08 <= found.largest["kf"] < found.exceeds["kf"] <= 0.16
+    assert found.answer["model-only"] == "no value"
 
 
 @pytest.mark.nightly
 def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
-    found = pcbench.suffices("cart/white", over="sampling_period", below=0.15, observers=["dkf", "pccebo"])
-    (shown,) = [b for b in blocks("text") if b.startswith("cart/white: tail_rmse of position below")]
+    found = pcbench.find_limit("cart/white", axis="sampling_period", threshold=0.15, observers=["kf", "pccebo"])
+    (shown,) = [b for b in blocks("text") if b.startswith("cart/white: steady_rmse of position below")]
     for row, line in zip(found.to_dict("records"), shown.split("─\n")[1].splitlines(), strict=True):
         ends = [wording.estimate(row["exceeds_mean"], row["exceeds_ci_low"], row["exceeds_ci_high"])]
         ends += [f" {row['exceeds']:g} "] + ([f" {row['largest']:g} "] if row["answer"] == "up to" else [" none "])
@@ -93,12 +96,12 @@ def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path)
     """The two ratios of R to the current's Q, within 10 %: on 128 runs they scatter by a third of that."""
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
     start = {"R": [4e-5, 2.5], "Q": [0.0, 0.0, 2.5e-4]}
-    raw = tomllib.loads(text) | {"observers": ["dkf"], "axes": {}, "options": {"dkf": start}}
+    raw = tomllib.loads(text) | {"observers": ["kf"], "axes": {}, "options": {"kf": start}}
     made = tune.tune(
         raw,
-        "dkf",
+        "kf",
         budget=40,
-        objective="tail_pooled_rmse",
+        objective="steady_pooled_rmse",
         signal="speed",
         only=["R", "Q"],
         training=counted(3_000_000_000, 128),
@@ -113,11 +116,11 @@ def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
     (text,) = [b for b in blocks("toml") if '"pushed"' in b]
     path = tmp_path / "pushed.toml"
     path.write_text(text)
-    stats = pcbench.run(str(path), seeds=8).stats.query("metric == 'tail_pooled_rmse'")
+    stats = pcbench.run(str(path), seeds=8).stats.query("metric == 'steady_pooled_rmse'")
     rms = stats.set_index(["signal", "observer"])["mean"]
-    assert set(rms["input"].index) == {"smo", "pio", "dkf"}
+    assert set(rms["input"].index) == {"smo", "pio", "kf"}
     assert max(rms["input"]) < 0.5  # of a push of size 1
-    assert rms["position"].idxmax() == "open-loop"
+    assert rms["position"].idxmax() == "model-only"
 
 
 @pytest.mark.nightly
@@ -138,7 +141,7 @@ def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypa
     (study,) = [b for b in blocks("toml") if 'use = "mine.py:nudge"' in b]
     (tmp_path / "s.toml").write_text(study)
     result = pcbench.run("s.toml", seeds=8)
-    assert list(dict.fromkeys(result.stats.observer)) == ["dkf", "strong"]
+    assert list(dict.fromkeys(result.stats.observer)) == ["kf", "strong"]
 
 
 ROW = re.compile(r"^\| .*? \| .*? \| (`.*?) \| `([a-z0-9/-]+)` (\w+) \[.*?\] \|$", re.M)
@@ -149,7 +152,7 @@ ROW = re.compile(r"^\| .*? \| .*? \| (`.*?) \| `([a-z0-9/-]+)` (\w+) \[.*?\] \|$
 def test_the_decision_table_is_what_comes_out(errors, scenario, signal):
     said = {name: float(value) for name, value in re.findall(r"`([a-z-]+)` ([\d.]+)", errors)}
     stats = pcbench.run(scenario, observers=list(said), seeds=256).stats
-    rms = stats[(stats.metric == "tail_rmse") & (stats.signal == signal)].set_index("observer")["mean"]
+    rms = stats[(stats.metric == "steady_rmse") & (stats.signal == signal)].set_index("observer")["mean"]
     for name, value in said.items():
         assert rms[name] == pytest.approx(value, rel=0.06, abs=1e-9), name
     assert list(said.values()) == sorted(said.values())
@@ -163,33 +166,33 @@ BELIEVED = re.compile(r"^\| `([a-z-]+)` \| ((?:[\d.]+ \| ){6}[\d.]+) \|$", re.M)
 
 
 def test_the_table_of_beliefs_has_what_the_study_has():
-    study = read.study_of("beliefs", {}, [])
+    study = read.study_of("model-mismatch", {}, [])
     assert [name for name, _ in BELIEVED.findall(OBSERVERS_PAGE)] == study.observers
     told = {name: study.tables[name].given() for name in study.scenarios}
     late = [told[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
     assert late == pytest.approx([0.2, -0.2])
     assert told["gain-off"]["parameters"]["b"] == pytest.approx(1.1 * 355)
-    assert np.divide(told["noise-under"]["assumed_process_std"], told["as-believed"]["process_std"]) == pytest.approx(4)
-    assert np.divide(told["as-believed"]["process_std"], told["noise-over"]["assumed_process_std"]) == pytest.approx(4)
-    assert told["noise-over"]["options"]["kfbo"]["R"] == 16 * told["as-believed"]["options"]["kfbo"]["R"]
+    assert np.divide(told["noise-under"]["assumed_process_std"], told["as-assumed"]["process_std"]) == pytest.approx(4)
+    assert np.divide(told["as-assumed"]["process_std"], told["noise-over"]["assumed_process_std"]) == pytest.approx(4)
+    assert told["noise-over"]["options"]["kfbo"]["R"] == 16 * told["as-assumed"]["options"]["kfbo"]["R"]
 
 
 @pytest.mark.nightly
 def test_the_table_of_beliefs_is_what_comes_out():
     """Every number within one of its standard errors (the draws are the same), and what the text says of them."""
-    result = pcbench.run("beliefs")
-    rows = result.stats.query("metric == 'tail_pooled_rmse' and signal == 'position'")
+    result = pcbench.run("model-mismatch")
+    rows = result.stats.query("metric == 'steady_pooled_rmse' and signal == 'position'")
     wide = rows.set_index(["observer", "scenario"])
     rms = wide["mean"].unstack()
     for observer, numbers in BELIEVED.findall(OBSERVERS_PAGE):
-        for scenario, said in zip(read.study_of("beliefs", {}, []).scenarios, numbers.split(" | "), strict=True):
+        for scenario, said in zip(read.study_of("model-mismatch", {}, []).scenarios, numbers.split(" | "), strict=True):
             one = wide.loc[observer, scenario]
             assert abs(one["mean"] - float(said)) < max(one["se"], 0.005 * one["mean"]), (observer, scenario)
-    assert rms["as-believed"].idxmin() == "dkf"
-    assert rms.loc["pccebo-riccati", "as-believed"] / rms.loc["dkf", "as-believed"] < 1.01
-    assert (rms.loc["pco"].drop("drift") < rms.loc["pi-pco"].drop("drift")).all()
-    delayed = ["dkf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco"]
-    assert rms.loc[delayed, "drift"].idxmax() == "dkf"
-    same = result.pairs.query("metric == 'tail_rmse' and signal == 'position' and scenario == 'noise-over'")
-    (pair,) = same[(same.observer_a == "dkf") & (same.observer_b == "pco")].to_dict("records")
+    assert rms["as-assumed"].idxmin() == "kf"
+    assert rms.loc["pccebo-riccati", "as-assumed"] / rms.loc["kf", "as-assumed"] < 1.01
+    assert (rms.loc["pco"].drop("parameter_drift") < rms.loc["pi-pco"].drop("parameter_drift")).all()
+    delayed = ["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco"]
+    assert rms.loc[delayed, "parameter_drift"].idxmax() == "kf"
+    same = result.pairs.query("metric == 'steady_rmse' and signal == 'position' and scenario == 'noise-over'")
+    (pair,) = same[(same.observer_a == "kf") & (same.observer_b == "pco")].to_dict("records")
     assert pair["p_holm"] > 0.05

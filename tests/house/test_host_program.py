@@ -14,7 +14,7 @@ CODE = """
 import sys, jax, jax.numpy as jnp, pcbench
 before = (jnp.zeros(1).dtype, len(jax.devices()), jax.config.jax_enable_x64)
 pcbench.run("cart/drift", observers="kfbo", seeds=3, axes={"noise_std": [0.3]}, out=sys.argv[1])
-pcbench.trace("cart/white", "kfbo"), pcbench.design("cart/white", "pccebo")
+pcbench.simulate("cart/white", "kfbo"), pcbench.design("cart/white", "pccebo")
 assert (jnp.zeros(1).dtype, len(jax.devices()), jax.config.jax_enable_x64) == before, "the host's jax was changed"
 assert before[0] == jnp.float32
 """

@@ -7,8 +7,8 @@ import pytest
 import tomli_w
 
 HEAVY = {"cvxpy", "matplotlib", "optax", "pandas", "scipy.optimize", "scipy.signal", "scipy.sparse", "distributed"}
-FEW = {"name": "few", "seeds": 2, "observers": ["open-loop"]}
-FEW |= {"scenario": {"base": "cart/white", "horizon": 0.8, "tail": 0.4}}
+FEW = {"name": "few", "seeds": 2, "observers": ["model-only"]}
+FEW |= {"scenario": {"base": "cart/white", "duration": 0.8, "steady_start": 0.4}}
 COMMANDS = {  # and what each of them does use of HEAVY, and of jax
     "run": (["run", "few.toml", "--out", "out", "-q"], {"jax", "pandas"}),
     "list": (["list"], {"jax"}),

@@ -83,7 +83,7 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
 def test_missing_library_is_a_sentence_with_its_install_command(package, tmp_path):
     code = f"import sys; sys.modules['{package}'] = None; from pcbench import cli; cli.main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, "design", "cart/nominal", "pccebo", "--method", "h2"],
+        [sys.executable, "-c", code, "design", "cart/nominal", "pccebo", "--gain", "h2"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

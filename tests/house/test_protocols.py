@@ -17,7 +17,7 @@ from pcbench.simulation.problem import present
 
 SIGNATURES = {
     "init": ["gains", "xhat0"],
-    "note": ["gains", "memory", "now"],
+    "snapshot": ["gains", "memory", "now"],
     "jump": ["gains", "memory", "now", "arrival"],
     "flow": ["gains", "memory", "now"],
     "estimate": ["gains", "memory"],
@@ -25,8 +25,8 @@ SIGNATURES = {
 OPTIONAL = {
     "covariance": ["gains", "memory", "now"],
     "innovation": ["gains", "memory", "now", "arrival"],
-    "sampled": ["gains", "memory", "now", "fresh"],
-    "seeded": ["gains", "memory", "words", "xhat0"],
+    "on_sample": ["gains", "memory", "now", "mask"],
+    "init_random": ["gains", "memory", "words", "xhat0"],
 }
 
 
@@ -55,9 +55,9 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     p, gains = jax.tree.map(jnp.asarray, (p, gains))
     memory = observer.init(gains, jnp.zeros(n))
     now = present(p, jnp.asarray(30), True)
-    note = observer.note(gains, memory, now)
-    assert note.ndim == 1
-    arrival = Arrival(jnp.ones(q), jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), note, jnp.asarray(10))
+    snapshot = observer.snapshot(gains, memory, now)
+    assert snapshot.ndim == 1
+    arrival = Arrival(jnp.ones(q), jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), snapshot, jnp.asarray(10))
     shapes = jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), memory)
     for after in (observer.jump(gains, memory, now, arrival), observer.flow(gains, memory, now)):
         assert jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), after) == shapes
@@ -74,11 +74,16 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
     p = jax.tree.map(jnp.asarray, problem(Case(suitable(name)[-1], 10, 20, ticks=50), {name: {}})[1])
     observer, gains = OBSERVERS[name].observer, p.gains[name]
     memory, now = observer.init(gains, jnp.arange(float(len(p.x0)))), present(p, jnp.asarray(30), False)
-    note = observer.note(gains, memory, now)
+    snapshot = observer.snapshot(gains, memory, now)
 
     def jumped(other):
         arrival = Arrival(
-            jnp.array([2.0, other]), jnp.array([True, False]), jnp.full(2, 20), jnp.ones(2, int), note, jnp.asarray(10)
+            jnp.array([2.0, other]),
+            jnp.array([True, False]),
+            jnp.full(2, 20),
+            jnp.ones(2, int),
+            snapshot,
+            jnp.asarray(10),
         )
         return observer.flow(gains, observer.jump(gains, memory, now, arrival), now)
 
@@ -93,12 +98,12 @@ def test_scenarios_name_what_exists(name):
     assert {len(s.truth.x0), len(s.belief.xhat0), len(s.belief.prior_std)} == {len(states_of(s))}
     assert len(s.scoring.settle_band) == len(signals_of(s)) == len(s.truth.x0) + len(s.belief.unknown_std)
     assert set(s.scoring.headline) <= {name for name, _ in signals_of(s)}
-    assert 0 <= s.scoring.tail < s.horizon
+    assert 0 <= s.scoring.steady_start < s.duration
     for seconds in (
         *s.sampling.sampling_period,
         *(0.0 if d == INTERVAL else d for d in s.sampling.delay),
-        s.horizon,
-        s.scoring.tail,
+        s.duration,
+        s.scoring.steady_start,
     ):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 
@@ -108,7 +113,7 @@ def test_the_carts_field_is_its_step_in_the_limit(drift):
     """Plant.field and Plant.step describe one plant: a tick is the integral of the field (RK4 to 1e-6)."""
     entry = PLANTS["cart"]
     params = jax.tree.map(jnp.asarray, entry.prepare(entry.numbers._replace(drift=drift), 1e-3, 20))
-    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
+    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"model-only": {}})[1])
     now, x = present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
     stepped = entry.plant.step(params, now, x)
     flowed = rk4(lambda t, x: entry.plant.field(params, now._replace(t=t), x), now.t, x, now.dt)
@@ -127,7 +132,7 @@ def test_a_plant_is_pushed_by_its_gain_times_the_input_and_its_bias(name, off, g
     entry = PLANTS[name]
     model = entry.numbers._replace(**off)
     wrong = model._replace(input_bias=bias, **({"input_gain": gain} if gain != 1 else {}))
-    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
+    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"model-only": {}})[1])
     now, x = present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
     theirs, own = (jax.tree.map(jnp.asarray, entry.prepare(numbers, 1e-3, 20)) for numbers in (wrong, model))
     pushed = now._replace(u=gain * now.u + bias)

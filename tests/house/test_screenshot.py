@@ -37,7 +37,7 @@ def is_kept(drawn, name):
 
 @pytest.mark.nightly
 def test_the_first_picture_in_the_readme_is_of_these_runs():
-    result = pcbench.run("quick", observers=["kfbo", "pccebo", "dkf"], seeds=32)
+    result = pcbench.run("quick", observers=["kfbo", "pccebo", "kf"], seeds=32)
     figures = [plots.time(result, scenario=s, paper=plots.Paper(width=4.2)) for s in ("cart/nominal", "cart/white")]
     left, right = (Image.open(io.BytesIO(saved(figure, "png"))).convert("RGB") for figure in figures)
     both = Image.new("RGB", (left.width + GAP + right.width, max(left.height, right.height)), "white")

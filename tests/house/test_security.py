@@ -55,7 +55,9 @@ def test_the_guide_says_the_same_and_names_the_page():
 
 
 def test_every_command_that_is_named_exists_and_a_problem_has_an_address():
-    named = set(re.findall(r"`pcbench (\w+)", TEXT)) | set(re.findall(r"`(run|show|check|design|trace|tune)`", TEXT))
+    named = set(re.findall(r"`pcbench ((?:external )?[\w-]+)", TEXT)) | set(
+        re.findall(r"`(run|show|check|design|simulate|tune)`", TEXT)
+    )
     assert {"report", "status", "merge", "compare", "verify", "run"} <= named <= set(ALL)
     assert "private vulnerability reporting" in TEXT
     assert "## Supported versions" in TEXT

@@ -20,7 +20,7 @@ SHOWN = {
     "index.html": "Which observer should you use",
     "pcbench/guide/which_observer.html": "pccebo-riccati",
     "notebooks/01_first_look.html": "<img",
-    "reference/pcbench.observers.dkf.html": "delay-compensated discrete Kalman filter",
+    "reference/pcbench.observers.kf.html": "delay-compensated discrete Kalman filter",
     "REPRODUCTION.html": "misprint",
 }
 

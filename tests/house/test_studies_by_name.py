@@ -13,7 +13,7 @@ from pcbench.study import STUDIES, read
 
 
 def short(name):
-    return with_options(SHORT.get(name, []), {} if STUDIES[name].method == "exact" else {"--seeds": "2"})
+    return with_options(SHORT.get(name, []), {} if STUDIES[name].evaluation == "exact" else {"--seeds": "2"})
 
 
 @pytest.mark.parametrize("name", STUDIES)

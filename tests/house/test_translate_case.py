@@ -28,6 +28,28 @@ TEXTS = {
         'vary = "each"\ntuning = ["paper", "tuned"]\nbound = 1e6\n',
         'vary = "one-at-a-time"\ntuning = ["published", "tuned"]\ndivergence_threshold = 1e6\n',
     ),
+    "ways to evaluate, design and tune": (
+        "pcbench run quick --exact\npcbench design cart/white kf --method h2\n"
+        "pcbench tune cart/white kf --exact --method search",
+        "pcbench run quick --evaluation exact\npcbench design cart/white kf --gain h2\n"
+        "pcbench tune cart/white kf --exact-objective --optimizer search",
+    ),
+    "what stays": ("pcbench verify out --exact", "pcbench verify out --exact"),
+    "an observer": (
+        "OWN = pcbench.Observer(init, note=n, jump=lambda a, arrival: arrival.note * arrival.fresh, flow=f, sampled=s)",
+        "OWN = pcbench.Observer(init, snapshot=n, jump=lambda a, arrival: arrival.snapshot * arrival.mask, flow=f, "
+        "on_sample=s)",
+    ),
+    "arguments": (
+        'pcbench.run(s, method="exact", block=8, fresh=True)\npcbench.suffices(s, over="jitter", below=0.1, within=0.2)',
+        'pcbench.run(s, evaluation="exact", block_size=8, overwrite=True)\n'
+        'pcbench.find_limit(s, axis="sampling_jitter", threshold=0.1, tol=0.2)',
+    ),
+    "tuning on a recording": (
+        'pcbench.tune_log("log", P, "kf", budget=9)',
+        'pcbench.tune(P, "kf", log="log", budget=9)',
+    ),
+    "types": ("pcbench.Surprise(1, 2), pcbench.Setting", "pcbench.InnovationStats(1, 2), pcbench.DesignContext"),
     "studies in python": (
         'pcbench.run("late", out="results/map")',
         'pcbench.run("delayed-measurements", out="results/period-delay-map")',

@@ -15,17 +15,23 @@ from pcbench.simulation.draws import measurement_noise, normals, run_keys
 from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
-EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
-TWO = ["pccebo", "dkf"]
+EVERYONE = ["pccebo", "kfbo", "kf", "model-only"]
+TWO = ["pccebo", "kf"]
 SEVEN = np.array([7])
 
 
 def results(
-    seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None, engine=None
+    seeds,
+    observers=EVERYONE,
+    scenarios=("cart/gaussian-fast",),
+    devices=2,
+    random_initial_state=True,
+    axes=None,
+    engine=None,
 ):
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}, "engine": engine}
     raw |= {"seeds": len(seeds)}  # calls are as wide as they ask for
-    chosen = read.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
+    chosen = read.parse(raw | {"options": {"scenario": {"random_initial_state": random_initial_state}}}, "bits")
     done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
     return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
 
@@ -84,7 +90,7 @@ def test_alone_equals_without_another_observer(some):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("observers", [["kfbo", "pccebo"], ["pccebo"], ["kfbo"], ["dkf"]], ids=str)
+@pytest.mark.parametrize("observers", [["kfbo", "pccebo"], ["pccebo"], ["kfbo"], ["kf"]], ids=str)
 def test_alone_equals_without_the_other_observers(alone, observers):
     only = results(SEVEN, observers=observers)["cart/gaussian-fast0"]
     same(only, alone, 0, observers)
@@ -97,10 +103,14 @@ def test_alone_equals_among_other_cells_and_scenarios(alone):
     same(alone, many["cart/gaussian-fast0"], 0)
 
 
-PRESENT = {"outlier_probability": [0.0, 0.3], "resolution": [0.0, 1.0], "noise_tail": [0.0, 3.0]}  # the first: none
+PRESENT = {  # the first: none
+    "outlier_probability": [0.0, 0.3],
+    "quantization_step": [0.0, 1.0],
+    "student_t_dof": [float("inf"), 3.0],
+}  # the first: none
 KINDS = [  # scenario, observers, axes: a shared schedule, a random one, nonlinear plants
-    ("cart/gaussian", ["dkf"], {"process_std": [[0.02, 0.0]]}, "steps"),
-    ("cart/gaussian", ["dkf"], {"loss": [0.2]}, "steps"),
+    ("cart/gaussian", ["kf"], {"process_std": [[0.02, 0.0]]}, "steps"),
+    ("cart/gaussian", ["kf"], {"loss": [0.2]}, "steps"),
     *(
         pytest.param(*kind, engine, marks=pytest.mark.nightly)
         for engine in ("steps", "products", "definition")
@@ -126,11 +136,11 @@ def test_run_equals_alone_among_cells_with_outliers_rounding_and_students_noise(
 @pytest.mark.nightly
 def test_on_the_arm_with_drift_too(monkeypatch):
     """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
-    arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "dkf"]
-    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.having(horizon=0.5, tail=0.25))
+    arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "kf"]
+    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.having(duration=0.5, steady_start=0.25))
 
     def found(seeds, devices=2):
-        return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]
+        return results(seeds, three, ("arm/sampled",), devices, False, {"parameter_drift": [0.05]})["arm/sampled0"]
 
     alone, width = found(SEVEN), runner.HEAVY
     same(alone, found(np.arange(20)), 7, three)
@@ -140,10 +150,12 @@ def test_on_the_arm_with_drift_too(monkeypatch):
 
 @pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize(("observer", "more"), [("ukf", {}), ("iekf", {}), ("pco", {}), ("kf-cloning", {"delay": 1.6})])
+@pytest.mark.parametrize(
+    ("observer", "more"), [("ukf", {}), ("ekf-iterated", {}), ("pco", {}), ("kf-cloning", {"delay": 1.6})]
+)
 def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(observer, more, tmp_path):
     """A factorisation, or a product of large matrices, of many runs at once may depend on how many there are."""
-    scenario = {"base": "cart/white", "name": "short", "horizon": 2.0, "tail": 1.0, **more}
+    scenario = {"base": "cart/white", "name": "short", "duration": 2.0, "steady_start": 1.0, **more}
     study = {"name": "few", "scenario": scenario, "observers": [observer]}
     many, few = (pcbench.run(study, seeds=n, out=tmp_path / str(n)) for n in (130, 3))
     kept = many.runs[many.runs.seed < 3].sort_values(["signal", "seed"]).reset_index(drop=True)
@@ -159,8 +171,8 @@ def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(o
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["steps", "products", "definition"])
 def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(engine):
-    scenario = {"base": "cart/white", "name": "short", "horizon": 0.6, "tail": 0.3}
-    every = ["pccebo", "kfbo", "dkf", "ukf", "kf-now"]
+    scenario = {"base": "cart/white", "name": "short", "duration": 0.6, "steady_start": 0.3}
+    every = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]
 
     def runs(n, observers=every):
         study = {"name": "counts", "scenario": scenario, "observers": observers, "engine": engine}
@@ -187,7 +199,7 @@ def test_a_run_uses_the_studys_root_seed():
     raw = {"name": "roots", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 1}
     zero, one = (pcbench.run(raw | {"root_seed": root}).runs.mae[0] for root in (0, 1))
     assert zero != one
-    trace = pcbench.trace("cart/white", "pccebo", overrides=["root_seed=1"])
+    trace = pcbench.simulate("cart/white", "pccebo", overrides=["root_seed=1"])
     assert (trace["position"] - trace["pccebo.position"]).abs()[:-1].mean() == pytest.approx(one, rel=1e-12)
 
 

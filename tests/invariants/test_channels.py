@@ -16,15 +16,15 @@ SHAPE = (2,)
 
 def remember(gains, memory, now, arrival):
     """Keep the newest value, age, number and note of each channel, and count the arrivals."""
-    keep = lambda new, old: jnp.where(arrival.fresh, new, old)  # noqa: E731
+    keep = lambda new, old: jnp.where(arrival.mask, new, old)  # noqa: E731
     return {
         "tick": memory["tick"],
         "value": keep(arrival.value, memory["value"]),
         "age": keep(1.0 * arrival.age, memory["age"]),
         "index": keep(1.0 * arrival.index, memory["index"]),
-        "note": keep(jnp.full(SHAPE, arrival.note[0]), memory["note"]),
-        "count": memory["count"] + arrival.fresh,
-        "since": keep(jnp.full(SHAPE, 1.0 * arrival.since), memory["since"]),
+        "note": keep(jnp.full(SHAPE, arrival.snapshot[0]), memory["note"]),
+        "count": memory["count"] + arrival.mask,
+        "since": keep(jnp.full(SHAPE, 1.0 * arrival.ticks_since_arrival), memory["since"]),
         "u": keep(jnp.stack([now.u[0], now.past_u(1)[0]]), memory["u"]),
     }
 
@@ -34,7 +34,7 @@ SPY = Observer(
         {k: jnp.zeros(SHAPE) for k in ("value", "age", "index", "note", "count", "since", "u")}
         | {"tick": jnp.zeros(())}
     ),
-    note=lambda gains, memory, now: memory["tick"][None] + 0.5,  # something that differs at every tick
+    snapshot=lambda gains, memory, now: memory["tick"][None] + 0.5,  # something that differs at every tick
     jump=remember,
     flow=lambda gains, memory, now: memory | {"tick": memory["tick"] + 1.0},
     estimate=lambda gains, memory: jnp.stack([memory["value"][0], memory["value"][1], memory["count"].sum()]),
@@ -56,7 +56,7 @@ REST = (((4, 4), (9, 2)), ((6, 9), (0, 0)), ((1, 3), (2, 50)))
 def test_each_channel_gets_its_own_samples(period, delay):
     ticks = 120
     case = Case(ODD, 1, 0, ticks=ticks, h=0.01, noise_std=0.4)
-    _, p = problem(case, {"open-loop": {}})
+    _, p = problem(case, {"model-only": {}})
     plan = shared.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
     layout = Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)

@@ -11,7 +11,12 @@ from pcbench.engine import runner
 from pcbench.planning import in_memory
 from pcbench.study import read
 
-AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
+AXES = {
+    "sampling_period": [0.1, 0.25],
+    "delay": [0.0, 0.2, 0.7],
+    "noise_std": [0.0, 0.5],
+    "parameter_drift": [0.0, 1.0],
+}
 
 
 def planned(few=(), **axes):
@@ -23,7 +28,7 @@ def planned(few=(), **axes):
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
-        chosen, cells = planned(["kfbo", "dkf"], **AXES)
+        chosen, cells = planned(["kfbo", "kf"], **AXES)
         done = list(in_memory.execute(chosen, cells))
         assert runner.compilations() == 1
     assert len(done) == 24
@@ -49,7 +54,7 @@ def test_gains_are_traced():
 def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()
-    layout = cell.layout._replace(random_start=request.param, width=runner.WIDTH)
+    layout = cell.layout._replace(random_initial_state=request.param, width=runner.WIDTH)
     made = runner.program(layout, runner.Job(cell.problem, 0, np.arange(2)))
     text = made.compiled.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
@@ -88,6 +93,6 @@ def test_lanes_differ_only_where_they_must():
     state = jax.eval_shape(lambda p: initial_state.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
     assert not lane_array.is_lanes(state.x)
     assert not lane_array.is_lanes(state.memories["pccebo"].g)
-    assert not lane_array.is_lanes(state.memories["open-loop"])
+    assert not lane_array.is_lanes(state.memories["model-only"])
     assert lane_array.is_lanes(state.memories["pccebo"].xhat)
     assert lane_array.is_lanes(state.memories["kfbo"].z)

@@ -13,25 +13,33 @@ import pcbench
 METRICS = (
     "mae",
     "rmse",
-    "peak",
-    "final",
-    "tail_mse",
-    "tail_rmse",
+    "max_abs_error",
+    "final_error",
+    "steady_mse",
+    "steady_rmse",
     "settling_time",
-    "tail_tracking_rmse",
+    "steady_tracking_rmse",
     "recovery_time",
 )
 STUDIES = {
     "late and noisy": (
-        {"scenarios": ["cart/white"], "observers": ["kfbo", "dkf", "open-loop"], "axes": {"drift": [0.0, 1.0]}},
+        {
+            "scenarios": ["cart/white"],
+            "observers": ["kfbo", "kf", "model-only"],
+            "axes": {"parameter_drift": [0.0, 1.0]},
+        },
         "712669da57fd651e",
     ),
     "random schedules": (
-        {"scenarios": ["cart/variable"], "observers": ["pco", "dkf"], "axes": {"jitter": [0.04], "loss": [0.2]}},
+        {
+            "scenarios": ["cart/variable"],
+            "observers": ["pco", "kf"],
+            "axes": {"sampling_jitter": [0.04], "loss": [0.2]},
+        },
         "535b2637a9bd5612",
     ),
     "unequal delays": (
-        {"scenarios": ["csth/10s-noise"], "observers": ["dkf", "no-delay", "open-loop"]},
+        {"scenarios": ["csth/10s-noise"], "observers": ["kf", "no-delay", "model-only"]},
         "435751d44f9b36cb",
     ),
     "a closed loop": ({"scenarios": ["helicopter/constant"], "observers": ["high-gain"]}, "4bab4742bb7f6b70"),

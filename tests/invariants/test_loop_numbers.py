@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 import pcbench
-from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.lti import Lti
@@ -72,17 +72,25 @@ def test_the_cost_of_a_late_measurement_is_the_printed_one_as_sampling_grows_fas
     assert 2 * sampled(tau, 0.0025) - sampled(tau, 0.005) == pytest.approx(LATE[tau], abs=2e-4)
 
 
-def study(monkeypatch, h, delays, seeds, horizon, tail=8.0):
-    s, T = whitened(*MOTOR, h, sampling_period=h, delay=0.0, noise_std=0.1 / np.sqrt(h), horizon=horizon, tail=tail)
+def study(monkeypatch, h, delays, seeds, duration, steady_start=8.0):
+    s, T = whitened(
+        *MOTOR,
+        h,
+        sampling_period=h,
+        delay=0.0,
+        noise_std=0.1 / np.sqrt(h),
+        duration=duration,
+        steady_start=steady_start,
+    )
     monkeypatch.setitem(SCENARIOS, "loop", s)
     controller = {"use": "lqr", "Q1": (T.T @ Q1 @ T).tolist(), "Q2": Q2.tolist()}
-    raw = {"name": "lqg", "scenarios": ["loop"], "observers": ["dkf"], "seeds": seeds, "controller": controller}
+    raw = {"name": "lqg", "scenarios": ["loop"], "observers": ["kf"], "seeds": seeds, "controller": controller}
     return raw | {"axes": {"delay": delays}}
 
 
 def costs(*given):
     stats = pcbench.run(study(*given)).stats
-    return stats[stats.metric == "tail_cost"].set_index("delay")[["mean", "se"]]
+    return stats[stats.metric == "steady_lq_cost"].set_index("delay")[["mean", "se"]]
 
 
 def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
@@ -94,8 +102,8 @@ def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
 @pytest.mark.nightly
 def test_the_cost_of_lqg_without_seeds(monkeypatch):
     """Exact at every delay once nothing is left of the start; and that by Richardson's rule comes to what is printed."""
-    stats = pcbench.exact(study(monkeypatch, 0.05, list(LATE), 2, 24.0, 23.0)).stats
-    found = stats[stats.metric == "tail_cost"].set_index("delay")
+    stats = pcbench.exact_moments(study(monkeypatch, 0.05, list(LATE), 2, 24.0, 23.0)).stats
+    found = stats[stats.metric == "steady_lq_cost"].set_index("delay")
     assert (found.method == "exact").all()
     for tau, known in LATE.items():
         assert found.loc[tau, "mean"] == pytest.approx(sampled(tau, 0.05), rel=1e-9)
@@ -133,27 +141,29 @@ def two_gains(T):
     back = np.linalg.inv(T)
 
     def jump(gains, memory, now, arrival):
-        used = arrival.fresh & (arrival.index > 0)
+        used = arrival.mask & (arrival.index > 0)
         second = jnp.where(used[1], AO2 @ memory + BO2 * arrival.value[1], memory)
         first = AO1 @ second + BO1[:, 0] * now.u[0] + BO1[:, 1] * arrival.value[0]
         return jnp.where(used[0], first, second)
 
     observer = Observer(
         init=lambda gains, xhat0: T @ xhat0,
-        note=lambda gains, memory, now: jnp.zeros(0),
+        snapshot=lambda gains, memory, now: jnp.zeros(0),
         jump=jump,
         flow=lambda gains, memory, now: memory,
         estimate=lambda gains, memory: back @ memory,
     )
     proof = Certificate("none: a printed filter", 1.0, "none", "as printed", {})
-    return Entry(observer, NoOptions, lambda setting, options: Design((), proof), True, "two gains", "any schedule")
+    return ObserverSpec(
+        observer, NoOptions, lambda setting, options: Design((), proof), True, "two gains", "any schedule"
+    )
 
 
 @pytest.mark.nightly
 def test_the_asynchronous_filter_costs_what_jittertime_computes(monkeypatch):
     h, seeds = 0.005, 4096
     keys = {"sampling_period": [0.15, 0.5], "delay": 0.0, "noise_std": [0.1**0.5, 0.1]}
-    s, T = whitened(*PENDULUM, h, **keys, horizon=12 + h, tail=12.0)
+    s, T = whitened(*PENDULUM, h, **keys, duration=12 + h, steady_start=12.0)
     monkeypatch.setitem(SCENARIOS, "loop", s)
     monkeypatch.setitem(OBSERVERS, "two-gains", two_gains(T))
     feedback = {"use": "state-feedback", "K": (FEEDBACK @ T).tolist(), "period": 0.15}
@@ -167,10 +177,10 @@ def test_the_asynchronous_filter_costs_what_jittertime_computes(monkeypatch):
     found, position, rate = runs([1.0, 0.1], 0.1), runs([1.0, 0.0], 0.0), runs([0.0, 1.0], 0.0)
     N = round(12 / h) + 1
     for name, values in (
-        ("J", h * (N * found.cost - found.tail_cost)),
-        ("P11", position.tail_cost),
-        ("P22", rate.tail_cost),
-        ("Puu", found.tail_input_rms**2),
+        ("J", h * (N * found.lq_cost - found.steady_lq_cost)),
+        ("P11", position.steady_lq_cost),
+        ("P22", rate.steady_lq_cost),
+        ("Puu", found.steady_input_rms**2),
     ):
         se = values.std() / np.sqrt(seeds)
         assert values.mean() == pytest.approx(PRINTED[name], abs=4 * se), name

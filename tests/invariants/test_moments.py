@@ -13,7 +13,7 @@ from pcbench.dynamics import linear as synthesis
 from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis import riccati
 
-OBSERVED = ["pccebo", "kfbo", "dkf"]
+OBSERVED = ["pccebo", "kfbo", "kf"]
 
 
 def agree(scenario, seeds, observers):
@@ -24,9 +24,9 @@ def agree(scenario, seeds, observers):
         mean, variance = moments.cart_moments(moments.cart_map(scenario, observer), s.sampling.noise_std[0])
         want = {
             "mae": moments.expected_mae(mean, variance)[0],
-            "tail_mae": moments.expected_mae(mean, variance, 3000)[0],
+            "steady_mae": moments.expected_mae(mean, variance, 3000)[0],
             "pooled_rmse": moments.root_expected_mse(mean, variance)[0],
-            "tail_pooled_rmse": moments.root_expected_mse(mean, variance, 3000)[0],
+            "steady_pooled_rmse": moments.root_expected_mse(mean, variance, 3000)[0],
         }
         for metric, value in want.items():
             row = rows.loc[(observer, metric)]
@@ -35,7 +35,7 @@ def agree(scenario, seeds, observers):
 
 @pytest.mark.nightly
 def test_gaussian_scenario_agrees_with_the_propagated_covariance():
-    agree("cart/gaussian", 2048, ["dkf"])
+    agree("cart/gaussian", 2048, ["kf"])
 
 
 @pytest.mark.nightly
@@ -49,7 +49,7 @@ def test_the_error_is_affine_in_the_noise(observer):
     """Superposition, the moments' only assumption, holds for the library's own runs."""
     options = {"kfbo": {"R": 0.5}}.get(observer, {})
     base = Case(CART, 60, 90, ticks=300, noise_std=1.0, seed=4, u=np.zeros((301, 1)), x0=[0.0, 0.0])
-    if observer == "dkf":
+    if observer == "kf":
         options = {"R": 1.0}  # else the filter's R would follow the noise
     one, two = (trace(base._replace(noise_std=s), {observer: options}).estimates[observer] for s in (1.0, 2.0))
     np.testing.assert_allclose(two, 2 * one, rtol=0, atol=1e-12 * np.abs(one).max())

@@ -25,7 +25,7 @@ del KNOWING[
 SLIPPED = [
     pytest.param(name, marks=pytest.mark.nightly) if name in ("pco", "pi-pco") else name  # theirs: test_pco_forms too
     for name in KNOWING
-    if name != "open-loop"
+    if name != "model-only"
 ]
 START = {2: [5.0, 10.0], 3: [1.0, -2.0, 0.5]}
 

@@ -32,7 +32,7 @@ def test_delay_zero_equals_no_delay(model):
     case = Case(model, 50, 0, ticks=400, h=1e-3 if model is CART else 0.01, noise_std=0.3, seed=2)
     got = trace(case, {"pccebo": {}})
     L = OBSERVERS["pccebo"].design(setting(case), OBSERVERS["pccebo"].options()).gains.L
-    Phi, Gamma = linear.held(model.A, model.B, case.h)
+    Phi, Gamma = linear.discretize_zoh(model.A, model.B, case.h)
     v, u, xhat, out = np.stack(noise(case), -1), inputs(case), starts(case)[1], []
     for k in range(case.ticks + 1):
         if k % case.te == 0:
@@ -43,21 +43,21 @@ def test_delay_zero_equals_no_delay(model):
 
 
 def test_a_later_delay_shifts_what_is_known_and_nothing_else():
-    """dkf at delay d knows at tick k what dkf at delay 0 knew at k - d, carried forward by the model."""
+    """kf at delay d knows at tick k what kf at delay 0 knew at k - d, carried forward by the model."""
     now = Case(ODD, 20, 0, ticks=300, h=0.01, noise_std=0.2)
     late = now._replace(d=37)
-    a, b = (trace(case, {"dkf": {}}) for case in (now, late))
-    Phi, Gamma = linear.held(ODD.A, ODD.B, 0.01)
+    a, b = (trace(case, {"kf": {}}) for case in (now, late))
+    Phi, Gamma = linear.discretize_zoh(ODD.A, ODD.B, 0.01)
     u = inputs(now)
     for k in range(37, 301):
-        x = a.estimates["dkf"][k - 37]
+        x = a.estimates["kf"][k - 37]
         for j in range(k - 37, k):
             x = Phi @ x + Gamma @ u[j]
-        np.testing.assert_allclose(b.estimates["dkf"][k], x, rtol=0, atol=1e-10 * np.abs(a.x).max())
+        np.testing.assert_allclose(b.estimates["kf"][k], x, rtol=0, atol=1e-10 * np.abs(a.x).max())
 
 
 def test_nothing_is_known_before_the_first_arrival():
     case = Case(CART, 26, 130, ticks=300, noise_std=1.0)  # whole samples, as some need them
     got = trace(case, {name: {} for name in OBSERVERS if name not in (*ELSEWHERE, *LATE, *NONLINEAR, *DELAYS, "ekf")})
     for name, xhat in got.estimates.items():
-        np.testing.assert_allclose(xhat[:130], got.estimates["open-loop"][:130], rtol=0, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(xhat[:130], got.estimates["model-only"][:130], rtol=0, atol=1e-12, err_msg=name)

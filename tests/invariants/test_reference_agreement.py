@@ -34,8 +34,8 @@ def expected(case, observer, options, u, samples):
     known = setting(case)
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
     xhat0 = starts(case)[1]
-    if observer == "open-loop":
-        return reference.open_loop(model, u, xhat0)
+    if observer == "model-only":
+        return reference.model_only(model, u, xhat0)
     if observer == "pccebo":
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer in ("pco", "pi-pco"):
@@ -45,10 +45,10 @@ def expected(case, observer, options, u, samples):
         K = design.certificate.numbers["K"]
         flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}
         return reference.kfbo(model, u, samples, xhat0, K, case.te, case.d, **flags)
-    if observer not in ("dkf", "ekf"):  # on a linear model the extended filter is Kalman's
+    if observer not in ("kf", "ekf"):  # on a linear model the extended filter is Kalman's
         raise NotImplementedError(f"{observer} has no reference in tests/reference")
     W = case.input_intensity * case.model.B @ case.model.B.T
-    return reference.dkf(model, u, samples, xhat0, known.P0, design.gains.R, W)
+    return reference.kf(model, u, samples, xhat0, known.P0, design.gains.R, W)
 
 
 def agree(case, observer, options, plant_step=None):

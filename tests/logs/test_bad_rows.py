@@ -127,7 +127,7 @@ def test_a_stated_delay_stands_for_arrivals(tmp_path):
 def test_a_bad_row_of_inputs_is_named(tmp_path, inputs, sentence):
     folder = rows(tmp_path / "log", plain(), inputs)
     with pytest.raises(UserError) as caught:
-        pcbench.replay(folder, MOTOR, "open-loop")
+        pcbench.replay(folder, MOTOR, "model-only")
     assert sentence in str(caught.value)
 
 
@@ -144,7 +144,7 @@ def test_a_bad_row_of_inputs_is_named(tmp_path, inputs, sentence):
 )
 def test_a_log_that_does_not_fit_a_plant_is_one_sentence(tmp_path, columns, sentence):
     with pytest.raises(UserError) as caught:
-        pcbench.replay(rows(tmp_path / "log", columns), MOTOR, "open-loop")
+        pcbench.replay(rows(tmp_path / "log", columns), MOTOR, "model-only")
     assert sentence in str(caught.value)
 
 

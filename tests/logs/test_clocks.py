@@ -76,9 +76,9 @@ def test_times_of_two_clocks_are_refused_by_all_that_read_a_log(tmp_path, name, 
     folder = rows(tmp_path / "log", measured, inputs, kind)
     study = {"name": "own", "scenarios": {"own": {"base": "cart/white", "delay": f"from:{folder}"}}}
     for read in (
-        lambda: pcbench.log(folder),
-        lambda: asked(folder, MOTOR, ["dkf"]),
-        lambda: pcbench.run(study, observers=["dkf"]),
+        lambda: pcbench.info(folder),
+        lambda: asked(folder, MOTOR, ["kf"]),
+        lambda: pcbench.run(study, observers=["kf"]),
     ):
         with pytest.raises(UserError) as caught:
             read()
@@ -91,7 +91,7 @@ def test_truth_of_another_unit_is_refused(tmp_path):
     folder = rows(tmp_path / "log", plain())
     (folder / "truth.csv").write_text("t,angle,rate\n" + "".join(f"{10_000 + 50 * k},0,0\n" for k in range(9)))
     with pytest.raises(UserError, match=r"times of the truth begin at 10000 s, 2\.78 hours apart"):
-        pcbench.log(folder)
+        pcbench.info(folder)
 
 
 def test_readers_that_need_a_toml_are_checked_too(tmp_path):
@@ -102,7 +102,7 @@ def test_readers_that_need_a_toml_are_checked_too(tmp_path):
         column = {"field": "y", "unit": "m", "arrived": "late"}
         (tmp_path / "log.toml").write_text(tomli_w.dumps({"log": f"run.{kind}", "channels": {"y1": column}}))
         with pytest.raises(UserError, match=r"log\.toml: the stamps of channel y1 end at 2\.9 s"):
-            pcbench.log(tmp_path / "log.toml")
+            pcbench.info(tmp_path / "log.toml")
 
 
 def test_a_start_of_another_clock_is_refused(tmp_path):
@@ -111,7 +111,7 @@ def test_a_start_of_another_clock_is_refused(tmp_path):
         UserError,
         match=r"40 rows cover 169,999,999,705 ticks of 0\.01 s, from 5 s to 1700000002 s, more than 10 horizons",
     ):
-        asked(folder, MOTOR, ["dkf"], start=5.0)
+        asked(folder, MOTOR, ["kf"], start=5.0)
 
 
 def test_gaps_and_delays_of_one_clock_are_no_second_clock(tmp_path):
@@ -149,7 +149,7 @@ def test_a_replay_of_two_clocks_ends_within_seconds_and_writes_nothing(tmp_path)
     measured, inputs, _ = LOGS["inputs"]
     rows(tmp_path / "log", measured, inputs)
     (tmp_path / "motor.toml").write_text(tomli_w.dumps(MOTOR))
-    words = ["replay", "log", "--plant", "motor.toml", "--observers", "dkf", "--out", "out"]
+    words = ["replay", "log", "--plant", "motor.toml", "--observers", "kf", "--out", "out"]
     done = subprocess.run([*PCBENCH, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert "53.9 years apart" in done.stderr

@@ -18,7 +18,7 @@ LOOK = """
 import json, resource, sys
 import pcbench, pandas, pyarrow.parquet
 resource.setrlimit(resource.RLIMIT_DATA, (int(sys.argv[2]), int(sys.argv[2])))
-print(json.dumps(pcbench.log(sys.argv[1]).to_dict("records")))
+print(json.dumps(pcbench.info(sys.argv[1]).to_dict("records")))
 """
 
 
@@ -28,9 +28,9 @@ import json, resource, sys
 import pcbench, pandas, pyarrow.parquet
 pcbench.setup()
 resource.setrlimit(resource.RLIMIT_DATA, (int(sys.argv[2]), int(sys.argv[2])))
-experiment = dict(sampling_period=1e-3, delay=5e-3, noise_std=1.0, process_std=[0.0, 0.01], horizon=10.0)
+experiment = dict(sampling_period=1e-3, delay=5e-3, noise_std=1.0, process_std=[0.0, 0.01], duration=10.0)
 plant = dict(name="motor", lti=dict(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], **experiment))
-print(json.dumps([pcbench.replay(sys.argv[1], plant, "dkf", out=sys.argv[3]).summary]))
+print(json.dumps([pcbench.replay(sys.argv[1], plant, "kf", out=sys.argv[3]).summary]))
 """
 
 

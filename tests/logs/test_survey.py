@@ -1,4 +1,4 @@
-"""What `pcbench log` says of a log is what loops over its rows say, whatever parts it comes in."""
+"""What `pcbench info` says of a log is what loops over its rows say, whatever parts it comes in."""
 
 import numpy as np
 import pytest
@@ -73,11 +73,11 @@ def test_a_clock_that_is_fast_in_a_simulation_is_fast_in_its_log(tmp_path):
         "sampling_period": 0.1,
         "delay": 0.2,
         "noise_std": 0.1,
-        "horizon": 40,
+        "duration": 40,
     }
-    study = {"name": "fast", "observers": ["open-loop"], "lti": plant, "axes": {"stamp_drift": [5000.0]}}
-    pcbench.trace(study, ["open-loop"], log=tmp_path / "log")
-    drift = pcbench.log(tmp_path / "log").drift_ppm[0]
+    study = {"name": "fast", "observers": ["model-only"], "lti": plant, "axes": {"clock_skew": [5000.0]}}
+    pcbench.simulate(study, ["model-only"], log=tmp_path / "log")
+    drift = pcbench.info(tmp_path / "log").drift_ppm[0]
     assert drift == pytest.approx(1e6 * 5e-3 / (1 + 5e-3), rel=5e-3)  # beside the stamps' own clock
 
 

@@ -48,19 +48,19 @@ def test_windows_are_the_schedule_of_the_same_samples(seed, length, order):
     }[order]
     log = log_of(samples, order=places)
     want = shared.schedule(scheduled, TICKS, CHANNELS)
-    sense, sampled, arrive, taken, fresh, number, value, since, event = laid(
+    sense, sampled, arrive, taken, mask, number, value, ticks_since_arrival, event = laid(
         log, survey(log), length, want.arrive.shape[1]
     )
     np.testing.assert_array_equal(sense, want.sense)
     np.testing.assert_array_equal(sampled, want.sample >= 0)
     np.testing.assert_array_equal(arrive, want.arrive)
     np.testing.assert_array_equal(taken, want.believed)
-    np.testing.assert_array_equal(fresh, want.fresh)
+    np.testing.assert_array_equal(mask, want.mask)
     np.testing.assert_array_equal(number, want.number)
-    np.testing.assert_array_equal(since, want.since)
+    np.testing.assert_array_equal(ticks_since_arrival, want.ticks_since_arrival)
     np.testing.assert_array_equal(event, want.event)
     at = {(c, t): float(i) for i, (c, t, _) in enumerate(samples)}
-    k, slot, channel = np.nonzero(fresh)
+    k, slot, channel = np.nonzero(mask)
     assert value[k, slot, channel].tolist() == [at[c, t] for c, t in zip(channel, taken[k, slot], strict=True)]
 
 

@@ -11,33 +11,34 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 STUDY = {
     "name": "apart",
-    "observers": ["dkf", "dkf-wary", "open-loop"],
+    "observers": ["kf", "kf-wary", "model-only"],
     "lti": {
-        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "horizon": 3.0, "tail": 1.0,
+        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "duration": 3.0,
+        "steady_start": 1.0,
         "noise_std": 0.3, "sampling_period": 0.4, "delay": 0.2, "states": ["a"], "input": "sine",
     },
-    "options": {"dkf": {"R": 0.1}, "dkf-wary": {"R": 3.0}},
+    "options": {"kf": {"R": 0.1}, "kf-wary": {"R": 3.0}},
 }  # fmt: skip
 
 
 def stats():
-    return pcbench.exact(STUDY).stats.set_index(["observer", "signal", "metric"])["mean"]
+    return pcbench.exact_moments(STUDY).stats.set_index(["observer", "signal", "metric"])["mean"]
 
 
 @pytest.mark.nightly
 def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_program(monkeypatch):
     together = stats()
-    assert together["dkf", "a", "mse"] != together["dkf-wary", "a", "mse"]
+    assert together["kf", "a", "mse"] != together["kf-wary", "a", "mse"]
     monkeypatch.setattr(solve, "LARGE", 0)
     monkeypatch.setattr(compiled, "_MADE", program_cache.Programs())
     np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
-    assert len(compiled._MADE) == 2, "dkf and dkf-wary are one"
+    assert len(compiled._MADE) == 2, "kf and kf-wary are one"
 
 
 def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatch):
     """Delays of one and of seven samples, so that the small ring is gone round many times beside the large one."""
-    study = STUDY | {"axes": {"delay": [0.4, 2.8]}, "observers": ["dkf"], "options": {"dkf": {"R": 0.1}}}
-    study |= {"lti": STUDY["lti"] | {"process_std": 0.2, "horizon": 6.0}}
+    study = STUDY | {"axes": {"delay": [0.4, 2.8]}, "observers": ["kf"], "options": {"kf": {"R": 0.1}}}
+    study |= {"lti": STUDY["lti"] | {"process_std": 0.2, "duration": 6.0}}
     rings, computed = [], solve.computed
 
     def noted(ones, *how):
@@ -45,8 +46,8 @@ def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatc
         return computed(ones, *how)
 
     monkeypatch.setattr(solve, "computed", noted)
-    own = pcbench.exact(study).stats
+    own = pcbench.exact_moments(study).stats
     assert sorted(rings) == [2, 8]
     monkeypatch.setattr(solve, "_carried", lambda p: False)
-    np.testing.assert_allclose(pcbench.exact(study).stats["mean"], own["mean"], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(pcbench.exact_moments(study).stats["mean"], own["mean"], rtol=1e-12, atol=1e-15)
     assert sorted(rings) == [2, 8, 8]

@@ -12,7 +12,7 @@ from pcbench.protocols import Plant
 
 
 def plan(step, random=True):
-    layout = SimpleNamespace(plant=Plant(step, None), controller=None, random_start=random, drifting=False)
+    layout = SimpleNamespace(plant=Plant(step, None), controller=None, random_initial_state=random, drifting=False)
     problem = SimpleNamespace(
         x0=np.array([1.0, -0.5]), inputs=np.zeros((4, 1)), dt=0.1, spread0=np.eye(2), band=np.ones(2),
         process_std=np.zeros(0), params=np.array([[0.9, 0.2], [-0.1, 0.8]]),

@@ -47,14 +47,14 @@ def command(params, now, estimate, coming):
 CONTROLLER = Controller(lambda params, tick: path(tick), lambda params, tick, estimate: -params.K @ estimate, command)
 OBSERVER = Observer(
     init=lambda gains, xhat0: xhat0,
-    note=lambda gains, memory, now: jnp.zeros(0),
-    jump=lambda gains, memory, now, arrival: memory + gains @ jnp.where(arrival.fresh, arrival.value - C @ memory, 0.0),
+    snapshot=lambda gains, memory, now: jnp.zeros(0),
+    jump=lambda gains, memory, now, arrival: memory + gains @ jnp.where(arrival.mask, arrival.value - C @ memory, 0.0),
     flow=lambda gains, memory, now: A @ memory + B @ now.u,
     estimate=lambda gains, memory: memory,
 )
 SIGN = OBSERVER._replace(
     jump=lambda gains, memory, now, arrival: (
-        memory + 0.01 * gains @ jnp.sign(jnp.where(arrival.fresh, arrival.value - C @ memory, 0.0))
+        memory + 0.01 * gains @ jnp.sign(jnp.where(arrival.mask, arrival.value - C @ memory, 0.0))
     )
 )
 PLANT = Plant(step=lambda params, now, x: A @ x + B @ now.u, output=lambda params, now, x: C @ x)

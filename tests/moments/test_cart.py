@@ -8,24 +8,24 @@ import pcbench
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 # expectations over noise, each recomputed from the impulse response of every sample; position [m^2]
-MSE = {("pccebo", 0): 2.4892643, ("kfbo", 0): 13.166354, ("dkf", 0): 1.7504582,
-       ("pccebo", 1): 1.0166366, ("kfbo", 1): 10.265283, ("dkf", 1): 0.78716268}  # fmt: skip
-TAIL = {("pccebo", 0): 1.0, ("kfbo", 0): 8.0352698, ("dkf", 0): 0.109429,
-        ("pccebo", 1): 0.25, ("kfbo", 1): 6.0875244, ("dkf", 1): 0.004524541}  # fmt: skip
+MSE = {("pccebo", 0): 2.4892643, ("kfbo", 0): 13.166354, ("kf", 0): 1.7504582,
+       ("pccebo", 1): 1.0166366, ("kfbo", 1): 10.265283, ("kf", 1): 0.78716268}  # fmt: skip
+TAIL = {("pccebo", 0): 1.0, ("kfbo", 0): 8.0352698, ("kf", 0): 0.109429,
+        ("pccebo", 1): 0.25, ("kfbo", 1): 6.0875244, ("kf", 1): 0.004524541}  # fmt: skip
 PLACE = {0: (0.6, 0.6, 1.0), 1: (0.1, 0.3, 0.5)}
 
 
 @pytest.fixture(scope="module")
 def stats(in_a_hurry):
     axes = {"sampling_period": [0.1, 0.6], "delay": [0.3, 0.6], "noise_std": [0.5, 1.0]}
-    found = pcbench.exact("cart/gaussian", observers=["pccebo", "kfbo", "dkf"], axes=axes).stats
+    found = pcbench.exact_moments("cart/gaussian", observers=["pccebo", "kfbo", "kf"], axes=axes).stats
     return found.set_index(["observer", "sampling_period", "delay", "noise_std", "signal", "metric"]).sort_index()
 
 
 @pytest.mark.parametrize(("observer", "place"), list(MSE))
 def test_expected_squares_are_the_printed_ones(stats, observer, place):
     """To all printed digits."""
-    for metric, known in (("mse", MSE), ("tail_mse", TAIL)):
+    for metric, known in (("mse", MSE), ("steady_mse", TAIL)):
         row = stats.loc[(observer, *PLACE[place], "position", metric)]
         assert row["method"] == "exact"
         assert row["se"] == 0
@@ -34,10 +34,10 @@ def test_expected_squares_are_the_printed_ones(stats, observer, place):
 
 def test_efficiency_is_the_bound_over_what_is_reached(stats):
     """pccebo takes every position as it comes: its rms is the noise, whatever else."""
-    rows = stats.xs(("position", "efficiency"), level=("signal", "metric"))["mean"]
-    tail = stats.xs(("position", "tail_pooled_rmse"), level=("signal", "metric"))["mean"]
+    rows = stats.xs(("position", "rms_efficiency"), level=("signal", "metric"))["mean"]
+    tail = stats.xs(("position", "steady_pooled_rmse"), level=("signal", "metric"))["mean"]
     bounds = (rows * tail).unstack("observer")
-    np.testing.assert_allclose(bounds["dkf"], bounds["pccebo"], rtol=1e-12)
+    np.testing.assert_allclose(bounds["kf"], bounds["pccebo"], rtol=1e-12)
     assert (rows <= 1 + 1e-9).all()
 
 

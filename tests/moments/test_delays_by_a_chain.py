@@ -19,19 +19,19 @@ NOISE, X0, XHAT0, PRIOR = [0.3, 0.2], [0.5, -0.2, 0.3], [0.1, 0.1, -0.2], [0.4, 
 R = [0.1, 0.05]
 STUDY = {
     "name": "chained",
-    "observers": ["dkf"],
+    "observers": ["kf"],
     "lti": {
         "A": ODD.A.tolist(), "B": ODD.B.tolist(), "C": ODD.C.tolist(), "x0": X0, "xhat0": XHAT0, "prior_std": PRIOR,
-        "tick": TICK, "horizon": N * TICK, "tail": 0.5, "noise_std": NOISE, "sampling_period": TE * TICK,
-        "delay": LATE * TICK, "delay_steps": [s * TICK for s in STEPS], "delay_stay": STAY,
+        "tick": TICK, "duration": N * TICK, "steady_start": 0.5, "noise_std": NOISE, "sampling_period": TE * TICK,
+        "delay": LATE * TICK, "delay_values": [s * TICK for s in STEPS], "delay_self_transition": STAY,
         "states": ["a", "b", "c"], "input": "sine,sawtooth",
     },
-    "options": {"dkf": {"R": R}},
+    "options": {"kf": {"R": R}},
 }  # fmt: skip
 
 
 def by_impulses(seed, driven):
-    """Mean square [3] over ticks 0 .. N-1 of dkf's errors on the schedule of one run, and the ages of its samples."""
+    """Mean square [3] over ticks 0 .. N-1 of kf's errors on the schedule of one run, and the ages of its samples."""
     clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
     drawn = per_lane.realised([clock], N, 2, 0, seed)
     times = [[(s.taken, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
@@ -45,7 +45,7 @@ def mean_square(times, driven):
 
     def error_of(u, start, xhat0, noise):
         x, samples = irregular.simulate(model, u, start, times, noise)
-        return x - irregular.dkf(model, u, samples, xhat0, P0, np.array(R))
+        return x - irregular.kf(model, u, samples, xhat0, P0, np.array(R))
 
     counts = [len(each) for each in times]
     found = moments.error_map(error_of, driven, np.array(X0), np.array(XHAT0), counts)
@@ -57,8 +57,8 @@ def mean_square(times, driven):
 def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatch):
     """As they are where there are too many modes for a recursion (`test_modes`)."""
     monkeypatch.setattr(modes, "MOST", 0)
-    stats = pcbench.exact(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
-    driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
+    stats = pcbench.exact_moments(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
+    driven = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     each, ages = zip(*(by_impulses(seed, driven) for seed in range(SCHEDULES)), strict=True)
     assert {LATE + s for s in STEPS} == set().union(*ages), "every delay was there"
     assert (stats.n == SCHEDULES).all()
@@ -69,12 +69,14 @@ def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatc
 @pytest.mark.nightly
 def test_in_turn_they_are_those_of_the_one_schedule_with_its_losses():
     later = [0, 16, "lost", 5]
-    lti = {k: v for k, v in STUDY["lti"].items() if k not in ("delay_steps", "delay_stay")}
+    lti = {k: v for k, v in STUDY["lti"].items() if k not in ("delay_values", "delay_self_transition")}
     turns = [v if v == "lost" else v * TICK for v in later]
     stats = (
-        pcbench.exact(STUDY | {"lti": lti | {"delay_turns": turns}}).stats.query("metric == 'mse'").set_index("signal")
+        pcbench.exact_moments(STUDY | {"lti": lti | {"delay_sequence": turns}})
+        .stats.query("metric == 'mse'")
+        .set_index("signal")
     )
-    driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
+    driven = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     each = [(i, TE * i) for i in range(N // TE + 1)]
     arrives = [
         None if later[i % 4] == "lost" or t + LATE + later[i % 4] > N else t + LATE + later[i % 4] for i, t in each
@@ -85,11 +87,14 @@ def test_in_turn_they_are_those_of_the_one_schedule_with_its_losses():
 
 
 MISTAKES = [
-    ({"delay_stay": [0.5, 0.5]}, "got 2 values of delay_stay for 3 delay_steps, expected one, or one for each"),
-    ({"delay_steps": []}, "got delay_stay in lti without delay_steps"),
-    ({"delay_steps": [0.1]}, "expected two different values or more"),
-    ({"delay_stay": 1.0}, "got 1, expected a probability below 1"),
-    ({"delay_steps": [0.0, 0.013]}, "expected a whole number of ticks"),
+    (
+        {"delay_self_transition": [0.5, 0.5]},
+        "got 2 values of delay_self_transition for 3 delay_values, expected one, or one for each",
+    ),
+    ({"delay_values": []}, "got delay_self_transition in lti without delay_values"),
+    ({"delay_values": [0.1]}, "expected two different values or more"),
+    ({"delay_self_transition": 1.0}, "got 1, expected a probability below 1"),
+    ({"delay_values": [0.0, 0.013]}, "expected a whole number of ticks"),
 ]
 
 
@@ -103,23 +108,26 @@ def test_mistakes_are_one_sentence(changes, sentence):
 
 @pytest.mark.parametrize("observer", ["kfbo", "chain"])
 def test_who_works_with_constant_delays_alone_says_so(observer):
-    with pytest.raises(UserError, match="got delay_steps, expected"):
+    with pytest.raises(UserError, match="got delay_values, expected"):
         read.grid_of(STUDY | {"observers": [observer]}, {}, [])
 
 
 def test_as_an_axis_it_is_a_column_and_else_there_is_none():
     plain = read.grid_of(STUDY, {}, []).cells[0]
-    assert "delay_stay" not in plain.values
-    axes = {"delay_stay": [0.2, 0.8], "delay_steps": [[0.0, 0.1]]}
+    assert "delay_self_transition" not in plain.values
+    axes = {"delay_self_transition": [0.2, 0.8], "delay_values": [[0.0, 0.1]]}
     few = STUDY | {"axes": axes, "lti": {k: v for k, v in STUDY["lti"].items() if not k.startswith("delay_")}}
     cells = read.grid_of(few, {}, []).cells
-    assert [(c.values["delay_stay"], c.values["delay_steps"]) for c in cells] == [(0.2, "0, 0.1"), (0.8, "0, 0.1")]
+    assert [(c.values["delay_self_transition"], c.values["delay_values"]) for c in cells] == [
+        (0.2, "0, 0.1"),
+        (0.8, "0, 0.1"),
+    ]
     assert cells[1].times.clocks[0].stay == (0.8, 0.8)
 
 
 def test_one_or_one_for_each_stand_in_one_column():
-    axes = {"delay_stay": [0.2, [0.5, 0.6, 0.7]]}
-    assert [c.values["delay_stay"] for c in read.grid_of(STUDY | {"axes": axes}, {}, []).cells] == [
+    axes = {"delay_self_transition": [0.2, [0.5, 0.6, 0.7]]}
+    assert [c.values["delay_self_transition"] for c in read.grid_of(STUDY | {"axes": axes}, {}, []).cells] == [
         [0.2],
         [0.5, 0.6, 0.7],
     ]

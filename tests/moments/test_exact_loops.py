@@ -19,7 +19,7 @@ NOISE, PROCESS, X0, XHAT0, PRIOR = 0.01, [0.0, 0.02], [0.2, -0.1], [0.15, 0.0], 
 K = [[6.0, 3.0]]
 SENSOR = loop.Network(5, 3)
 LTI = {
-    "A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "tick": TICK, "horizon": N * TICK, "tail": TAIL * TICK,
+    "A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "tick": TICK, "duration": N * TICK, "steady_start": TAIL * TICK,
     "sampling_period": 0.1, "delay": 0.06, "noise_std": NOISE, "process_std": PROCESS, "x0": X0, "xhat0": XHAT0,
     "prior_std": PRIOR, "states": ["angle", "rate"],
 }  # fmt: skip
@@ -32,9 +32,9 @@ CONTROLLERS = {
 
 
 def study(name):
-    options = {"scenario": {"random_start": True}}
+    options = {"scenario": {"random_initial_state": True}}
     controller = CONTROLLERS[name] | COMMON
-    return {"name": "t", "seeds": 64, "observers": ["dkf"], "lti": LTI, "controller": controller, "options": options}
+    return {"name": "t", "seeds": 64, "observers": ["kf"], "lti": LTI, "controller": controller, "options": options}
 
 
 def plant():
@@ -68,7 +68,7 @@ def expected(name):
     found = superposition.coefficients(p, SENSOR, law(name, p, M), N, every=2, late=LATE)
     x_ref, u_ref = aims(p, M)
     out = {}
-    for prefix, first in (("", 0), ("tail_", TAIL)):
+    for prefix, first in (("", 0), ("steady_", TAIL)):
         x, u, e = (found.x - x_ref[:N])[first:], found.u[first:], (found.x - found.xhat)[first:]
         for i, signal in enumerate(LTI["states"]):
             out[signal, prefix + "mse"] = np.square(e[:, i]).sum(-1).mean()
@@ -78,17 +78,17 @@ def expected(name):
             cost = superposition.square(np.diag([10.0, 1.0]), x) + superposition.square(
                 np.array([[0.1]]), u - u_ref[first:N]
             )
-            out["angle", prefix + "cost"] = cost.mean()
+            out["angle", prefix + "lq_cost"] = cost.mean()
     return out
 
 
 @pytest.mark.parametrize("name", list(CONTROLLERS))
 def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     """1e-9, where 60 ticks in double precision leave 1e-13."""
-    exact, want = pcbench.exact(study(name)).stats, expected(name)
+    exact, want = pcbench.exact_moments(study(name)).stats, expected(name)
     found = exact[exact.method == "exact"].set_index(["signal", "metric"])["mean"]
     assert {key: found[key] for key in want} == pytest.approx(want, rel=1e-9)
-    stored = pcbench.run(study(name), method="exact", out=tmp_path / "exact").stats
+    stored = pcbench.run(study(name), evaluation="exact", out=tmp_path / "exact").stats
     np.testing.assert_allclose(stored["mean"], exact["mean"], rtol=1e-12, atol=1e-14)
     pcbench.run(study(name), out=tmp_path / "runs")
     checked = against_exact.check(tmp_path / "runs")
@@ -100,6 +100,6 @@ def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
 @pytest.mark.slow
 def test_run_exact_of_a_loop_prints_its_cost(tmp_path):
     (tmp_path / "loop.toml").write_text(tomli_w.dumps(study("lqr")))
-    done = call("run", "loop.toml", "--exact", "--out", "out", cwd=tmp_path)
+    done = call("run", "loop.toml", "--evaluation", "exact", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "cost" in done.stdout
+    assert "lq_cost" in done.stdout

@@ -44,7 +44,7 @@ H, EVERY = 0.00625, 24
 
 def two_gains(gains, memory, now, arrival):
     """y2 corrects, y1 predicts over its own period and corrects; samples of t = 0 are not in it."""
-    used = arrival.fresh & (arrival.index > 0)
+    used = arrival.mask & (arrival.index > 0)
     second = jnp.where(used[1], AO2 @ memory + BO2 * arrival.value[1], memory)
     first = AO1 @ second + BO1[:, 0] * now.u[0] + BO1[:, 1] * arrival.value[0]
     return jnp.where(used[0], first, second)
@@ -97,7 +97,7 @@ def test_ball_and_beam_at_three_rates():
     A = np.array([[0.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     ball = Loop(
         A, np.array([[4.4], [0.0], [0.0]]), np.array([[1.0, 0, 0], [0, 0, 1]]), [0.0, 0.0], 0.05 / SAME, 3200 * SAME,
-        jump=lambda gains, memory, now, arrival: jnp.where(arrival.fresh, arrival.value, memory), memory=2,
+        jump=lambda gains, memory, now, arrival: jnp.where(arrival.mask, arrival.value, memory), memory=2,
         law=cascade, kept=4,
     )  # fmt: skip
     rates = [(2 * SAME, 2 * SAME), (SAME, SAME), (2 * SAME, SAME)]
@@ -123,7 +123,7 @@ def test_the_best_constant_gain_where_samples_are_lost():
     unit = b * (A - 1) / np.log(A)  # what an input of 1 adds over a tick
     scalar = Loop(
         np.array([[np.log(A)]]), np.array([[b]]), np.array([[1.0]]), [R**0.5], 1.0, 600,
-        jump=lambda gains, memory, now, arrival: jnp.where(arrival.fresh, gains * arrival.value, memory), memory=1,
+        jump=lambda gains, memory, now, arrival: jnp.where(arrival.mask, gains * arrival.value, memory), memory=1,
         law=lambda p, tick, memory, kept: -A * memory / p, kept=1,
         flow=lambda gains, memory, now: jnp.zeros(1),
     )  # fmt: skip
@@ -137,7 +137,7 @@ def test_losses_add_the_variance_of_what_they_do_to_the_mean():
     a, gain, back, every, N, chance = 0.3, 0.8, 0.5, 3, 12, 0.6
     lossy = Loop(
         np.array([[a]]), np.array([[1.0]]), np.array([[1.0]]), [0.4], 1.0, N,
-        jump=lambda gains, memory, now, arrival: jnp.where(arrival.fresh, gain * arrival.value, memory), memory=1,
+        jump=lambda gains, memory, now, arrival: jnp.where(arrival.mask, gain * arrival.value, memory), memory=1,
         law=lambda p, tick, memory, kept: -back * memory, kept=1, x0=2.0,
     )  # fmt: skip
     (P,) = moments(lossy, [Case([every], (), chance)])

@@ -20,11 +20,17 @@ PLANTS = {
 def study(name, **more):
     A, B, prior, x0 = PLANTS[name]
     lti = {
-        "A": A, "B": B, "C": [[1.0] + [0.0] * (len(A) - 1)], "tick": TICK, "horizon": N * TICK, "tail": TAIL * TICK, "x0": x0,
-        "xhat0": x0, "bound": 1e9,
+        "A": A, "B": B, "C": [[1.0] + [0.0] * (len(A) - 1)], "tick": TICK, "duration": N * TICK,
+        "steady_start": TAIL * TICK, "x0": x0,
+        "xhat0": x0, "divergence_threshold": 1e9,
         "sampling_period": EVERY * TICK, "delay": LATE * TICK, "noise_std": NOISE, "prior_std": prior, "input": "sine",
     }  # fmt: skip
-    return {"name": "t", "observers": ["dkf"], "options": {"scenario": {"random_start": True}}, "lti": lti} | more
+    return {
+        "name": "t",
+        "observers": ["kf"],
+        "options": {"scenario": {"random_initial_state": True}},
+        "lti": lti,
+    } | more
 
 
 def expected(name):
@@ -42,23 +48,23 @@ def expected(name):
 
 
 def pooled(stats):
-    return stats[stats.metric == "tail_pooled_rmse"]["mean"].to_numpy()
+    return stats[stats.metric == "steady_pooled_rmse"]["mean"].to_numpy()
 
 
 @pytest.mark.parametrize("name", [*list(PLANTS)[:2], pytest.param("operating", marks=pytest.mark.nightly)])
 def test_exact_errors_keep_their_digits_beside_a_large_start(name):
-    """The bound that `efficiency` needs is a covariance recursion, which keeps six digits of an unstable plant's."""
-    stats = pcbench.exact(study(name)).stats
+    """The bound that `rms_efficiency` needs is a covariance recursion, which keeps six digits of an unstable plant's."""
+    stats = pcbench.exact_moments(study(name)).stats
     np.testing.assert_allclose(pooled(stats), expected(name), rtol=1e-9)
     rtol = 1e-9 if name == "integrator" else 1e-5
-    np.testing.assert_allclose(stats[stats.metric == "efficiency"]["mean"], 1.0, rtol=rtol)
+    np.testing.assert_allclose(stats[stats.metric == "rms_efficiency"]["mean"], 1.0, rtol=rtol)
 
 
 @pytest.mark.nightly
 def test_exact_errors_keep_their_digits_in_a_loop():
     closed = study("unstable", controller={"use": "lqr", "Q1": [1.0, 1.0], "Q2": 1.0})
     del closed["lti"]["input"]
-    np.testing.assert_allclose(pooled(pcbench.exact(closed).stats), expected("unstable"), rtol=1e-9)
+    np.testing.assert_allclose(pooled(pcbench.exact_moments(closed).stats), expected("unstable"), rtol=1e-9)
 
 
 @pytest.mark.nightly

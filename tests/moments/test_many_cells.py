@@ -15,24 +15,24 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 TICKS, POINTS = 2000, 80  # of a study; at so many moments are kept, every 25 ticks: within those that go together
 STUDY = {
     "name": "many",
-    "scenarios": {"mine": {"base": "cart/gaussian", "horizon": 2.0, "tail": 1.0}},
+    "scenarios": {"mine": {"base": "cart/gaussian", "duration": 2.0, "steady_start": 1.0}},
     "axes": {"noise_std": [0.1 * i for i in range(1, compiled.FEW + 2)]},
 }
 
 
-SLOW = [pytest.param(observer, 1.0, marks=pytest.mark.nightly) for observer in ("kfbo", "dkf")]
+SLOW = [pytest.param(observer, 1.0, marks=pytest.mark.nightly) for observer in ("kfbo", "kf")]
 
 
 @pytest.mark.parametrize(("observer", "drift"), [("pccebo", 0.0), *SLOW])
 def test_of_many_cells_each_has_the_numbers_that_it_has_alone(observer, drift):
-    fast = {"sampling_period": [0.2], "delay": [0.1], "drift": [drift]}
+    fast = {"sampling_period": [0.2], "delay": [0.1], "parameter_drift": [drift]}
     study = STUDY | {"observers": [observer], "axes": STUDY["axes"] | fast}
-    many = pcbench.exact(study)
+    many = pcbench.exact_moments(study)
     assert many.stats["method"].ne("none").any()
     noises = study["axes"]["noise_std"]
     solved = {m.planned.cell.number: m for m in many.solved(many.grid.cells, "std", POINTS)}
     for cell in (0, len(noises) - 1):
-        one = pcbench.exact(study | {"axes": study["axes"] | {"noise_std": [noises[cell]]}})
+        one = pcbench.exact_moments(study | {"axes": study["axes"] | {"noise_std": [noises[cell]]}})
         mine = many.stats.query("cell == @cell").reset_index(drop=True)
         np.testing.assert_allclose(mine["mean"], one.stats["mean"], rtol=1e-10, atol=1e-14)
         alone = one.moments()

@@ -23,25 +23,26 @@ R = [0.1, 0.05]
 L = 0.4 * np.linalg.pinv(ODD.C)
 STUDY = {
     "name": "modes",
-    "observers": ["dkf"],
+    "observers": ["kf"],
     "lti": {
         "A": ODD.A.tolist(), "B": ODD.B.tolist(), "C": ODD.C.tolist(), "x0": X0, "xhat0": XHAT0, "prior_std": PRIOR,
-        "tick": TICK, "horizon": N * TICK, "tail": 0.4, "noise_std": NOISE, "sampling_period": TE * TICK,
-        "delay": LATE * TICK, "delay_steps": [s * TICK for s in STEPS], "delay_stay": STAY,
+        "tick": TICK, "duration": N * TICK, "steady_start": 0.4, "noise_std": NOISE, "sampling_period": TE * TICK,
+        "delay": LATE * TICK, "delay_values": [s * TICK for s in STEPS], "delay_self_transition": STAY,
         "states": ["a", "b", "c"], "input": "sine,sawtooth",
     },
-    "options": {"dkf": {"R": R}},
+    "options": {"kf": {"R": R}},
 }  # fmt: skip
 SMALL = {
     "name": "small",
     "lti": {
-        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "horizon": 3.0, "tail": 1.0,
-        "noise_std": 0.3, "sampling_period": 0.4, "delay": 0.1, "delay_steps": [0.0, 0.2], "states": ["a"], "input": "sine",
+        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "duration": 3.0,
+        "steady_start": 1.0,
+        "noise_std": 0.3, "sampling_period": 0.4, "delay": 0.1, "delay_values": [0.0, 0.2], "states": ["a"], "input": "sine",
     },
 }  # fmt: skip
 
 
-def study(observer="dkf", **changes):
+def study(observer="kf", **changes):
     given = {k: v for k, v in (STUDY["lti"] | changes).items() if v is not None}
     return STUDY | {
         "observers": [observer],
@@ -57,8 +58,8 @@ def plan(*given, **changes):
 
 def estimates(observer, u, samples, xhat0):
     model = linear.Model(ODD.A, ODD.B, ODD.C, TICK)
-    if observer == "dkf":
-        return irregular.dkf(model, u, samples, xhat0, np.diag(np.square(PRIOR)), np.array(R))
+    if observer == "kf":
+        return irregular.kf(model, u, samples, xhat0, np.diag(np.square(PRIOR)), np.array(R))
     return irregular.pccebo(model, u, samples, xhat0, L)
 
 
@@ -78,19 +79,19 @@ def squares(observer, driven, times):
 def agrees(observer):
     """Mean squares of a study with their expected value over every sequence of delays; 1e-10: sums in double precision."""
     asked = study(observer)
-    asked["options"] = {observer: {"R": R} if observer == "dkf" else {"L": L.tolist()}}
-    stats = pcbench.exact(asked).stats.set_index(["metric", "signal"])
-    driven = pcbench.trace(asked, "open-loop")[["u1", "u2"]].to_numpy()
+    asked["options"] = {observer: {"R": R} if observer == "kf" else {"L": L.tolist()}}
+    stats = pcbench.exact_moments(asked).stats.set_index(["metric", "signal"])
+    driven = pcbench.simulate(asked, "model-only")[["u1", "u2"]].to_numpy()
     taken = list(range(0, N + 1, TE))
     mean = delays.mean_over(STEPS, STAY, taken, LATE, N, lambda times: squares(observer, driven, times))
     np.testing.assert_allclose(stats.loc["mse", "mean"], mean[:N].mean(0), rtol=1e-10)
-    np.testing.assert_allclose(stats.loc["tail_mse", "mean"], mean[round(0.4 / TICK) : N].mean(0), rtol=1e-10)
+    np.testing.assert_allclose(stats.loc["steady_mse", "mean"], mean[round(0.4 / TICK) : N].mean(0), rtol=1e-10)
     assert (stats.loc["mse"][["n", "se"]].to_numpy() == 0).all()
 
 
 @pytest.mark.nightly
 def test_a_filter_with_overtaking_samples_is_the_mean_over_every_sequence_of_delays():
-    agrees("dkf")
+    agrees("kf")
 
 
 @pytest.mark.nightly
@@ -100,11 +101,11 @@ def test_an_observer_with_a_gain_of_its_own_is_too():
 
 SHAPES = {
     "overtaking": {},
-    "as the next is taken": {"delay_steps": [0.0, 0.08]},
-    "three": {"delay_steps": [0.0, 0.32, 0.1], "delay_stay": [0.6, 0.3, 0.5]},
-    "uneven": {"profile": [0.1, 0.22, 0.14]},
-    "jittered": {"delay_steps": None, "delay_stay": None, "delay_jitter": 0.14},
-    "both": {"delay_steps": [0.0, 0.1], "delay_stay": 0.2, "delay_jitter": 0.02},
+    "as the next is taken": {"delay_values": [0.0, 0.08]},
+    "three": {"delay_values": [0.0, 0.32, 0.1], "delay_self_transition": [0.6, 0.3, 0.5]},
+    "uneven": {"sampling_pattern": [0.1, 0.22, 0.14]},
+    "jittered": {"delay_values": None, "delay_self_transition": None, "delay_jitter": 0.14},
+    "both": {"delay_values": [0.0, 0.1], "delay_self_transition": 0.2, "delay_jitter": 0.02},
 }
 
 
@@ -127,7 +128,7 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
             until = drawn[i + 1].taken if i + 1 < len(drawn) else N + 1
             slots = max(mine.arrive.shape[1], true.arrive.shape[1])
             for name in shared.Schedule._fields:
-                if name == "early" or (name == "since" and not asked):
+                if name == "prefilled" or (name == "ticks_since_arrival" and not asked):
                     continue
                 a, b = (getattr(shared.pad_slots(x, slots), name)[s.taken : until] for x in (mine, true))
                 if name == "next_event":
@@ -149,16 +150,16 @@ def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
 
 def test_what_cannot_be_is_no_mode():
     """A chain that never has the same value twice: of four pairs two are left, each from the other."""
-    each = over_modes(plan(delay_stay=0.0, delay_steps=[0.0, 0.1]))
+    each = over_modes(plan(delay_self_transition=0.0, delay_values=[0.0, 0.1]))
     assert [(one.mode.share, one.mode.source) for one in each] == [(0.5, (1,)), (0.5, (0,))]
 
 
 NOT = {
     "losses": {"loss": 0.2},
-    "instants": {"jitter": 0.02},
-    "stamps": {"stamp_jitter": 0.02},
+    "instants": {"sampling_jitter": 0.02},
+    "stamps": {"timestamp_jitter": 0.02},
     "sensors": {"delay": [LATE * TICK, (LATE + 1) * TICK]},
-    "many": {"delay_steps": [0.02 * i for i in range(9)], "delay_stay": None},
+    "many": {"delay_values": [0.02 * i for i in range(9)], "delay_self_transition": None},
 }
 
 
@@ -189,7 +190,7 @@ def test_modes_that_meet_differ_by_how_much_the_largest_number_does():
 
 RESTLESS = """
 import jax.numpy as jnp
-from pcbench import Certificate, Design, Entry, Observer
+from pcbench import Certificate, Design, Observer, ObserverSpec
 from pydantic import BaseModel
 
 class Options(BaseModel): pass
@@ -198,17 +199,17 @@ def note(gains, memory, now): return jnp.zeros(0)
 def jump(gains, memory, now, arrival):
     x, ages = memory
     share = {share}
-    return x + share * jnp.where(arrival.fresh[0], arrival.value[0] - x, 0.0), {ages}
+    return x + share * jnp.where(arrival.mask[0], arrival.value[0] - x, 0.0), {ages}
 def flow(gains, memory, now): return memory[0] * 0.95 + 0.05 * now.u, memory[1]
 def estimate(gains, memory): return memory[0]
 def design(setting, options): return Design((), Certificate("none", 1.0, "none", "as it is", {{}}))
-OWN = Entry(Observer(start, note, jump, flow, estimate), Options, design, False, "as told", "any schedule")
+OWN = ObserverSpec(Observer(start, note, jump, flow, estimate), Options, design, False, "as told", "any schedule")
 """
 
 
 def own(folder, share, ages="ages"):
     (folder / "mine.py").write_text(RESTLESS.format(share=share, ages=ages))
-    return SMALL | {"observers": ["own"], "use": {"own": f"{folder}/mine.py:OWN"}}
+    return SMALL | {"observers": ["own"], "custom_observers": {"own": f"{folder}/mine.py:OWN"}}
 
 
 def alone(driven, times):
@@ -226,27 +227,29 @@ def alone(driven, times):
 
 
 def test_an_observer_whose_samples_overtake_is_the_mean_over_every_sequence_of_delays(tmp_path):
-    asked = own(tmp_path, "0.3") | {"lti": SMALL["lti"] | {"delay_steps": [0.0, 0.9], "delay_stay": [0.6, 0.25]}}
-    stats = pcbench.exact(asked).stats.set_index("metric")
-    driven = pcbench.trace(asked, "open-loop")["u1"].to_numpy()
+    asked = own(tmp_path, "0.3") | {
+        "lti": SMALL["lti"] | {"delay_values": [0.0, 0.9], "delay_self_transition": [0.6, 0.25]}
+    }
+    stats = pcbench.exact_moments(asked).stats.set_index("metric")
+    driven = pcbench.simulate(asked, "model-only")["u1"].to_numpy()
     mean = delays.mean_over([0, 9], [0.6, 0.25], range(0, 31, 4), 1, 30, lambda times: alone(driven, times))
     np.testing.assert_allclose(
-        stats.loc[["mse", "tail_mse"], "mean"], [mean[:30].mean(), mean[10:30].mean()], rtol=1e-10
+        stats.loc[["mse", "steady_mse"], "mean"], [mean[:30].mean(), mean[10:30].mean()], rtol=1e-10
     )
-    assert (stats.loc[["mse", "tail_mse"], ["n", "se"]].to_numpy() == 0).all()
+    assert (stats.loc[["mse", "steady_mse"], ["n", "se"]].to_numpy() == 0).all()
 
 
 def test_who_remembers_every_delay_there_was_is_averaged_over_schedules(tmp_path):
     """Its gain goes by the sum of all ages: modes meet with different sums."""
     asked = own(tmp_path, "0.5 / (1.0 + ages % 5)", "ages + arrival.age[0]")
-    stats = pcbench.exact(asked, schedules=5).stats.query("metric == 'mse'")
+    stats = pcbench.exact_moments(asked, schedules=5).stats.query("metric == 'mse'")
     assert (stats.method == "exact").all()
     assert (stats.n == 5).all()
     assert (stats.se > 0).all()
 
 
 def test_who_asks_when_the_last_arrival_was_has_modes_that_say_so(tmp_path):
-    for share, length in (("0.3", 1), ("0.3 + 0.01 * arrival.since", 2)):
+    for share, length in (("0.3", 1), ("0.3 + 0.01 * arrival.ticks_since_arrival", 2)):
         (p,) = planning.plan(read.parse(own(tmp_path, share), "own"))
         each = over_modes(p)
         assert len(each) == 2**length
@@ -255,26 +258,28 @@ def test_who_asks_when_the_last_arrival_was_has_modes_that_say_so(tmp_path):
 
 
 def test_who_asks_when_the_last_arrival_was_has_no_recursion_over_losses(tmp_path):
-    lossy = {"lti": {k: v for k, v in SMALL["lti"].items() if k != "delay_steps"} | {"loss": 0.3}}
-    for share, there in (("0.3", True), ("0.3 + 0.01 * arrival.since", False)):
+    lossy = {"lti": {k: v for k, v in SMALL["lti"].items() if k != "delay_values"} | {"loss": 0.3}}
+    for share, there in (("0.3", True), ("0.3 + 0.01 * arrival.ticks_since_arrival", False)):
         (p,) = planning.plan(read.parse(own(tmp_path, share) | lossy, "own"))
         assert (over_losses(p) is not None) is there
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    "changes", [{}, {"delay_steps": None, "delay_stay": None, "delay_jitter": 0.1}], ids=["chain", "jitter"]
+    "changes",
+    [{}, {"delay_values": None, "delay_self_transition": None, "delay_jitter": 0.1}],
+    ids=["chain", "sampling_jitter"],
 )
 def test_drawn_schedules_come_to_it_within_their_error(changes, monkeypatch):
     """64 of them; four standard errors, of means, squares and what is believed; 1e-12 is rounding of states of size 1."""
     asked = study(**changes)
-    asked["options"] |= {"scenario": {"random_start": True, "consistency": True}}
-    sure = pcbench.exact(asked).stats
+    asked["options"] |= {"scenario": {"random_initial_state": True, "consistency": True}}
+    sure = pcbench.exact_moments(asked).stats
     monkeypatch.setattr(modes, "MOST", 0)
     key = ["observer", "signal", "metric"]
-    both = sure.merge(pcbench.exact(asked, schedules=64).stats, on=key, suffixes=("", "_drawn"))
+    both = sure.merge(pcbench.exact_moments(asked, schedules=64).stats, on=key, suffixes=("", "_drawn"))
     both = both[(both.method == "exact") & (both.method_drawn == "exact")]
-    assert {"mse", "tail_mse", "final", "pooled_rmse", "nees", "signal_nees"} <= set(both.metric)
+    assert {"mse", "steady_mse", "final_error", "pooled_rmse", "nees", "signal_nees"} <= set(both.metric)
     assert (both.se == 0).all()
     off = (both["mean"] - both.mean_drawn).abs()
     assert (off <= 4 * both.se_drawn + 1e-12).all(), both[off > 4 * both.se_drawn + 1e-12]

@@ -16,7 +16,8 @@ WILD = f"{Path(own_observer.__file__)}:nudge"
 STUDY = {
     "name": "overflow",
     "lti": {
-        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "horizon": 9.0, "tail": 3.0,
+        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "duration": 9.0,
+        "steady_start": 3.0,
         "noise_std": 0.3, "sampling_period": 0.2, "delay": 0.1, "states": ["a"], "input": "sine",
     },
 }  # fmt: skip
@@ -27,17 +28,19 @@ def study(options, *observers):
 
 
 def found(options, *observers):
-    return pcbench.exact(study(options, *observers)).stats.set_index(["observer", "metric"])["mean"].sort_index()
+    return (
+        pcbench.exact_moments(study(options, *observers)).stats.set_index(["observer", "metric"])["mean"].sort_index()
+    )
 
 
 def test_an_observer_that_overflows_leaves_the_others_as_they_are():
-    alone, both = found({}, "dkf", "open-loop"), found({"nudge": {"share": 1e11}}, "dkf", WILD, "open-loop")
+    alone, both = found({}, "kf", "model-only"), found({"nudge": {"share": 1e11}}, "kf", WILD, "model-only")
     assert np.isnan(both["nudge", "mse"]), "there, with its reason"
-    stats = pcbench.exact(study({"nudge": {"share": 1e11}}, WILD)).stats
+    stats = pcbench.exact_moments(study({"nudge": {"share": 1e11}}, WILD)).stats
     (reason,) = stats[stats["metric"] == "mse"]["reason"]
     assert "a grows beyond what a number can hold within six" in reason, "no number is nan"
-    for name in ("dkf", "open-loop"):  # before it and behind it
-        assert np.isfinite(alone[name, "tail_mse"])
+    for name in ("kf", "model-only"):  # before it and behind it
+        assert np.isfinite(alone[name, "steady_mse"])
         np.testing.assert_allclose(both[name], alone[name], rtol=1e-12)
 
 
@@ -46,18 +49,19 @@ def test_an_observer_that_overflows_leaves_the_others_as_they_are():
 )
 def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affine(run, said):
     """As of a sliding mode, whose slope is wild and whose runs are not: it was said to leave its bound."""
-    (m,) = pcbench.exact(study({}, "dkf")).solved(read.grid(study({}, "dkf"), "", read.FROM_HERE).cells)
-    assert affine.refusal(m, "dkf") == ""
+    (m,) = pcbench.exact_moments(study({}, "kf")).solved(read.grid(study({}, "kf"), "", read.FROM_HERE).cells)
+    assert affine.refusal(m, "kf") == ""
     size, beyond = np.full_like(m.sums.size, run), np.full_like(m.sums.size, np.inf)
     sums = m.sums._replace(size=size, apart=beyond, reach=beyond)
-    assert said in affine.refusal(m._replace(sums=sums), "dkf")
+    assert said in affine.refusal(m._replace(sums=sums), "kf")
 
 
 @pytest.mark.nightly
 def test_bands_in_time_are_those_without_it():
     each = [
-        pcbench.exact(asked).moments() for asked in (study({}, "dkf"), study({"nudge": {"share": 1e11}}, "dkf", WILD))
+        pcbench.exact_moments(asked).moments()
+        for asked in (study({}, "kf"), study({"nudge": {"share": 1e11}}, "kf", WILD))
     ]
-    alone, both = (m[m.observer == "dkf"][["t", "mean", "std"]].to_numpy() for m in each)
+    alone, both = (m[m.observer == "kf"][["t", "mean", "std"]].to_numpy() for m in each)
     assert len(both) == 91
     np.testing.assert_allclose(both, alone, rtol=1e-12)

@@ -6,9 +6,10 @@ from pcbench.moments.solve import WAITING, _due
 
 STUDY = {
     "name": "kept",
-    "observers": ["open-loop"],
+    "observers": ["model-only"],
     "lti": {
-        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "horizon": 3.0, "tail": 1.0,
+        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "duration": 3.0,
+        "steady_start": 1.0,
         "noise_std": 0.3, "sampling_period": 0.4, "delay": 0.2, "states": ["a"], "input": "sine",
     },
 }  # fmt: skip

@@ -22,7 +22,7 @@ PLANT = {  # three states, two inputs, two outputs with feedthrough, no symmetry
     "noise_std": [0.1, 0.3],
     "process_std": [0.02, 0.0, 0.1],
     "tick": TICK,
-    "horizon": TICK * TICKS,
+    "duration": TICK * TICKS,
     "x0": [1.0, -2.0, 0.5],
 }
 MODEL = linear.Model(*(np.array(PLANT[k]) for k in "ABC"), TICK)
@@ -36,7 +36,7 @@ def study(observer, options, **changes):
 
 
 def traced(observer, options, **changes):
-    d = pcbench.trace(study(observer, options, **changes), [observer], seed=1)
+    d = pcbench.simulate(study(observer, options, **changes), [observer], seed=1)
     return d[["u1", "u2"]].to_numpy(), d[["y1", "y2"]].to_numpy(), d[[f"{observer}.x{i}" for i in (1, 2, 3)]].to_numpy()
 
 
@@ -58,7 +58,7 @@ def joint_filter(u, y, Q, R):
     return np.array(out)
 
 
-@pytest.mark.parametrize("observer", ["dkf", "ekf"])
+@pytest.mark.parametrize("observer", ["kf", "ekf"])
 @pytest.mark.parametrize(
     ("assumed", "Q", "R"),
     [
@@ -76,13 +76,13 @@ def test_filters_equal_one_of_whole_vectors_that_assumes_the_same(observer, assu
 
 def test_noise_through_each_input_and_of_each_channel_with_clocks_of_their_own():
     q, R = [0.3, 0.02], [0.5, 0.02]
-    u, y, got = traced("dkf", {"q": q, "R": R, "Q": [0.0] * 3}, sampling_period=[0.04, 0.03], delay=[0.06, 0.01])
+    u, y, got = traced("kf", {"q": q, "R": R, "Q": [0.0] * 3}, sampling_period=[0.04, 0.03], delay=[0.06, 0.01])
     samples = []
     for j, (te, late) in enumerate(((4, 6), (3, 1))):
         for i, taken in enumerate(range(0, len(u) - late, te)):
             samples.append(linear.Sample(taken + late, taken, j, i, y[taken + late, j]))
     W = MODEL.B @ np.diag(q) @ MODEL.B.T
-    want = irregular.dkf(MODEL, u, samples, np.zeros(3), P0, np.array(R), W, D=np.array(PLANT["D"]))
+    want = irregular.kf(MODEL, u, samples, np.zeros(3), P0, np.array(R), W, D=np.array(PLANT["D"]))
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
@@ -105,51 +105,51 @@ def test_kfbo_solves_its_riccati_equation_for_what_it_assumes(given, Q, R):
 )
 def test_a_list_and_a_covariance_are_numbers_without_bounds_in_tuning(value):
     """By entry, and positive whatever the numbers are; a covariance stays one."""
-    options = entry_of("dkf").options(R=value)
-    found, at = parameters.start("dkf", entry_of("dkf"), options, {}, ["R"], "test")
+    options = entry_of("kf").options(R=value)
+    found, at = parameters.start("kf", entry_of("kf"), options, {}, ["R"], "test")
     assert len(at) == (2 if np.ndim(value) == 1 else 6)
     np.testing.assert_allclose(parameters.put(options, found, at).R, value, rtol=1e-9, atol=1e-12)
     there = at + np.random.default_rng(3).normal(size=len(at))
     moved = np.array(parameters.put(options, found, there).R)
     assert (np.linalg.eigvalsh(moved) > 0).all() if moved.ndim == 2 else (moved > 0).all()
-    _, back = parameters.start("dkf", entry_of("dkf"), entry_of("dkf").options(R=moved.tolist()), {}, ["R"], "test")
+    _, back = parameters.start("kf", entry_of("kf"), entry_of("kf").options(R=moved.tolist()), {}, ["R"], "test")
     np.testing.assert_allclose(back, there, rtol=1e-6, atol=1e-8)
 
 
 def test_tuning_starts_from_what_designers_are_told_of_each_channel_and_state():
-    numbers = pcbench.design(study("dkf", {}), "dkf").certificate.numbers
-    found, at = parameters.start("dkf", entry_of("dkf"), entry_of("dkf").options(), numbers, ["R", "Q"], "test")
+    numbers = pcbench.design(study("kf", {}), "kf").certificate.numbers
+    found, at = parameters.start("kf", entry_of("kf"), entry_of("kf").options(), numbers, ["R", "Q"], "test")
     assert [(f.name, f.size) for f in found] == [("R", 2), ("Q", 3)]
     np.testing.assert_allclose(np.exp(at), [0.01, 0.09, 4e-4, 1e-12, 1e-2], rtol=1e-9)
 
 
 BAD = {
     "R of three": (
-        "dkf",
+        "kf",
         {"R": [1.0, 2.0, 3.0]},
-        r"dkf in lti: R: got \[1.0, 2.0, 3.0\], expected 2 numbers, one for each",
+        r"kf in lti: R: got \[1.0, 2.0, 3.0\], expected 2 numbers, one for each",
     ),
     "R of one row": (
         "ekf",
         {"R": [[1.0, 0.0]]},
         r"ekf in lti: R: got .*, expected 2 numbers, one for each output, or a matrix",
     ),
-    "R ragged": ("dkf", {"R": [[1.0, 0.0], [0.0]]}, "or a matrix of 2 x 2"),
-    "R not symmetric": ("dkf", {"R": [[1.0, 0.5], [0.0, 1.0]]}, "expected a covariance: symmetric"),
-    "R indefinite": ("dkf", {"R": [[1.0, 2.0], [2.0, 1.0]]}, "no eigenvalue below 0"),
-    "R singular": ("dkf", {"R": [[1.0, 1.0], [1.0, 1.0]]}, "expected every eigenvalue above 0"),
-    "R of 0": ("dkf", {"R": [1.0, 0.0]}, r"options\.dkf: R\[1\]: got 0\.0, expected greater than 0"),
-    "R a text": ("dkf", {"R": "noise"}, r"options\.dkf: R: got 'noise', expected a valid number"),
-    "Q of two": ("dkf", {"Q": [1.0, 2.0]}, r"dkf in lti: Q: got .*, expected 3 numbers, one for each state"),
+    "R ragged": ("kf", {"R": [[1.0, 0.0], [0.0]]}, "or a matrix of 2 x 2"),
+    "R not symmetric": ("kf", {"R": [[1.0, 0.5], [0.0, 1.0]]}, "expected a covariance: symmetric"),
+    "R indefinite": ("kf", {"R": [[1.0, 2.0], [2.0, 1.0]]}, "no eigenvalue below 0"),
+    "R singular": ("kf", {"R": [[1.0, 1.0], [1.0, 1.0]]}, "expected every eigenvalue above 0"),
+    "R of 0": ("kf", {"R": [1.0, 0.0]}, r"options\.kf: R\[1\]: got 0\.0, expected greater than 0"),
+    "R a text": ("kf", {"R": "noise"}, r"options\.kf: R: got 'noise', expected a valid number"),
+    "Q of two": ("kf", {"Q": [1.0, 2.0]}, r"kf in lti: Q: got .*, expected 3 numbers, one for each state"),
     "Q below 0": (
         "ekf",
         {"Q": [1.0, -1.0, 0.0]},
         r"options\.ekf: Q\[1\]: got -1\.0, expected greater than or equal to 0",
     ),
     "q of three": (
-        "dkf",
+        "kf",
         {"q": [1.0, 2.0, 3.0]},
-        r"dkf in lti: q: got .*, expected a number, or 2, one for each input",
+        r"kf in lti: q: got .*, expected a number, or 2, one for each input",
     ),
     "Q of kfbo": ("kfbo", {"Q": [1.0]}, r"kfbo in lti: Q: got \[1.0\], expected 3 numbers"),
     "R of kfbo": ("kfbo", {"R": [1.0]}, r"kfbo in lti: R: got \[1.0\], expected 2 numbers"),
@@ -169,4 +169,4 @@ def test_correlated_noise_is_refused_where_outputs_are_not_sampled_together():
     with pytest.raises(
         UserError, match="got noise that is correlated between outputs, expected outputs with one period"
     ):
-        pcbench.design(study("dkf", {"R": R}, delay=[0.06, 0.01]), "dkf")
+        pcbench.design(study("kf", {"R": R}, delay=[0.06, 0.01]), "kf")

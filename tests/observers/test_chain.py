@@ -88,7 +88,7 @@ def expected(label, model, u, r, believed, xhat0):
 def test_between_samples_they_follow_the_model():
     """The reference at the samples, the held model's motion between them."""
     study, fine, model = slow()
-    d = pcbench.trace(study, SLOW)
+    d = pcbench.simulate(study, SLOW)
     u = d[["u1"]].to_numpy()
     _, y = ref.simulate(model, u[::10], np.array([1.0, -2.0]))
     for label in SLOW:
@@ -111,7 +111,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
     off = round(error / 0.1)
     study |= {"axes": {"assumed_delay_error": [error]}}
     labels = ["chain", "equal-delay", "no-delay-plain"]
-    d = pcbench.trace(study | {"observers": labels}, labels)
+    d = pcbench.simulate(study | {"observers": labels}, labels)
     held = d[["u1"]].to_numpy()
     u = held[::10]
     _, y = ref.simulate(model, u, np.array([1.0, -2.0]))

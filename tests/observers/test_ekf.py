@@ -30,7 +30,7 @@ def arm(z, u):
 )
 def test_on_the_arm_it_equals_the_reference(period, delay):
     base = SCENARIOS["arm/sampled"]
-    s = base.having(horizon=SECONDS, tail=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
+    s = base.having(duration=SECONDS, steady_start=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
     (p,) = padding.fit([planning.draft(cell_of(s), {"ekf": options})])
@@ -48,7 +48,9 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
 
 def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
     """The noise of a tick: what is added to the states, and of what is unknown its size squared, walk a second."""
-    s = SCENARIOS["arm/sampled"].having(horizon=0.1, tail=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3))
+    s = SCENARIOS["arm/sampled"].having(
+        duration=0.1, steady_start=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3)
+    )
     gains = ekf.design(planning.setting(cell_of(s)), ekf.Options(walk=0.5)).gains
     np.testing.assert_allclose(gains.Q, np.diag([1e-6, 4e-6, 0.0, 16e-6, 0.5 * 9.0 * s.dt]), rtol=1e-12)
     np.testing.assert_allclose(gains.P0, np.diag([1.0, 1.0, 1.0, 1.0, 9.0]), rtol=1e-12)
@@ -57,6 +59,8 @@ def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
 @pytest.mark.nightly
 def test_on_the_arm_it_is_no_worse_than_the_linear_filter():
     """The arm's gravity is nearly linear there: tail errors of both filters within 5 %."""
-    stats = pcbench.run("arm/sampled", observers=["ekf", "dkf"], seeds=64).stats
-    rows = stats[(stats.metric == "tail_pooled_rmse") & (stats.signal == "link_velocity")].set_index("observer")["mean"]
-    assert rows["ekf"] < 1.05 * rows["dkf"]
+    stats = pcbench.run("arm/sampled", observers=["ekf", "kf"], seeds=64).stats
+    rows = stats[(stats.metric == "steady_pooled_rmse") & (stats.signal == "link_velocity")].set_index("observer")[
+        "mean"
+    ]
+    assert rows["ekf"] < 1.05 * rows["kf"]

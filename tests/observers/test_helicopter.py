@@ -64,14 +64,14 @@ def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
     memory = observer.init(gains, jnp.asarray(p.problem.xhat0))._replace(
         c=jnp.array([5.0, 6.0]), newest=jnp.array([3, 3])
     )
-    note, value = jnp.array([1.0, 2.0]), jnp.array([0.25, 0.5])
+    snapshot, value = jnp.array([1.0, 2.0]), jnp.array([0.25, 0.5])
     now = Now(jnp.asarray(0.005), jnp.asarray(5), jnp.asarray(1e-3), jnp.zeros(2), lambda age: jnp.zeros(2))
-    for fresh, index, c, newest in (
+    for mask, index, c, newest in (
         ((True, True), (4, 2), (0.75, 6.0), (4, 3)),
         ((False, True), (9, 4), (5.0, 1.5), (3, 4)),
         ((True, True), (3, 3), (5.0, 6.0), (3, 3)),
     ):
-        arrival = Arrival(value, jnp.array(fresh), jnp.zeros(2, int), jnp.array(index), note, jnp.asarray(1))
+        arrival = Arrival(value, jnp.array(mask), jnp.zeros(2, int), jnp.array(index), snapshot, jnp.asarray(1))
         jumped = observer.jump(gains, memory, now, arrival)
         assert (jumped.c.tolist(), jumped.newest.tolist()) == (list(c), list(newest))
 
@@ -119,7 +119,7 @@ def test_any_period_delay_and_noise_equals_the_reference(observer, period, delay
     if delay < 2 or period == 1:
         swing = 0.0  # no delay at all, or one tick; with a sample at every tick some would come twice
     p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3,
-                delay_swing=(swing * (delay - 1) * 1e-3, 2.0), noise_std=noise, drift=drift)  # fmt: skip
+                delay_sine=(swing * (delay - 1) * 1e-3, 2.0), noise_std=noise, parameter_drift=drift)  # fmt: skip
     if len(p.problem.schedule.early) > EARLY:
         return
     assert gap(p) < 1e-9
@@ -180,7 +180,7 @@ def slipped(p, what):
     if what == "path":
         return problem._replace(control=problem.control._replace(path=np.roll(problem.control.path, 1, 0)))
     if what == "note":
-        return problem._replace(schedule=plan._replace(note=np.roll(plan.note, 1), event=np.ones_like(plan.event),
+        return problem._replace(schedule=plan._replace(snapshot=np.roll(plan.snapshot, 1), event=np.ones_like(plan.event),
                                                        next_event=np.arange(1, len(plan.event) + 1)))  # fmt: skip
     if what == "sense":
         return problem._replace(schedule=plan._replace(sense=np.roll(plan.sense, 1), sample=np.roll(plan.sample, 1, 0),

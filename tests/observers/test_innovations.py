@@ -21,9 +21,9 @@ SAYS = {name: e for name, e in OBSERVERS.items() if e.observer.innovation}
 SILENT = (
     "kf-larsen",
     "kf-alexander",
-    "kf-horizon",
+    "kf-delayed-horizon",
     "ekf-delay",
-    "bank",
+    "mmae-delay",
 )  # have a covariance, but no innovations that are independent, or of one delay, or none
 
 
@@ -47,9 +47,9 @@ def test_who_has_a_covariance_says_what_it_expects_but_for_five():
 
 
 @pytest.mark.parametrize("schedule", ["now", "one step", "late", "wild"])
-@pytest.mark.parametrize("name", ["dkf", "ekf", "kf-rewind"])
+@pytest.mark.parametrize("name", ["kf", "ekf", "kf-reprocess"])
 def test_every_sample_is_compared_with_all_that_arrived_before(name, schedule):
-    options = {"keep": 9} if name == "kf-rewind" else {}
+    options = {"keep": 9} if name == "kf-reprocess" else {}
     got, expected = found(name, schedule, **options)[2], want(plant(schedule)[1], every=True)
     same(got, expected)
     assert expected[:, 1].sum() == len(plant(schedule)[1])
@@ -64,7 +64,7 @@ def test_who_corrects_all_copies_expects_rightly_of_those_out_of_order_too(sched
 
 def test_what_is_discarded_is_not_judged():
     kept = [s for s in plant("wild")[1] if s.arrival - s.taken <= 12]
-    same(found("kf-discard", "wild", limit=12 * H)[2], want(kept, every=True))
+    same(found("kf-drop-delayed", "wild", max_age=12 * H)[2], want(kept, every=True))
 
 
 @pytest.mark.parametrize("name", ["oosm-a1", "oosm-b1", "oosm-lag"])
@@ -84,7 +84,7 @@ def test_who_takes_late_for_now_expects_what_the_optimum_would_if_it_were():
     late = plant("late")[1]
     once = {(s.arrival, s.channel): s._replace(taken=s.arrival) for s in late}
     assert len(once) == len(late)
-    same(found("kf-now", "late")[2], want(sorted(once.values())))
+    same(found("kf-ignore-delay", "late")[2], want(sorted(once.values())))
 
 
 def test_shifting_expects_the_output_of_its_estimate_of_now_less_the_inputs_response():
@@ -96,19 +96,19 @@ def test_shifting_expects_the_output_of_its_estimate_of_now_less_the_inputs_resp
     def shifted(s):
         return s._replace(taken=s.arrival, value=s.value + MODEL.C[s.channel] @ (moved[s.arrival] - moved[s.taken]))
 
-    same(found("kf-shift", "late")[2], want(sorted(map(shifted, plant("late")[1]))))
+    same(found("kf-shifted-innovation", "late")[2], want(sorted(map(shifted, plant("late")[1]))))
 
 
 @pytest.mark.parametrize("schedule", TIMES)
 def test_on_a_linear_model_the_extended_filter_believes_what_kalmans_does(schedule):
     xhat, P, _ = found("ekf", schedule)
-    best, true, _ = found("dkf", schedule)
+    best, true, _ = found("kf", schedule)
     same(xhat, best)
     same(P, true)
 
 
 def test_on_the_arm_the_extended_filter_believes_and_expects_what_the_reference_does():
-    s = SCENARIOS["arm/sampled"].having(horizon=0.07, tail=0.03, noise_std=(1e-3, 2e-3))
+    s = SCENARIOS["arm/sampled"].having(duration=0.07, steady_start=0.03, noise_std=(1e-3, 2e-3))
     known, N = planning.setting(cell_of(s)), 70
     u, rng = np.random.default_rng(3).normal(size=(N + 1, 1)) * 4, np.random.default_rng(4)
     times = [(taken, taken + 12) for taken in range(0, N - 12, 9)]

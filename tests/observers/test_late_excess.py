@@ -23,7 +23,7 @@ NOISE, START = np.linalg.cholesky(process_noise(ODD.A, W, H) + 1e-18 * np.eye(3)
 
 def squares(schedule):
     """By observer, the mean square error of each run once the start is forgotten."""
-    out = {name: [] for name in ("dkf", *NAMES)}
+    out = {name: [] for name in ("kf", *NAMES)}
     for seed in range(RUNS):
         rng = np.random.default_rng(seed)
         v = [rng.normal(size=TICKS + 1) * np.sqrt(R[j]) for j in range(2)]
@@ -46,10 +46,10 @@ def test_the_guides_table_of_what_they_lie_above_the_optimum_is_what_comes_out()
     assert [row for row, _ in said] == list(ROWS)
     for row, numbers in said:
         e = squares(ROWS[row])
-        best = e["dkf"].mean()
+        best = e["kf"].mean()
         above = {name: 100 * (np.sqrt(e[name].mean() / best) - 1) for name in NAMES}
         np.testing.assert_allclose(
             list(above.values()), [float(n) for n in numbers.split(" | ")], rtol=0.05, atol=0.006
         )
         for name in NAMES:  # no one is better than the optimum, by more than chance
-            assert (e[name] - e["dkf"]).mean() > -3 * (e[name] - e["dkf"]).std() / np.sqrt(RUNS) - 1e-9
+            assert (e[name] - e["kf"]).mean() > -3 * (e[name] - e["kf"]).std() / np.sqrt(RUNS) - 1e-9

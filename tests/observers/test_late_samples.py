@@ -27,7 +27,7 @@ CASE = Case(ODD, 12, 0, ticks=TICKS, h=H, noise_std=0.2, seed=5, xhat0=[0.5, -1.
 MODEL = Model(ODD.A, ODD.B, ODD.C, H)
 W = CASE.input_intensity * ODD.B @ ODD.B.T
 R = np.array([0.04, 0.04])
-EQUAL = ("kf-rewind", "kf-cloning")
+EQUAL = ("kf-reprocess", "kf-cloning")
 
 
 def _wild():
@@ -65,7 +65,7 @@ def found(name, schedule, **options):
 
 @cache
 def optimum(schedule):
-    return irregular.dkf(MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, W)
+    return irregular.kf(MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, W)
 
 
 def given(schedule):
@@ -83,27 +83,27 @@ def apart(a, b):
 @pytest.mark.parametrize("schedule", TIMES)
 @pytest.mark.parametrize("name", EQUAL)
 def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_overtaking(name, schedule):
-    options = {"keep": 9} if name == "kf-rewind" else {}
+    options = {"keep": 9} if name == "kf-reprocess" else {}
     xhat, P = found(name, schedule, **options)
     same(xhat, optimum(schedule))
-    same(P, found("dkf", schedule)[1])
+    same(P, found("kf", schedule)[1])
 
 
 @pytest.mark.parametrize("name", LATE)
 def test_where_nothing_is_late_all_are_the_optimum(name):
-    options = {"horizon": 0.0} if name == "kf-horizon" else {"keep": 9} if name == "kf-rewind" else {}
-    if name == "kf-shift":  # it takes the plant for an integrator, but there is nothing to shift
+    options = {"lag": 0.0} if name == "kf-delayed-horizon" else {"keep": 9} if name == "kf-reprocess" else {}
+    if name == "kf-shifted-innovation":  # it takes the plant for an integrator, but there is nothing to shift
         same(found(name, "now")[0], optimum("now"))
         return
     xhat, P = found(name, "now", **options)
     same(xhat, optimum("now"))
-    same(P, found("dkf", "now")[1])
+    same(P, found("kf", "now")[1])
 
 
 @pytest.mark.parametrize("schedule", ["late", "wild"])
-@pytest.mark.parametrize("name", ["kf-now", "kf-shift"])
+@pytest.mark.parametrize("name", ["kf-ignore-delay", "kf-shifted-innovation"])
 def test_taking_late_for_now_equals_the_reference(name, schedule):
-    want = late.as_of_now(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, name == "kf-shift")
+    want = late.as_of_now(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, name == "kf-shifted-innovation")
     for a, b in zip(found(name, schedule), want, strict=True):
         same(a, b)
     assert apart(want[0], optimum(schedule))
@@ -112,17 +112,17 @@ def test_taking_late_for_now_equals_the_reference(name, schedule):
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_discarding_is_the_optimum_of_what_is_kept(schedule):
     kept = [s for s in plant(schedule)[1] if s.arrival - s.taken <= 12]
-    want = irregular.dkf(MODEL, inputs(CASE), kept, starts(CASE)[1], KNOWN.P0, R, W)
-    same(found("kf-discard", schedule, limit=12 * H)[0], want)
+    want = irregular.kf(MODEL, inputs(CASE), kept, starts(CASE)[1], KNOWN.P0, R, W)
+    same(found("kf-drop-delayed", schedule, max_age=12 * H)[0], want)
     assert 0 < len(kept) < len(plant(schedule)[1])
 
 
 def test_between_the_samples_that_it_keeps_discarding_believes_what_the_model_alone_would():
-    """P+ = F P F' + Q from tick to tick, but where one that is kept arrives; and there it is dkf of those alone."""
-    P = found("kf-discard", "wild", limit=12 * H)[1]
+    """P+ = F P F' + Q from tick to tick, but where one that is kept arrives; and there it is kf of those alone."""
+    P = found("kf-drop-delayed", "wild", max_age=12 * H)[1]
     kept = [s for s in plant("wild")[1] if s.arrival - s.taken <= 12]
     there = driven.traffic(TIMES["wild"], kept, TICKS, 2)
-    same(P, driven.run("dkf", KNOWN, {}, there, inputs(CASE), starts(CASE)[1])[1])
+    same(P, driven.run("kf", KNOWN, {}, there, inputs(CASE), starts(CASE)[1])[1])
     F, Q = discretise(ODD.A, ODD.B, H)[0], process_noise(ODD.A, W, H)
     alone = [k for k in range(1, TICKS + 1) if k not in {s.arrival for s in kept}]
     assert len(alone) > 100
@@ -139,13 +139,15 @@ def test_taking_late_for_now_is_biased_by_the_motion_over_the_delay():
     model = Model(moving.A, moving.B, moving.C, H)
     x, samples = irregular.simulate(model, inputs(case), np.ones(1), times, [np.zeros(TICKS + 1)])
     there = driven.traffic(times, samples, TICKS, 1)
-    e = {name: x - driven.run(name, known, {}, there, inputs(case), np.zeros(1))[0] for name in ("kf-now", "dkf")}
-    np.testing.assert_allclose(e["kf-now"][-5:], speed * late * H, rtol=1e-6)
-    assert np.abs(e["dkf"][-5:]).max() < 1e-6
+    e = {
+        name: x - driven.run(name, known, {}, there, inputs(case), np.zeros(1))[0] for name in ("kf-ignore-delay", "kf")
+    }
+    np.testing.assert_allclose(e["kf-ignore-delay"][-5:], speed * late * H, rtol=1e-6)
+    assert np.abs(e["kf"][-5:]).max() < 1e-6
 
 
 ON_TIME = [
-    name for name in LATE if name not in ("kf-now", "kf-shift")
+    name for name in LATE if name not in ("kf-ignore-delay", "kf-shifted-innovation")
 ]  # these two use a sample at another time than its own
 
 
@@ -166,8 +168,8 @@ def test_a_horizon_is_the_optimum_of_samples_that_all_arrive_so_late(schedule, h
     """Not, where they come sooner, that of those as they come: the finding."""
     kept = [s for s in plant(schedule)[1] if s.arrival - s.taken <= horizon]
     held = [s._replace(arrival=s.taken + horizon) for s in kept if s.taken + horizon <= TICKS]
-    want = irregular.dkf(MODEL, inputs(CASE), held, starts(CASE)[1], KNOWN.P0, R, W)
-    same(found("kf-horizon", schedule, horizon=horizon * H)[0], want)
+    want = irregular.kf(MODEL, inputs(CASE), held, starts(CASE)[1], KNOWN.P0, R, W)
+    same(found("kf-delayed-horizon", schedule, lag=horizon * H)[0], want)
     assert apart(want, optimum(schedule))
 
 
@@ -179,10 +181,10 @@ def test_larsens_gain_is_the_best_for_its_innovation_and_its_covariance_true(sch
 
 
 def test_larsen_is_the_optimum_with_one_sample_on_its_way_and_above_it_with_several():
-    quiet = found("kf-larsen", "now")[1], found("dkf", "now")[1]
+    quiet = found("kf-larsen", "now")[1], found("kf", "now")[1]
     same(*quiet)
     for schedule in ("late", "wild"):
-        excess = np.trace(found("kf-larsen", schedule)[1] - found("dkf", schedule)[1], axis1=1, axis2=2)
+        excess = np.trace(found("kf-larsen", schedule)[1] - found("kf", schedule)[1], axis1=1, axis2=2)
         assert excess.min() > -1e-9
         assert excess.max() > 1e-3
 
@@ -201,7 +203,7 @@ def test_alexander_is_the_optimum_when_nothing_is_on_its_way_and_counts_on_what_
     xhat, best = found("kf-alexander", "one step")[0], optimum("one step")
     same(xhat[~busy], best[~busy])
     assert apart(xhat[busy], best[busy])
-    believed, true = (np.trace(found(name, "wild")[1], axis1=1, axis2=2) for name in ("kf-alexander", "dkf"))
+    believed, true = (np.trace(found(name, "wild")[1], axis1=1, axis2=2) for name in ("kf-alexander", "kf"))
     assert (believed <= true + 1e-9).all(), "it believes what it could know if nothing were late or lost"
     assert (believed < 0.9 * true).any()
 
@@ -222,7 +224,7 @@ def test_retrodiction_equals_the_reference(name, schedule):
 
 
 def test_one_step_back_is_exact_by_a1_above_by_b1_and_the_same_by_lag():
-    best, P = optimum("one step"), found("dkf", "one step")[1]
+    best, P = optimum("one step"), found("kf", "one step")[1]
     a1, b1, lag = (found(name, "one step") for name in RETRODICTED)
     same(a1[0], best)
     same(a1[1], P)
@@ -244,16 +246,16 @@ def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule
     rng = np.random.default_rng(4)
     v = [rng.normal(size=TICKS + 1) * 0.2 for _ in range(2)]
     _, samples = irregular.simulate(model, inputs(case), starts(case)[0], TIMES[schedule], v)
-    want = irregular.dkf(model, inputs(case), samples, starts(case)[1], known.P0, R)
+    want = irregular.kf(model, inputs(case), samples, starts(case)[1], known.P0, R)
     there = driven.traffic(TIMES[schedule], samples, TICKS, 2)
-    same(driven.run("kf-shift", known, {}, there, inputs(case), starts(case)[1])[0], want)
+    same(driven.run("kf-shifted-innovation", known, {}, there, inputs(case), starts(case)[1])[0], want)
 
 
 def test_rewinding_loses_what_is_older_than_it_keeps_and_says_so():
-    assert apart(found("kf-rewind", "wild", keep=1)[0], optimum("wild"))
-    short = OBSERVERS["kf-rewind"].design(KNOWN, OBSERVERS["kf-rewind"].options(keep=1)).certificate
+    assert apart(found("kf-reprocess", "wild", keep=1)[0], optimum("wild"))
+    short = OBSERVERS["kf-reprocess"].design(KNOWN, OBSERVERS["kf-reprocess"].options(keep=1)).certificate
     assert "9 may arrive before one" in short.inequality
-    enough = OBSERVERS["kf-rewind"].design(KNOWN, OBSERVERS["kf-rewind"].options(keep=9)).certificate
+    enough = OBSERVERS["kf-reprocess"].design(KNOWN, OBSERVERS["kf-reprocess"].options(keep=9)).certificate
     assert enough.margin < float("inf")
 
 
@@ -261,7 +263,7 @@ SINGULAR = linear.Model(np.diag([0.5, 0.0]), np.ones((2, 1)), np.eye(2), discret
 REFUSED = [
     ("kf-cloning", KNOWN._replace(flight=17), {}, "up to 17 samples on their way at once, expected at most 16"),
     ("kf-alexander", KNOWN._replace(error=2), {}, "assumed_delay_error of 0.04 s, expected 0"),
-    ("kf-horizon", KNOWN, {"horizon": 99.0}, "a horizon of 99 s, expected at most the run's 3 s"),
+    ("kf-delayed-horizon", KNOWN, {"lag": 99.0}, "a lag of 99 s, expected at most the run's 3 s"),
     ("oosm-a1", setting(Case(SINGULAR, 5, 5, ticks=20)), {}, "discrete model whose A is singular"),
 ]
 
@@ -275,7 +277,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(name, known, options, sentence)
 
 @pytest.mark.parametrize(
     ("name", "option"),
-    [("kf-discard", "limit"), ("kf-horizon", "horizon"), ("kf-rewind", "keep"), ("oosm-lag", "keep")],
+    [("kf-drop-delayed", "max_age"), ("kf-delayed-horizon", "lag"), ("kf-reprocess", "keep"), ("oosm-lag", "keep")],
 )
 @pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
 def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
@@ -286,14 +288,15 @@ def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
 @pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
     rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["how_late.md"], re.M)
-    stats, costs = pcbench.run("late").stats, pcbench.costs("late").set_index(["cell", "observer"])
+    name = "delayed-measurements"
+    stats, costs = pcbench.run(name).stats, pcbench.operation_counts(name).set_index(["cell", "observer"])
     stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])
     assert len(rows) == 7
     for name, said, products in rows:
         *errors, believes = said.split(" | ")
-        found = stats.loc[name, "tail_rmse"]["mean"].sort_index()
+        found = stats.loc[name, "steady_rmse"]["mean"].sort_index()
         np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
         assert costs.loc[(1, name), "sample"] == int(products)
-        if name != "open-loop":
+        if name != "model-only":
             mean, band = stats.loc[(name, "nees", 0.8)], stats.loc[(name, "nees_band", 0.8)]
             assert verdict(mean["mean"], Band(band.ci_low, band.ci_high)) == believes

@@ -101,7 +101,7 @@ def test_aligned_starts_perfectly_until_rounding_has_grown():
     s = SCENARIOS["csth/10s"]
     SCENARIOS["perfect"] = s.having(name="perfect", xhat0=tuple(start))
     try:
-        d = pcbench.trace("perfect", "no-delay")
+        d = pcbench.simulate("perfect", "no-delay")
     finally:
         del SCENARIOS["perfect"]
     x = d[NAMES].to_numpy()
@@ -112,7 +112,7 @@ def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
     s = SCENARIOS["csth/10s"]
     SCENARIOS["perfect"] = s.having(name="perfect", xhat0=s.truth.x0, delay=(20.0,) * 3, options=LABELS)
     try:
-        d = pcbench.trace("perfect", ["equal-delay", "equal-delay-one"])
+        d = pcbench.simulate("perfect", ["equal-delay", "equal-delay-one"])
     finally:
         del SCENARIOS["perfect"]
     x = d[NAMES].to_numpy()
@@ -128,7 +128,7 @@ def test_aligned_is_reported_as_diverged_with_its_time_and_the_others_stay_clean
     x, y = ref.simulate(TANK, u, START["tank"])
     e = np.abs(x - ref.classic(TANK, u, ref.received(y, [2, 5, 7]), ZERO, K_NONE, [2, 5, 7]))
     first = np.flatnonzero((e > 1e6 * START["tank"]).any(1))[0]
-    assert set(result.runs[result.runs.diverged].first_bad_time) == {10.0 * first}
+    assert set(result.runs[result.runs.diverged].divergence_time) == {10.0 * first}
     lost = result.stats[(result.stats.observer == "no-delay") & (result.stats.metric == "mae")]
     assert lost.n.tolist() == [0] * 3
     assert lost["mean"].isna().all()
@@ -154,9 +154,9 @@ def test_losses_and_feedthrough_are_what_the_page_says():
     delays = [1, 3, 2]
     lti = {name: np.asarray(M).tolist() for name, M in zip("ABCD", model, strict=False)}
     lti |= {"dt": 1.0, "sampling_period": 1.0, "delay": [1.0, 3.0, 2.0], "noise_std": [0.1, 0.2, 0.1], "loss": 0.3}
-    lti |= {"input": "sine, square", "horizon": 60.0, "x0": [1.0, -2.0, 0.5]}
+    lti |= {"input": "sine, square", "duration": 60.0, "x0": [1.0, -2.0, 0.5]}
     options = LABELS | {"equal-delay-one": {"variant": "theorem1", "delay": 2}, "no-delay": {"pole": 0.3}}
-    d = pcbench.trace({"name": "odd", "lti": lti, "options": options}, list(LABELS), seed=1)
+    d = pcbench.simulate({"name": "odd", "lti": lti, "options": options}, list(LABELS), seed=1)
     u, held = d[["u1", "u2"]].to_numpy(), d[["y1", "y2", "y3"]].to_numpy()
     r = np.where(np.vstack([np.isnan(held[:1]), held[1:] == held[:-1]]), np.nan, held)  # what came is what changed
     assert 0.2 < np.isnan(r[5:]).mean() < 0.4

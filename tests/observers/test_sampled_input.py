@@ -1,6 +1,6 @@
-"""Observers of an unknown input on samples of the arm: tick by tick what the reference does, drift and dkf included.
+"""Observers of an unknown input on samples of the arm: tick by tick what the reference does, drift and kf included.
 
-Tolerance: 1e-10 (two programs of the same arithmetic agree to some 1e-14; dkf without noise, whose variances span 12 decades,
+Tolerance: 1e-10 (two programs of the same arithmetic agree to some 1e-14; kf without noise, whose variances span 12 decades,
 to 1e-10 of the input's size of 1). Every tick has another input and another noise.
 """
 
@@ -24,7 +24,7 @@ from pcbench.simulation import draws, trace
 from pcbench.study import Study
 from pcbench.study.cells import cell_of
 
-OBSERVERS = ("smo", "pio", "dkf")
+OBSERVERS = ("smo", "pio", "kf")
 FINDERS = {"smo": ui.SMO, "pio": ui.PIO}
 TICK, TICKS = 5e-4, 900
 TIMES = [(20, 0), (1, 0), (40, 40), (7, 13), (30, 400), (400, 400)]  # sampling period and delay, in ticks
@@ -37,7 +37,7 @@ VARIANTS = {
 
 def planned(te, d, option=None, others=None, **changes):
     """A cell of arm/sampled, its finders with an option; all of one shape, that of a drifting plant with room for any delay."""
-    s = SCENARIOS["arm/sampled"].having(horizon=TICKS * TICK, tail=TICKS * TICK / 2, noise_std=(0.0, 0.0))
+    s = SCENARIOS["arm/sampled"].having(duration=TICKS * TICK, steady_start=TICKS * TICK / 2, noise_std=(0.0, 0.0))
     s = s.having(sampling_period=(te * TICK,) * 2, delay=(d * TICK,) * 2, **changes)
     given = dict.fromkeys(FINDERS, option or {}) | (others or {})
     options = {o: entry_of(o).options(**{**s.options.get(o, {}), **given.get(o, {})}) for o in OBSERVERS}
@@ -46,7 +46,7 @@ def planned(te, d, option=None, others=None, **changes):
 
 @cache
 def layout():
-    (p,) = padding.fit([planned(1, 400, drift=0.05)])
+    (p,) = padding.fit([planned(1, 400, parameter_drift=0.05)])
     return p.layout
 
 
@@ -57,14 +57,17 @@ def recorded(p, seed=0):
 
 
 @cache
-def arm(drift=0.0, seed=0):
+def arm(parameter_drift=0.0, seed=0):
     """The arm's x by the reference [N+1, 1, 4]; a drift of size a has the pace and the phase that the library draws."""
-    pace, phase = np.asarray(draws.uniforms(0, np.array([seed]), "drift", 0, 1, 2))[0, :, 0] * [1.8, 2 * np.pi] + [
+    pace, phase = np.asarray(draws.uniforms(0, np.array([seed]), "drift", 0, 1, 2))[0, :, 0] * [
+        1.8,
+        2 * np.pi,
+    ] + [
         0.2,
         0,
     ]
     t = ui.stage_times(TICKS, TICK)
-    factors = np.repeat(1 + drift * np.sin(pace * t + phase)[:, None], 3, axis=1)
+    factors = np.repeat(1 + parameter_drift * np.sin(pace * t + phase)[:, None], 3, axis=1)
     return ui.plant(ui.d1(t)[:, None], ui.X0[None], TICK, factors)
 
 
@@ -103,8 +106,8 @@ def finders_agree(got, option, drift, cases, i):
 
 def filter_agrees(got, x, te, d, noise_std, seed):
     y = samples(x, te, d, noise_std, seed)
-    want = with_input(*ui.dkf(y, TICKS, te, d, TICK, noise_std**2 or 1e-12))
-    np.testing.assert_allclose(got.estimates["dkf"], want, rtol=0, atol=1e-10)
+    want = with_input(*ui.kf(y, TICKS, te, d, TICK, noise_std**2 or 1e-12))
+    np.testing.assert_allclose(got.estimates["kf"], want, rtol=0, atol=1e-10)
 
 
 CASES = tuple((te, d, 3e-3 * (i % 3), i) for i, (te, d) in enumerate(TIMES))  # every third without noise
@@ -120,7 +123,7 @@ def test_smo_and_pio_equal_the_reference(i, variant):
 
 
 @pytest.mark.parametrize("case", [(1, 40, 3e-3, 5), (20, 0, 0.0, 0), (7, 13, 1e-3, 1), (30, 400, 0.1, 2)], ids=str)
-def test_dkf_with_the_input_as_a_random_walk_equals_the_reference(case):
+def test_kf_with_the_input_as_a_random_walk_equals_the_reference(case):
     te, d, std, seed = case
     filter_agrees(recorded(planned(te, d, noise_std=(std,) * 2), seed), arm(), te, d, std, seed)
 
@@ -128,7 +131,7 @@ def test_dkf_with_the_input_as_a_random_walk_equals_the_reference(case):
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed):
     """One factor on k/J, M g l/J and F/J; its pace and phase are of the run's own."""
-    got = recorded(planned(20, 40, drift=0.05, noise_std=(1e-3, 1e-3)), seed)
+    got = recorded(planned(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3)), seed)
     assert np.abs(arm(0.05, 3) - arm(0.05, 4)).max() > 1e-3
     assert np.abs(arm(0.05, seed) - arm()).max() > 1e-3
     finders_agree(got, {}, 0.05, ((20, 40, 1e-3, seed),), 0)
@@ -138,14 +141,14 @@ def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed
 @pytest.mark.nightly
 def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
-    p = planned(20, 40, drift=0.05, noise_std=(1e-3, 1e-3))
+    p = planned(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3))
     (fitted,) = padding.fit([p])
-    (done,) = in_memory.execute(Study(name="drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
+    (done,) = in_memory.execute(Study(name="parameter_drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
     for column, seed in enumerate([3, 0, 4]):
         got = recorded(p, seed)
         for name in OBSERVERS:
             e = (got.x - got.estimates[name])[TICKS // 2 : -1]
-            np.testing.assert_allclose(done.results[name]["tail_rmse"][:, column], np.sqrt((e**2).mean(0)), rtol=1e-9)
+            np.testing.assert_allclose(done.results[name]["steady_rmse"][:, column], np.sqrt((e**2).mean(0)), rtol=1e-9)
 
 
 def test_without_drift_a_run_is_undisturbed_whatever_its_seed():
@@ -162,7 +165,7 @@ START = (0.3, -0.7, 0.5, 1.1)
 def perfect(te, d, option=None, x0=START, xi=0.0, **changes):
     """No weight, nobody pushes, a true start; PIO without its sign, which would chatter about zero (see below)."""
     linear = {"model": {"M": 0.0}, "unknown_input": "zero", "x0": x0, "xhat0": x0, "input": "sine"}
-    p = planned(te, d, option, {"dkf": {"R": 1e-6}}, **linear | changes)
+    p = planned(te, d, option, {"kf": {"R": 1e-6}}, **linear | changes)
     pio = p.problem.gains["pio"]
     gains = p.problem.gains | {"pio": pio._replace(law=pio.law._replace(xi=np.asarray(xi)))}
     return p._replace(problem=p.problem._replace(gains=gains))
@@ -183,7 +186,7 @@ def error(got, name):
 )
 def test_perfect_start_is_zero_for_any_period_delay_start_and_known_input(te, d, x0, signal, carry):
     got = recorded(perfect(te, d, {"reconstruct": carry}, x0, input=signal))
-    steeper = {"dkf": max(1, 20 / te)}  # rounding of a sample reads as a push of that over the interval between two
+    steeper = {"kf": max(1, 20 / te)}  # rounding of a sample reads as a push of that over the interval between two
     for name in OBSERVERS:
         assert error(got, name) < 1e-12 * steeper.get(name, 1) * max(np.abs(got.x).max(), 1), name
 
@@ -216,7 +219,7 @@ def lagging(p, by):
 def test_one_tick_of_slip_in_the_age_is_caught(slip):
     p = perfect(40, 60)
     late = p.problem._replace(schedule=p.problem.schedule._replace(believed=p.problem.schedule.believed - slip))
-    assert error(recorded(p._replace(problem=late)), "dkf") > 1e-4
+    assert error(recorded(p._replace(problem=late)), "kf") > 1e-4
     got = recorded(lagging(p, slip))
     assert all(error(got, name) > 1e-4 for name in FINDERS)
 
@@ -251,12 +254,12 @@ def test_the_worked_sampled_errors_come_out():
     }
     for (te, d, way), texts in printed.items():
         for name, text in zip(FINDERS, texts, strict=True):
-            value = runs.loc[(te, d, f"{name}-{way}".rstrip("-"), "link_velocity")].tail_rmse
+            value = runs.loc[(te, d, f"{name}-{way}".rstrip("-"), "link_velocity")].steady_rmse
             unit = 10.0 ** -len(text.partition(".")[2])
             assert abs(value - float(text)) <= max(0.01 * float(text), 0.5 * unit), (te, d, way, name, value)
 
 
 @pytest.mark.nightly
-def test_the_worked_error_of_dkf_comes_out():
-    rows = pcbench.run("arm/sampled", observers=["dkf"], seeds=64).stats.query("signal == 'link_velocity'")
-    assert rows.set_index("metric")["mean"]["tail_rmse"] == pytest.approx(0.00258, rel=0.02)
+def test_the_worked_error_of_kf_comes_out():
+    rows = pcbench.run("arm/sampled", observers=["kf"], seeds=64).stats.query("signal == 'link_velocity'")
+    assert rows.set_index("metric")["mean"]["steady_rmse"] == pytest.approx(0.00258, rel=0.02)

@@ -25,8 +25,8 @@ class Calls:
         )
         self.xhat0, self.y = jnp.ones(n), jnp.ones(q)
         self.memory = self.observer.init(self.gains, self.xhat0)
-        note = self.observer.note(self.gains, self.memory, self.now)
-        self.arrival = Arrival(self.y, jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), note, jnp.asarray(10))
+        snapshot = self.observer.snapshot(self.gains, self.memory, self.now)
+        self.arrival = Arrival(self.y, jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), snapshot, jnp.asarray(10))
 
 
 def taller(tree):
@@ -62,15 +62,15 @@ def test_a_start_of_another_rank_is_refused(calls):
 
 
 def test_a_note_of_a_memory_of_another_rank_is_refused(calls):
-    refused(calls.observer.note, calls.gains, taller(calls.memory), calls.now)
+    refused(calls.observer.snapshot, calls.gains, taller(calls.memory), calls.now)
 
 
-@pytest.mark.parametrize("function", ["note", "flow"])
+@pytest.mark.parametrize("function", ["snapshot", "flow"])
 def test_an_input_of_another_rank_is_refused(calls, function):
     refused(getattr(calls.observer, function), calls.gains, calls.memory, calls.now._replace(u=calls.now.u[None]))
 
 
-@pytest.mark.parametrize("field", ["value", "fresh", "age", "index"])
+@pytest.mark.parametrize("field", ["value", "mask", "age", "index"])
 def test_an_arrival_with_a_channel_more_in_one_place_is_refused(calls, field):
     more = jnp.append(getattr(calls.arrival, field), getattr(calls.arrival, field)[:1])
     refused(calls.observer.jump, calls.gains, calls.memory, calls.now, calls.arrival._replace(**{field: more}))

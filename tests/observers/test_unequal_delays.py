@@ -27,12 +27,12 @@ WIDE = {
     "dt": 1.0,
     "sampling_period": 1.0,
 }
-PLANT = WIDE | {"delay": [1.0, 3.0], "noise_std": 0.1, "horizon": 20.0}
+PLANT = WIDE | {"delay": [1.0, 3.0], "noise_std": 0.1, "duration": 20.0}
 BAD = {
     "all delays zero": (
         PLANT | {"delay": 0.0},
         {},
-        r"got a \(believed\) delay of 0 in every channel, expected one above 0.*take dkf or pccebo",
+        r"got a \(believed\) delay of 0 in every channel, expected one above 0.*take kf or pccebo",
     ),
     "not whole samples": (
         PLANT | {"sampling_period": 2.0},
@@ -57,12 +57,16 @@ BAD = {
     ),
     "pole on the circle": (PLANT, {"pole": 1.0}, "got 1.0, expected a pole inside the unit circle"),
     "pole per tick outside": (PLANT, {"pole_per_tick": 1.2}, "got 1.2, expected a pole inside the unit circle"),
-    "jitter": (
+    "sampling_jitter": (
         PLANT | {"delay_jitter": 1.0},
         {},
         "got a delay_jitter of 1 s, expected regular samples of constant ages",
     ),
-    "profile": (PLANT | {"profile": [1.0, 2.0]}, {}, "got the profile 1, 2, expected regular samples"),
+    "sampling_pattern": (
+        PLANT | {"sampling_pattern": [1.0, 2.0]},
+        {},
+        "got the profile 1, 2, expected regular samples",
+    ),
     "no noise to filter": (
         PLANT | {"A": [[1.0, 0.0], [0.0, 0.5]]},
         {"gain": "riccati"},
@@ -118,7 +122,7 @@ def test_reproduce_chain_from_the_command_line():
         assert verdicts[claim] == verdict, claim
 
 
-SD = {  # worked out beforehand; dkf's stands in test_csth
+SD = {  # worked out beforehand; kf's stands in test_csth
     "chain": [0.03172952, 3880.3678, 0.10073965],
     "chain-slow": [0.01582798, 1670.6139, 0.05701840],
     "chain-riccati": [0.01167585, 874.102, 0.05669311],
@@ -131,18 +135,18 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
     labels = dict(s.options) | {"chain-updated": {"gain": "riccati"}, "chain-companion": {"gain": "companion"}}
-    SCENARIOS["csth/tail"] = s.having(name="csth/tail", tail=2000.0, options=labels)
-    names = [*SD, "chain-companion", "equal-delay", "dkf"]
+    SCENARIOS["csth/tail"] = s.having(name="csth/tail", steady_start=2000.0, options=labels)
+    names = [*SD, "chain-companion", "equal-delay", "kf"]
     try:
         stats = pcbench.run("csth/tail", observers=names, seeds=512).stats
     finally:
         del SCENARIOS["csth/tail"]
-    rows = stats[stats.metric == "tail_pooled_rmse"].set_index(["observer", "signal"])
+    rows = stats[stats.metric == "steady_pooled_rmse"].set_index(["observer", "signal"])
     for label, values in SD.items():
         for signal, want in zip(chain.STATES, values, strict=True):
             found = rows.loc[(label, signal)]
             assert abs(found["mean"] - want) < 4 * found["se"], (label, signal)
-    order = ["dkf", "chain-riccati", "chain-updated", "chain-slow", "chain", "equal-delay"]
+    order = ["kf", "chain-riccati", "chain-updated", "chain-slow", "chain", "equal-delay"]
     enthalpy = [rows.loc[(label, "enthalpy")]["mean"] for label in order]
     assert enthalpy == sorted(enthalpy)
     assert enthalpy[-1] > 5 * enthalpy[-2]
@@ -165,7 +169,7 @@ def test_with_losses_a_run_among_many_is_the_run_alone():
     study["options"] = {"no-delay-plain": {"variant": "plain"}}
     names = ["chain", "equal-delay", "no-delay-plain"]
     runs = pcbench.run(study, observers=names, seeds=3).runs.query("seed == 2").set_index(["observer", "signal"])
-    trace = pcbench.trace(study, names, seed=2)
+    trace = pcbench.simulate(study, names, seed=2)
     for name in names:
         for state in chain.STATES:
             e = (trace[state] - trace[f"{name}.{state}"]).to_numpy()[:-1]
@@ -173,14 +177,14 @@ def test_with_losses_a_run_among_many_is_the_run_alone():
 
 
 def test_designs_know_the_noise_where_there_is_some_and_each_state_has_its_bound():
-    changed = pcbench.design("csth/10s", "dkf", overrides=["axes.noise_std=[[2, 0, 0.2]]"]).gains
+    changed = pcbench.design("csth/10s", "kf", overrides=["axes.noise_std=[[2, 0, 0.2]]"]).gains
     np.testing.assert_allclose(changed.R, [4.0, 0.01, 0.04])
     for name in ("csth/literal", "csth/1s", "csth/10s", "csth/10s-noise"):
-        np.testing.assert_allclose(SCENARIOS[name].scoring.bound, 1e6 * START["tank"])
+        np.testing.assert_allclose(SCENARIOS[name].scoring.divergence_threshold, 1e6 * START["tank"])
 
 
 def test_the_notebooks_words_on_spread():
-    """At +-30 s one common delay costs nearly 60 times dkf's error, and Kalman's chain meets dkf; at 0 it does not."""
+    """At +-30 s one common delay costs nearly 60 times kf's error, and Kalman's chain meets kf; at 0 it does not."""
     model, (Q, R, P0) = ref.csth("10s"), ref.csth_noise(10.0)
     sd = {}
     for delays in ([1, 4, 7], [4, 4, 4]):
@@ -205,7 +209,7 @@ def test_noise_free_designs_assume_the_noise_of_the_noisy_scenario():
     Q, R, _ = ref.csth_noise(10.0)
     want = ref.design(ref.csth("10s"), [2, 5, 7], "riccati", "deadbeat", Q=Q, R=R)[2].K
     np.testing.assert_allclose(quiet[0] / START["tank"][:, None], want / START["tank"][:, None], rtol=1e-6, atol=1e-9)
-    for gains in (pcbench.design(name, "dkf").gains for name in ("csth/10s", "csth/10s-noise")):
+    for gains in (pcbench.design(name, "kf").gains for name in ("csth/10s", "csth/10s-noise")):
         np.testing.assert_allclose(gains.R, [1.0, 0.01, 0.01])
 
 

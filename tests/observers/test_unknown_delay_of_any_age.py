@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 MEAN = KNOWN.delay[0]  # ticks, by which samples are told to be late
 OLDEST = KNOWN.latest - MEAN
 Q = process_noise(MODEL.A, W, H)
-RIGHT = {"bank": {"delays": [MEAN * H]}, "ekf-delay": {"delay": MEAN * H, "longest": 0.8}}
+RIGHT = {"mmae-delay": {"delays": [MEAN * H]}, "ekf-delay": {"delay": MEAN * H, "longest": 0.8}}
 
 
 def found(name, schedule, options, noise=True, perfect=False):
@@ -32,9 +32,9 @@ def found(name, schedule, options, noise=True, perfect=False):
 
 @pytest.mark.parametrize("schedule", TIMES)
 def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_overtaking(schedule):
-    xhat, P = found("bank", schedule, RIGHT["bank"])
+    xhat, P = found("mmae-delay", schedule, RIGHT["mmae-delay"])
     same(xhat, optimum(schedule))
-    same(P, of_family("dkf", schedule)[1])
+    same(P, of_family("kf", schedule)[1])
 
 
 @pytest.mark.parametrize("schedule", ["late", "wild"])
@@ -43,7 +43,7 @@ def test_a_bank_is_the_mixture_of_textbook_filters_of_all_samples_in_their_order
     options = {"delays": [d * H for d in delays], "delay": 0.3, "delay_std": 0.2}
     given = MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, Q
     want, P_end = unknown_delay.bank(*given, delays, 0.3, 0.2, MEAN)
-    xhat, P = found("bank", schedule, options)
+    xhat, P = found("mmae-delay", schedule, options)
     same(xhat, want[:, :-1])
     same(P[-1], P_end[:-1, :-1])
 
@@ -62,32 +62,34 @@ def test_from_a_perfect_start_at_the_right_delay_there_is_no_error(name, schedul
     xhat, _ = found(name, schedule, RIGHT[name], noise=False, perfect=True)
     x = plant(schedule, noise=False)[0]
     assert np.abs(xhat - x).max() < 1e-12 * np.abs(x).max()
-    slipped = {"bank": {"delays": [(MEAN + 1) * H]}, "ekf-delay": {"delay": (MEAN + 1) * H, "longest": 0.8}}
+    slipped = {"mmae-delay": {"delays": [(MEAN + 1) * H]}, "ekf-delay": {"delay": (MEAN + 1) * H, "longest": 0.8}}
     xhat, _ = found(name, schedule, slipped[name], noise=False, perfect=True)
     assert np.abs(xhat - x).max() > 1e-4 * np.abs(x).max(), "a tick of slip is seen"
 
 
 SPREAD = 6  # ticks, of a jitter of the delay
-VARYING = {"delay_jitter": SPREAD * TICK, "loss": 0.2, "jitter": TICK, "sampling_period": [4 * TICK, 5 * TICK]}
+VARYING = {"delay_jitter": SPREAD * TICK, "loss": 0.2, "sampling_jitter": TICK, "sampling_period": [4 * TICK, 5 * TICK]}
 
 
 def test_in_a_run_with_jitter_and_losses_the_right_mean_delay_makes_it_the_filter_that_knows_every_age():
     """Whatever constant all ages are believed to be less than they are; so a bank finds the mean of delays that vary."""
-    R, Q = STUDY["options"]["bank"]["R"], STUDY["options"]["bank"]["Q"]
+    R, Q = STUDY["options"]["mmae-delay"]["R"], STUDY["options"]["mmae-delay"]["Q"]
     mean = LATE + SPREAD // 2
     lti = STUDY["lti"] | VARYING
-    options = {"bank": {"R": R, "Q": Q, "delays": [mean * TICK]}, "dkf": {"R": R, "Q": Q}}
-    told = pcbench.trace(STUDY | {"lti": lti, "observers": ["dkf"], "options": options}, "dkf", seed=3)
-    wrong = {"lti": lti, "observers": ["bank"], "options": options, "axes": {"assumed_delay_error": [-3 * TICK]}}
-    bank = pcbench.trace(STUDY | wrong, "bank", seed=3)
-    np.testing.assert_allclose(bank[["bank.a", "bank.b"]], told[["dkf.a", "dkf.b"]], rtol=0, atol=1e-10)
+    options = {"mmae-delay": {"R": R, "Q": Q, "delays": [mean * TICK]}, "kf": {"R": R, "Q": Q}}
+    told = pcbench.simulate(STUDY | {"lti": lti, "observers": ["kf"], "options": options}, "kf", seed=3)
+    wrong = {"lti": lti, "observers": ["mmae-delay"], "options": options, "axes": {"assumed_delay_error": [-3 * TICK]}}
+    bank = pcbench.simulate(STUDY | wrong, "mmae-delay", seed=3)
+    np.testing.assert_allclose(bank[["mmae-delay.a", "mmae-delay.b"]], told[["kf.a", "kf.b"]], rtol=0, atol=1e-10)
 
 
 def test_a_delay_that_is_constant_is_looked_for_alike_whatever_all_ages_are_told_wrong_by():
     """Also where the first samples would be of before t = 0, which no stamp says."""
-    given = STUDY | {"observers": ["bank"]}
+    given = STUDY | {"observers": ["mmae-delay"]}
     told, wrong = (
-        pcbench.trace(given | {"axes": {"assumed_delay_error": [error]}}, "bank", seed=2)[["bank.a", "bank.b"]]
+        pcbench.simulate(given | {"axes": {"assumed_delay_error": [error]}}, "mmae-delay", seed=2)[
+            ["mmae-delay.a", "mmae-delay.b"]
+        ]
         for error in (0.0, 5 * TICK)
     )
     np.testing.assert_allclose(wrong, told, rtol=0, atol=1e-12)
@@ -95,11 +97,11 @@ def test_a_delay_that_is_constant_is_looked_for_alike_whatever_all_ages_are_told
 
 def test_without_stamps_ages_are_not_read_so_a_sample_is_as_late_as_all():
     """An age that is told wrong by anything changes nothing; and channels of different delays are refused."""
-    some = STUDY["options"]["bank"] | {"stamps": False}
-    lti = STUDY["lti"] | {"stamp_jitter": TICK}  # of each run's own
-    given = STUDY | {"observers": ["bank"], "options": {"bank": some}}
-    right, wrong = (pcbench.trace(given | each, "bank", seed=2) for each in ({}, {"lti": lti}))
-    np.testing.assert_array_equal(right[["bank.a", "bank.b"]], wrong[["bank.a", "bank.b"]])
+    some = STUDY["options"]["mmae-delay"] | {"stamps": False}
+    lti = STUDY["lti"] | {"timestamp_jitter": TICK}  # of each run's own
+    given = STUDY | {"observers": ["mmae-delay"], "options": {"mmae-delay": some}}
+    right, wrong = (pcbench.simulate(given | each, "mmae-delay", seed=2) for each in ({}, {"lti": lti}))
+    np.testing.assert_array_equal(right[["mmae-delay.a", "mmae-delay.b"]], wrong[["mmae-delay.a", "mmae-delay.b"]])
     two = STUDY["lti"] | {"delay": [LATE * TICK, 0.1]}
     with pytest.raises(UserError, match=r"got stamps = false with delays of 0\.35, 0\.1 s, expected one for all"):
         pcbench.run(given | {"lti": two}, seeds=1)

@@ -33,7 +33,7 @@ TIMES = [(te, d) for te in (1, 12) for d in (0, 30)]  # sampling period and dela
 
 def study(**changes):
     own = {name: getattr(PUSHED, name).tolist() for name in "ABCE"} | {"D": D.tolist(), "unknown_std": [SIZE]}
-    own |= {"sampling_period": TICK, "delay": 0.0, "noise_std": NOISE, "horizon": TICKS * TICK, "tick": TICK}
+    own |= {"sampling_period": TICK, "delay": 0.0, "noise_std": NOISE, "duration": TICKS * TICK, "tick": TICK}
     return {
         "name": "own",
         "lti": own | {"input": "sine, square", "unknown_input": "rising", "x0": X0, "xhat0": XHAT0} | changes,
@@ -143,17 +143,17 @@ def test_smo_and_pio_with_designed_gains_equal_a_loop_in_numpy(times, variant):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("times", TIMES, ids=str)
-def test_dkf_with_the_input_as_a_random_walk_equals_the_reference(times):
+def test_kf_with_the_input_as_a_random_walk_equals_the_reference(times):
     te, d = times
-    got = recorded(planned(observers=("dkf",))[times], seed=te)
+    got = recorded(planned(observers=("kf",))[times], seed=te)
     n, A = 3, np.zeros((4, 4))
     A[:n, :n], A[:n, n:] = PUSHED.A, PUSHED.E
     model = linear.Model(A, np.vstack([PUSHED.B, np.zeros((1, 2))]), np.hstack([PUSHED.C, np.zeros((2, 1))]), TICK)
     sent = measured(got, d)
     y = [linear.Sample(k + d, k, j, k // te, sent[k, j]) for k in range(0, TICKS - d + 1, te) for j in range(2)]
     P0, W = np.diag([*np.square(np.subtract(X0, XHAT0)), SIZE**2]), np.diag([0, 0, 0, SIZE**2])
-    want = irregular.dkf(model, known_input(), y, np.array([*XHAT0, 0.0]), P0, np.square(NOISE), W, None, D)
-    np.testing.assert_allclose(got.estimates["dkf"], want, rtol=0, atol=1e-10 * np.abs(want).max())
+    want = irregular.kf(model, known_input(), y, np.array([*XHAT0, 0.0]), P0, np.square(NOISE), W, None, D)
+    np.testing.assert_allclose(got.estimates["kf"], want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
 # ---------------------------------------------------------------- perfect start
@@ -201,10 +201,10 @@ def test_a_known_input_that_is_one_tick_late_is_caught():
 
 @pytest.mark.nightly
 def test_a_table_and_a_trace_hold_the_unknown_input_of_a_plant_of_ones_own():
-    raw = study(sampling_period=0.012, delay=0.03) | {"observers": ["smo", "dkf"], "seeds": 2}
+    raw = study(sampling_period=0.012, delay=0.03) | {"observers": ["smo", "kf"], "seeds": 2}
     runs = pcbench.run(raw).runs.set_index(["observer", "seed", "signal"])
     for seed in (0, 1):
-        frame = pcbench.trace(raw, ["smo", "dkf"], seed=seed)
-        for name in ("smo", "dkf"):
+        frame = pcbench.simulate(raw, ["smo", "kf"], seed=seed)
+        for name in ("smo", "kf"):
             e = (frame["input"] - frame[f"{name}.input"])[:-1]
             assert runs.loc[(name, seed, "input")].rmse == pytest.approx(np.sqrt((e**2).mean()), rel=1e-9)

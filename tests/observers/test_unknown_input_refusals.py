@@ -22,7 +22,7 @@ ARM = {
     "sampling_period": 0.02,
     "delay": 0.02,
     "noise_std": 0.0,
-    "horizon": 0.2,
+    "duration": 0.2,
 }
 STIFFER = [ARM["A"][0], [-3.76, -0.0015, 3.76, 0], *ARM["A"][2:]]
 SEEN_NOWHERE = [*ARM["A"][:2], [0.0, 0, 0, 0], ARM["A"][3]]  # the motor's velocity moves nothing
@@ -74,11 +74,11 @@ REFUSED = {
     ),
     "link sensors, pio": (own("pio", C=np.eye(2, 4).tolist()), r"pio in lti: got modes .* -0\.000625[+-]1\.936j"),
     "too fast": (own("pio", {"beta": 1.3}), r"got a rate beta of 1\.3 1/s, expected less than the 1\.24\d* 1/s"),
-    "discrete": (own(dt=1e-3, horizon=0.04), "got a discrete model, expected x' = A x"),
+    "discrete": (own(dt=1e-3, duration=0.04), "got a discrete model, expected x' = A x"),
     # what the observers do not take
     "two delays": (
         own(delay=[0.02, 0.04]),
-        r"got channels with delays \(20, 40\) \(ticks\), expected one for all.*take dkf",
+        r"got channels with delays \(20, 40\) \(ticks\), expected one for all.*take kf",
     ),
     "late by chance": (own(delay_jitter=0.01), r"got a delay jitter of 0\.01 s, expected one constant delay"),
     "on the cart": (
@@ -118,13 +118,13 @@ REFUSED = {
     "xi of smo": (option("smo", xi=1.0), r"options\.smo: 'xi' is no key here; valid: alpha, eps, gains"),
     "printed": (option("pio", gains="printed"), "gains: got 'printed', expected 'design' or 'paper'"),
     "input_walk": (
-        option("dkf", input_walk=-1.0),
-        "options.dkf: input_walk: got -1.0, expected greater than or equal to 0",
+        option("kf", input_walk=-1.0),
+        "options.kf: input_walk: got -1.0, expected greater than or equal to 0",
     ),
     # continuous measurement has no sampler
-    "dkf": (
-        published("arm/sine", "dkf"),
-        "dkf in arm/sine got continuous measurements, expected samples.*one of smo, pio, open-loop",
+    "kf": (
+        published("arm/sine", "kf"),
+        "kf in arm/sine got continuous measurements, expected samples.*one of smo, pio, model-only",
     ),
     **{
         f"axis {name}": (
@@ -135,7 +135,7 @@ REFUSED = {
             ("arm/sine", "noise_std", 0.001),
             ("arm/sine", "delay", 0.02),
             ("arm/sawtooth", "sampling_period", 0.02),
-            ("arm/sine", "jitter", 0.001),
+            ("arm/sine", "sampling_jitter", 0.001),
             ("arm/sine", "loss", 0.1),
             ("arm/sine", "assumed_delay_error", 0.1),
         ]
@@ -146,11 +146,11 @@ REFUSED = {
         "precision: got 'float32', expected float64",
     ),
     "unknown input of the cart": (
-        published("cart/nominal", "dkf", choices={"unknown-input": "sine"}),
+        published("cart/nominal", "kf", choices={"unknown-input": "sine"}),
         r"unknown_input: got 'sine' for cart/nominal, whose plant has no unknown input; expected a scenario such as arm/sine",
     ),
     "unknown input of an lti": (
-        own("dkf", E=None) | {"options": {"scenario": {"unknown_input": "sine"}}},
+        own("kf", E=None) | {"options": {"scenario": {"unknown_input": "sine"}}},
         "got 'sine' for lti, whose plant has no unknown input",
     ),
     "no such signal": (
@@ -165,7 +165,7 @@ REFUSED = {
         own(unknown_std=[1.0, 2.0]),
         r"lti\.unknown_std: got 2 numbers, expected 1, one for each unknown input",
     ),
-    "unknown_std without E": (own("dkf", E=None, unknown_std=[1.0]), r"lti\.unknown_std: got 1 numbers, expected 0"),
+    "unknown_std without E": (own("kf", E=None, unknown_std=[1.0]), r"lti\.unknown_std: got 1 numbers, expected 0"),
     "two signals": (
         own(unknown_input="sine, square"),
         r"lti\.unknown_input: got 2 signals, expected one.* of 1 unknown inputs",
@@ -197,7 +197,7 @@ def test_the_same_studies_without_the_mistake_are_planned():
     good = [
         own(),
         own("pio"),
-        own("dkf", E=None),
+        own("kf", E=None),
         own(unknown_std=[2.0], settle_band=[1.0] * 5),
         published("arm/sine", "smo"),
     ]
@@ -226,13 +226,13 @@ def test_a_planned_cell_is_not_run_in_float32():
     [
         (("run", "cart/nominal", "--observers", "smo"), "smo in cart/nominal: the plant has no unknown input"),
         (("run", "arm/sine", "--set", "axes.noise_std=0.1"), "which measures continuously and without noise"),
-        (("trace", "arm/sawtooth", "--observer", "dkf"), "dkf in arm/sawtooth got continuous measurements"),
+        (("simulate", "arm/sawtooth", "--observer", "kf"), "kf in arm/sawtooth got continuous measurements"),
         (("design", "arm/sampled", "pio", "--set", "options.pio.xi=0"), "xi: got 0, expected greater than 0"),
     ],
     ids=lambda words: words[0] if isinstance(words, tuple) else "",
 )
 def test_the_command_line_says_it_and_exits_with_2(words, said, tmp_path):
-    out = {"run": ["--out", "out"], "trace": ["--out", "out.parquet"], "design": []}[words[0]]
+    out = {"run": ["--out", "out"], "simulate": ["--out", "out.parquet"], "design": []}[words[0]]
     done = call(*words, *out, cwd=tmp_path)
     assert done.returncode == 2
     assert said in " ".join(done.stderr.split())

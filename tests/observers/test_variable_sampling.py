@@ -27,7 +27,7 @@ PAGE = {  # t: (x1, pco, pi-pco), noise off
 WILD = {  # ticks
     "sine": Clock((0,), 60, None, "sine"),
     "uniform": Clock((0,), 60, None, "uniform"),
-    "jitter": Clock((0,), 50, 80, "periodic", 20, 0, 0.0),
+    "sampling_jitter": Clock((0,), 50, 80, "periodic", 20, 0, 0.0),
     "loss": Clock((0,), 50, 30, "periodic", 0, 0, 0.4),
     "disorder": Clock((0,), 30, 40, "periodic", 10, 120, 0.2),
     "turns": Clock((0,), 42, 20, (30, 50, 45), turns=(0, 90, LOST, 10, 60)),
@@ -36,13 +36,13 @@ CHOICES = {
     "pccebo": [{}],
     "pco": [{"Kp": -61.0}],
     "pi-pco": [{"Kp": -61.0, "Ki": 12.2}],
-    "dkf": [{}, {"bias_variance": 1.0}],
+    "kf": [{}, {"bias_variance": 1.0}],
 }
 
 
 @pytest.fixture(scope="module")
 def quiet():
-    return pcbench.trace("cart/variable", ["pco", "pi-pco"], overrides=["axes.noise_std=0"])
+    return pcbench.simulate("cart/variable", ["pco", "pi-pco"], overrides=["axes.noise_std=0"])
 
 
 @pytest.mark.parametrize("tick", PAGE)
@@ -82,16 +82,14 @@ def wild(case, clock, observer, options):
 def expected(observer, options, model, u, samples, xhat0, design, case):
     if observer == "pccebo":
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
-    if observer == "dkf":
+    if observer == "kf":
         W = case.input_intensity * case.model.B @ case.model.B.T
-        return reference.dkf(
-            model, u, samples, xhat0, setting(case).P0, design.gains.R, W, options.get("bias_variance")
-        )
+        return reference.kf(model, u, samples, xhat0, setting(case).P0, design.gains.R, W, options.get("bias_variance"))
     Ki = design.gains.Ki if observer == "pi-pco" else None
     return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
 
 
-FAST = {("pccebo", "loss"), ("dkf", "turns")}  # on the cart; `test_events_per_lane` has more
+FAST = {("pccebo", "loss"), ("kf", "turns")}  # on the cart; `test_events_per_lane` has more
 EVERY = [
     pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.nightly)
     for plant in ("cart", "odd")
@@ -123,20 +121,26 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
 @pytest.mark.parametrize(
     "axes",
     [
-        {"profile": ["uniform"]},
-        {"profile": ["periodic"], "delay": [0.3], "jitter": [0.05], "delay_jitter": [0.5], "loss": [0.3]},
-        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [0.07]},
-        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [-0.07]},
+        {"sampling_pattern": ["uniform"]},
+        {
+            "sampling_pattern": ["periodic"],
+            "delay": [0.3],
+            "sampling_jitter": [0.05],
+            "delay_jitter": [0.5],
+            "loss": [0.3],
+        },
+        {"sampling_pattern": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [0.07]},
+        {"sampling_pattern": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [-0.07]},
     ],
     ids=["uniform", "disorder", "believed older", "believed younger"],
 )
 @pytest.mark.nightly
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
     """`random_schedules` against `common_schedule` through the recorded run on that seed's schedule."""
-    names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
+    names = ["pccebo", "pi-pco", "kf", "kf-bias"]
     with process.float64():
         chosen = read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
-                              "options": {"dkf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
+                              "options": {"kf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
         (planned,) = planning.plan(chosen)
         (done,) = in_memory.execute(chosen, [planned], np.arange(3), 1)
         for seed in range(3):
@@ -146,20 +150,22 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
                 e = np.asarray(out.x - out.estimates[name])
                 got = {metric: values[:, seed] for metric, values in done.results[name].items() if values.ndim == 2}
                 np.testing.assert_allclose(got["mae"], np.abs(e[:-1]).mean(0), rtol=1e-10, atol=1e-13)
-                np.testing.assert_allclose(got["tail_rmse"], np.sqrt((e[3000:-1] ** 2).mean(0)), rtol=1e-10, atol=1e-13)
-                np.testing.assert_allclose(got["peak"], np.abs(e[:-1]).max(0), rtol=1e-10)
-                np.testing.assert_allclose(got["final"], e[-2], rtol=1e-9, atol=1e-13)
+                np.testing.assert_allclose(
+                    got["steady_rmse"], np.sqrt((e[3000:-1] ** 2).mean(0)), rtol=1e-10, atol=1e-13
+                )
+                np.testing.assert_allclose(got["max_abs_error"], np.abs(e[:-1]).max(0), rtol=1e-10)
+                np.testing.assert_allclose(got["final_error"], e[-2], rtol=1e-9, atol=1e-13)
 
 
 @pytest.mark.parametrize(
     ("axes", "sentence"),
     [
-        ({"jitter": [0.2]}, "at most 0.049"),
-        ({"jitter": [0.0005]}, "whole number of ticks"),
+        ({"sampling_jitter": [0.2]}, "at most 0.049"),
+        ({"sampling_jitter": [0.0005]}, "whole number of ticks"),
         ({"loss": [1.5]}, "probability from 0 to 1"),
         ({"loss": [-0.1]}, "at least 0"),
-        ({"profile": ["sinus"]}, "did you mean 'sine'"),
-        ({"profile": [[0.1, 0.0]]}, "at least one tick"),
+        ({"sampling_pattern": ["sinus"]}, "did you mean 'sine'"),
+        ({"sampling_pattern": [[0.1, 0.0]]}, "at least one tick"),
         ({"delay": ["intervall"]}, "'interval'"),
         ({"assumed_delay_error": [-0.2]}, "write at least -0.1"),
     ],
@@ -176,7 +182,7 @@ def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
     read.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
 
 
-@pytest.mark.parametrize("observer", ["dkf", "pccebo", "pco"])
+@pytest.mark.parametrize("observer", ["kf", "pccebo", "pco"])
 def test_a_mode_that_no_output_shows_is_named(observer):
     blind = synthesis.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
     with pytest.raises(UserError, match=r"mode 1 is un(detectable|observable)"):

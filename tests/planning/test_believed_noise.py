@@ -11,7 +11,7 @@ from pcbench.study import read
 from pcbench.study.cells import cells_of
 
 AXIS = {"assumed_noise_scale": [0.5, 1.0, 3.0]}
-KNOWN = {"name": "known", "observers": ["dkf"], "lti": STUDY["lti"], "options": {}}
+KNOWN = {"name": "known", "observers": ["kf"], "lti": STUDY["lti"], "options": {}}
 
 
 def cells(**given):
@@ -32,13 +32,13 @@ def test_what_is_believed_changes_neither_the_samples_nor_the_bound():
 
 def test_a_filter_that_believes_in_a_quarter_of_the_variance_is_the_one_told_so_by_an_option():
     by_axis, by_option = (planning.draft(cell, cell.options).problem.gains for cell in (
-        cells(axes={"assumed_noise_scale": [0.5]})[0], cells(options={"dkf": {"R": 0.0225}})[0]))  # fmt: skip
-    np.testing.assert_allclose(by_axis["dkf"].R, by_option["dkf"].R, rtol=1e-12)
+        cells(axes={"assumed_noise_scale": [0.5]})[0], cells(options={"kf": {"R": 0.0225}})[0]))  # fmt: skip
+    np.testing.assert_allclose(by_axis["kf"].R, by_option["kf"].R, rtol=1e-12)
 
 
 @pytest.mark.nightly
 def test_who_is_told_a_quarter_is_over_confident_and_who_is_told_four_times_cautious():
-    study = KNOWN | {"options": {"scenario": {"random_start": True, "consistency": True}}, "seeds": 256}
+    study = KNOWN | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}, "seeds": 256}
     stats = pcbench.run(study, axes={"assumed_noise_scale": [0.5, 1.0, 2.0]}).stats
     nis = stats[stats.metric == "nis"].set_index("assumed_noise_scale")["mean"]
     assert nis[0.5] > 2 > 1.1 > nis[1.0] > 0.9 > 0.5 > nis[2.0]

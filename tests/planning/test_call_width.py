@@ -15,12 +15,14 @@ def widths(observer):
 
 def test_width_is_fixed_for_sums_over_points_only():
     assert widths("ukf") == widths("particle") == widths("particle,ukf") == {64}
-    assert len(widths("dkf")) > 1
+    assert len(widths("kf")) > 1
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("as_users_have_it")
-@pytest.mark.parametrize("observer", ["ukf", "iekf", "ekf", "ekf-delay", "dkf", "kf-cloning", "oosm-lag", "particle"])
+@pytest.mark.parametrize(
+    "observer", ["ukf", "ekf-iterated", "ekf", "ekf-delay", "kf", "kf-cloning", "oosm-lag", "particle"]
+)
 def test_a_run_has_the_same_bits_among_16_and_128_others(observer):
     options = {"particle": {"particles": 8}} if observer == "particle" else {}
     few, many = (

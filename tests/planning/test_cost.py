@@ -42,13 +42,15 @@ def test_products_are_those_counted_by_hand(f, many):
 
 
 def test_costs_of_observers_of_two_states_and_one_output():
-    """A tick of the model alone is Phi x + Gamma u: 4 + 2 products; `dkf` moves g too, by the same push: 4 + 4 + 2."""
-    found = pcbench.costs("cart/white", observers=["open-loop", "dkf", "kf-now", "kf-horizon"]).set_index("observer")
-    assert found.tick[["open-loop", "dkf", "kf-now"]].tolist() == [6, 10, 10]
-    assert found["sample"]["open-loop"] == 0
-    assert found["sample"]["dkf"] == found["sample"]["kf-now"] > 50
-    assert found.tick["kf-horizon"] > found["sample"]["dkf"], "it updates at every tick"
-    assert found.memory["open-loop"] == 2 * 8
+    """A tick of the model alone is Phi x + Gamma u: 4 + 2 products; `kf` moves g too, by the same push: 4 + 4 + 2."""
+    found = pcbench.operation_counts(
+        "cart/white", observers=["model-only", "kf", "kf-ignore-delay", "kf-delayed-horizon"]
+    ).set_index("observer")
+    assert found.tick[["model-only", "kf", "kf-ignore-delay"]].tolist() == [6, 10, 10]
+    assert found["sample"]["model-only"] == 0
+    assert found["sample"]["kf"] == found["sample"]["kf-ignore-delay"] > 50
+    assert found.tick["kf-delayed-horizon"] > found["sample"]["kf"], "it updates at every tick"
+    assert found.memory["model-only"] == 2 * 8
 
 
 def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
@@ -60,10 +62,16 @@ def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
     def products(longest, period):
         study = {
             "name": "t",
-            "scenario": {"base": "cart/white", "sampling_period": period, "delay": 0.2, "horizon": 2.0, "tail": 1.0},
+            "scenario": {
+                "base": "cart/white",
+                "sampling_period": period,
+                "delay": 0.2,
+                "duration": 2.0,
+                "steady_start": 1.0,
+            },
         }
         study |= {"options": {"ekf-delay": {"longest": longest}}}
-        return int(pcbench.costs(study, observers=["ekf-delay"])["sample"].iloc[0])
+        return int(pcbench.operation_counts(study, observers=["ekf-delay"])["sample"].iloc[0])
 
     least = products(0.3, 0.2)
     assert products(0.5, 0.2) - least == 200 * (4 + 2 + 8)
@@ -79,11 +87,18 @@ def result_of(stats):
 
 
 def test_error_against_cost_has_a_point_for_every_observer_that_costs_and_says_where_it_is():
-    row = {"scenario": "cart/white", "cell": 0, "signal": "position", "unit": "m", "metric": "tail_rmse", "delay": 0.1}
+    row = {
+        "scenario": "cart/white",
+        "cell": 0,
+        "signal": "position",
+        "unit": "m",
+        "metric": "steady_rmse",
+        "delay": 0.1,
+    }
     stats = pd.DataFrame(
         [
             row | {"observer": o, "mean": m, "ci_low": m - 0.1, "ci_high": m + 0.1}
-            for o, m in (("dkf", 1.0), ("kf-now", 2.0), ("open-loop", 3.0))
+            for o, m in (("kf", 1.0), ("kf-ignore-delay", 2.0), ("model-only", 3.0))
         ]
     )
     costs = stats[["scenario", "cell", "observer"]].assign(sample=[60, 55, 0], tick=[10, 10, 6], memory=[100, 100, 16])
@@ -102,9 +117,9 @@ def test_error_against_cost_has_a_point_for_every_observer_that_costs_and_says_w
 def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
     """Of several scenarios each has its own costs and errors."""
     rows = [
-        {"scenario": s, "cell": 0, "signal": "a", "unit": "m", "metric": "tail_rmse", "observer": o, "mean": m,
+        {"scenario": s, "cell": 0, "signal": "a", "unit": "m", "metric": "steady_rmse", "observer": o, "mean": m,
          "ci_low": 0.9 * m, "ci_high": 1.1 * m}
-        for s, m in (("one", 1.0), ("two", 5.0)) for o in ("dkf", "kf-now")
+        for s, m in (("one", 1.0), ("two", 5.0)) for o in ("kf", "kf-ignore-delay")
     ]  # fmt: skip
     stats = pd.DataFrame(rows)
     costs = stats[["scenario", "cell", "observer"]].assign(sample=60, tick=10, memory=100)
@@ -114,9 +129,9 @@ def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
 
 
 def test_what_observers_of_a_cell_cost_is_kept_and_is_nothing_where_nothing_is_sampled(tmp_path, monkeypatch):
-    study = read.parse({"name": "t", "scenarios": ["cart/white", "arm/sine"], "observers": ["open-loop"]}, "t")
+    study = read.parse({"name": "t", "scenarios": ["cart/white", "arm/sine"], "observers": ["model-only"]}, "t")
     found = observer_costs.of(study, "cart/white", tmp_path)
-    whole = pcbench.costs("cart/white", observers=["open-loop"])
+    whole = pcbench.operation_counts("cart/white", observers=["model-only"])
     pd.testing.assert_frame_equal(found, whole[["scenario", "cell", "observer", "sample", "tick", "memory"]])
     monkeypatch.setattr(observer_costs.cost, "costs", None)
     pd.testing.assert_frame_equal(observer_costs.of(study, "cart/white", tmp_path), found)
@@ -134,12 +149,12 @@ def test_what_no_loop_depends_on_is_not_computed():
 
 @pytest.mark.nightly
 def test_tables_have_what_observers_cost_where_that_is_asked():
-    result = pcbench.run("cart/slow", observers=["open-loop"], seeds=2)
-    costs = pcbench.costs("cart/slow", observers=["open-loop"])
+    result = pcbench.run("cart/slow", observers=["model-only"], seeds=2)
+    costs = pcbench.operation_counts("cart/slow", observers=["model-only"])
     console = Screen(file=io.StringIO(), width=140)
-    results.closing(result, console, "tail_rmse", None, costs)
-    (row,) = [line.split() for line in console.file.getvalue().splitlines() if line.strip().startswith("open-loop")]
+    results.closing(result, console, "steady_rmse", None, costs)
+    (row,) = [line.split() for line in console.file.getvalue().splitlines() if line.strip().startswith("model-only")]
     assert {"0", "6", "16"} <= set(row)
-    (table,) = headline.headlines(result, "cart/slow", "position", "tail_rmse", 0, costs)
+    (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse", 0, costs)
     assert table.heads[-3:] == ["products a sample", "products a tick", "bytes"]
     assert table.rows[0]["cells"][-3:] == ["0", "6", "16"]

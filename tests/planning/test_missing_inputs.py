@@ -31,7 +31,7 @@ def by_scan(now, age):
 near, far = asking(20, one), asking(900, one)
 far_by_vmap, far_by_scan = asking(901, several), asking(902, by_scan)
 """
-SHORT = {"base": "cart/white", "name": "short", "horizon": 1.5, "tail": 0.5}
+SHORT = {"base": "cart/white", "name": "short", "duration": 1.5, "steady_start": 0.5}
 
 
 @pytest.fixture
@@ -61,5 +61,5 @@ def test_run_names_observer_and_age_if_a_loop_no_longer_stores_an_input(sentence
     ]
 
 
-def test_run_names_nothing_in_an_open_loop(sentences):
+def test_run_names_nothing_in_an_model_only(sentences):
     assert sentences(["far"]) == []

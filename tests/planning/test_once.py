@@ -9,8 +9,8 @@ from pcbench.planning import arrays, once
 from pcbench.study import read
 from pcbench.study.cells import cells_of
 
-AXES = {"sampling_period": [0.2, 0.4], "noise_std": [0.1, 0.5], "drift": [0.0, 0.5]}
-STUDY = {"name": "map", "scenarios": ["cart/gaussian"], "observers": ["kfbo", "dkf"], "axes": AXES, "seeds": 2}
+AXES = {"sampling_period": [0.2, 0.4], "noise_std": [0.1, 0.5], "parameter_drift": [0.0, 0.5]}
+STUDY = {"name": "map", "scenarios": ["cart/gaussian"], "observers": ["kfbo", "kf"], "axes": AXES, "seeds": 2}
 
 
 def counted(monkeypatch):
@@ -30,11 +30,11 @@ def test_a_design_is_found_once_for_all_cells_that_differ_in_nothing_it_looks_at
     cells = cells_of(read.parse(STUDY, "map"))
     several = list(planning.drafts(cells))
     assert made.count("kfbo") == 2, "it looks at the period, neither at noise nor drift"
-    assert made.count("dkf") == 8, "it sees the noise, and what drift it has to expect"
+    assert made.count("kf") == 8, "it sees the noise, and what drift it has to expect"
     for p, cell in zip(several, cells, strict=True):
         alone = arrays.draft(cell, cell.options)
         assert once.key_of(alone.problem.gains["kfbo"]) == once.key_of(p.problem.gains["kfbo"])
-        assert once.key_of(alone.problem.gains["dkf"].R) == once.key_of(p.problem.gains["dkf"].R)
+        assert once.key_of(alone.problem.gains["kf"].R) == once.key_of(p.problem.gains["kf"].R)
         assert once.key_of(alone.problem.params) == once.key_of(p.problem.params)
         assert once.key_of(alone.bound) == once.key_of(p.bound)
 

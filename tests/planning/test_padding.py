@@ -13,7 +13,7 @@ from pcbench.study import read
 from pcbench.study.cells import cell_of, cells_of
 
 
-def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
+def drafts(axes, observers=("pccebo", "kf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
     study = read.parse(raw, "t")
     with process.float64():
@@ -24,13 +24,13 @@ def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
     "axes",
     [
         {"delay": [3.0, 0.2, 1.2], "sampling_period": [0.1, 0.4]},
-        {"sampling_period": [0.05, 0.2], "delay": ["interval", 0.6], "profile": ["sine"]},
-        {"drift": [0.0, 1.0], "delay": [0.0, 0.35]},
+        {"sampling_period": [0.05, 0.2], "delay": ["interval", 0.6], "sampling_pattern": ["sine"]},
+        {"parameter_drift": [0.0, 1.0], "delay": [0.0, 0.35]},
     ],
     ids=str,
 )
 def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all(axes):
-    before = drafts(axes, ("dkf", "open-loop"))
+    before = drafts(axes, ("kf", "model-only"))
     after = padding.fit(before)
     assert len({(p.layout, *map(np.shape, jax.tree.leaves(p.problem))) for p in after}) == 1
     for small, p in zip(before, after, strict=True):
@@ -43,7 +43,7 @@ def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all
 
 
 def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples():
-    before = drafts({"loss": [0.1], "sampling_period": [0.1, 0.4], "delay_jitter": [0.0, 0.3]}, ("open-loop",))
+    before = drafts({"loss": [0.1], "sampling_period": [0.1, 0.4], "delay_jitter": [0.0, 0.3]}, ("model-only",))
     after = padding.fit(before)
     assert len({p.problem.schedule.due.shape for p in after}) == 1
     for small, p in zip(before, after, strict=True):
@@ -55,7 +55,7 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
 
 def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
     """Gamma distributions of two means have tables of two lengths, and every sample its own delay."""
-    before = drafts({"delay_gamma": [0.05, 0.4], "delay_shape": [3.0]}, ("open-loop",))
+    before = drafts({"delay_gamma_mean": [0.05, 0.4], "delay_gamma_shape": [3.0]}, ("model-only",))
     after = padding.fit(before)
     assert before[0].problem.schedule.share.shape != before[1].problem.schedule.share.shape
     assert len({padding.key_of(p) for p in after}) == 1
@@ -67,7 +67,7 @@ def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
 
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
-    arm = SCENARIOS["arm/sampled"].having(horizon=3.5, tail=1.0, input="zero")
+    arm = SCENARIOS["arm/sampled"].having(duration=3.5, steady_start=1.0, input="zero")
     cells = [cell_of(arm.having(unknown_input=name)) for name in ("square", "arm-sine")]
     square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]

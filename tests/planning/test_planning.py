@@ -20,7 +20,7 @@ def cell(name, parameters=None, **changes):
 
 def bound(name, parameters=None, **changes):
     """The bound that stands in the tables of such a cell, or None."""
-    return planning.draft(cell(name, parameters, **changes), {"open-loop": entry_of("open-loop").options()}).bound
+    return planning.draft(cell(name, parameters, **changes), {"model-only": entry_of("model-only").options()}).bound
 
 
 def test_designers_believe_the_mean_age_of_samples_that_are_jittered():
@@ -35,7 +35,7 @@ def test_designers_believe_the_mean_age_of_samples_that_are_jittered():
 
 
 def test_the_period_that_designers_believe_is_the_mean_of_intervals_in_turn():
-    assert planning.setting(cell("cart/variable", profile=(0.1, 0.3, 0.5))).period == (300,)
+    assert planning.setting(cell("cart/variable", sampling_pattern=(0.1, 0.3, 0.5))).period == (300,)
 
 
 def test_a_delay_reaches_back_to_the_sample_before_it():
@@ -51,12 +51,16 @@ def test_observers_know_the_model_and_not_what_is_true_of_the_plant():
 
 
 BOUNDLESS = {
-    "drift": ("cart/white", None, {"drift": 1.0}),
+    "drift": ("cart/white", None, {"parameter_drift": 1.0}),
     "another parameter": ("cart/white", {"lam": 110.0}, {}),
     "random times": ("cart/white", None, {"loss": 0.1}),
     "a channel without noise": ("csth/10s", None, {"noise_std": (1.0, 0.0, 0.1)}),
-    "an unknown input": ("arm/sampled", None, {"horizon": 0.1, "tail": 0.05}),
-    "a nonlinear plant": ("helicopter/constant", None, {"noise_std": (1e-3, 1e-3), "horizon": 0.5, "tail": 0.2}),
+    "an unknown input": ("arm/sampled", None, {"duration": 0.1, "steady_start": 0.05}),
+    "a nonlinear plant": (
+        "helicopter/constant",
+        None,
+        {"noise_std": (1e-3, 1e-3), "duration": 0.5, "steady_start": 0.2},
+    ),
 }
 
 
@@ -68,11 +72,11 @@ def test_there_is_no_bound_where_observers_cannot_know_what_moves_the_plant(what
 
 def test_a_start_drawn_from_a_box_has_no_bound():
     """The runs' starts are uniform, so a bound for normal ones is none; a start that is not drawn leaves the bound as it is."""
-    boxed = SCENARIOS["cart/white"].having(start_box=(0.5, 0.5))
+    boxed = SCENARIOS["cart/white"].having(initial_box=(0.5, 0.5))
     found = {}
     for drawn in (True, False):
-        one = cell_of(boxed, choices=Choices(random_start=drawn))
-        found[drawn] = planning.draft(one, {"open-loop": entry_of("open-loop").options()}).bound
+        one = cell_of(boxed, choices=Choices(random_initial_state=drawn))
+        found[drawn] = planning.draft(one, {"model-only": entry_of("model-only").options()}).bound
     assert found[True] is None
     np.testing.assert_array_equal(found[False], bound("cart/white"))
 
@@ -82,7 +86,7 @@ def test_there_is_a_bound_where_a_parameter_is_what_observers_believe():
 
 
 def test_the_bound_is_the_root_of_the_mean_posterior_variance_over_the_tail():
-    found = bound("cart/white", horizon=2.0, tail=1.1, delay=(0.13,))
+    found = bound("cart/white", duration=2.0, steady_start=1.1, delay=(0.13,))
     model = linear.Model(
         np.array([[0.0, 1.0], [0.0, -122.0]]), np.array([[0.0], [355.0]]), np.array([[1.0, 0.0]]), 1e-3
     )
@@ -94,7 +98,7 @@ def test_the_bound_is_the_root_of_the_mean_posterior_variance_over_the_tail():
 def test_the_bound_knows_the_process_noise_that_there_is_and_not_what_designers_assume(name):
     """csth/10s has none, but designers assume some: it would raise the bound."""
     noise = (1.0, 0.1, 0.1)
-    found = bound(name, noise_std=noise, horizon=600.0, tail=200.0)
+    found = bound(name, noise_std=noise, duration=600.0, steady_start=200.0)
     Q, R, P0 = chain.csth_noise(10.0)
     Q = Q if SCENARIOS[name].truth.process_std else 0 * Q
     rest, silent = np.zeros((61, 2)), np.zeros((61, 3))

@@ -14,19 +14,19 @@ PROGRAMS = {
     "unequal-delays": 1,
     "unknown-input": 2,
     "helicopter": 2,
-    "fair": 1,
-    "beliefs": 1,
-    "late": 1,
-    "faults": 5,
+    "equal-tuning": 1,
+    "model-mismatch": 1,
+    "delayed-measurements": 1,
+    "measurement-errors": 5,
     "reactor": 3,  # each expensive observer has one of its own
-    "fair-reactor": 2,
+    "equal-tuning-reactor": 2,
     "all": 12,
     "variable-sampling": 2,
 }
 
 
 def test_every_study_with_runs_has_its_count():
-    assert {name for name, study in STUDIES.items() if study.method != "exact"} == PROGRAMS.keys()
+    assert {name for name, study in STUDIES.items() if study.evaluation != "exact"} == PROGRAMS.keys()
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

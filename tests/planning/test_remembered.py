@@ -16,7 +16,7 @@ from pcbench.study import read
 OPEN = {
     "name": "x",
     "scenarios": ["cart/slow"],
-    "observers": ["dkf", "open-loop"],
+    "observers": ["kf", "model-only"],
     "axes": {"noise_std": [0.1, 0.2, 0.3]},
 }
 CLOSED = {

@@ -36,7 +36,7 @@ def test_the_plant_is_the_references(scenario):
 
 @pytest.fixture(scope="module")
 def quiet():
-    return pcbench.trace("csth/10s", "open-loop")
+    return pcbench.simulate("csth/10s", "model-only")
 
 
 def test_the_worked_state_comes_out(quiet):
@@ -54,7 +54,7 @@ def test_the_inputs_and_the_motion_are_the_references(quiet):
 @pytest.fixture(scope="module")
 def noisy():
     """A run of seed 3 with its own process and measurement noise."""
-    d = pcbench.trace("csth/10s-noise", "dkf", seed=3)
+    d = pcbench.simulate("csth/10s-noise", "kf", seed=3)
     s, N = SCENARIOS["csth/10s-noise"], len(d) - 1
     with process.float64():
         v = np.asarray(draws.measurement_noise(0, 3, N + 1, 3)).T * s.sampling.noise_std
@@ -74,20 +74,20 @@ def test_process_noise_is_added_at_every_tick_from_its_own_stream(noisy):
 
 
 @pytest.mark.nightly
-def test_dkf_equals_the_reference_with_process_noise_and_unequal_delays(noisy):
+def test_kf_equals_the_reference_with_process_noise_and_unequal_delays(noisy):
     d, v, w = noisy
     plant = chain.csth("10s")
     u = table(d, "u", (1, 2))
     _, y = chain.simulate(plant, u, np.array([0.5, 2e4, 5.0]), w, v)
     Q, R, P0 = chain.csth_noise(10.0)
     want, _ = chain.kalman(plant, u, chain.received(y, [2, 5, 7]), [2, 5, 7], np.zeros(3), P0, Q, R)
-    close(table(d, "dkf.", STATES), want, 1e-9)
+    close(table(d, "kf.", STATES), want, 1e-9)
 
 
-def test_dkf_is_designed_for_the_process_noise_that_there_is():
+def test_kf_is_designed_for_the_process_noise_that_there_is():
     """After a long time its variance is that of a Riccati equation by SciPy; over five samples noise adds up as they are."""
     s = SCENARIOS["csth/10s-noise"]
-    design = pcbench.design("csth/10s-noise", "dkf")
+    design = pcbench.design("csth/10s-noise", "kf")
     plant = chain.csth("10s")
     Q, R = (np.diag(np.square(std)) for std in (s.truth.process_std, s.sampling.noise_std))
     prior = solve_discrete_are(plant.A.T, plant.C.T, Q, R)
@@ -102,11 +102,13 @@ def test_dkf_is_designed_for_the_process_noise_that_there_is():
 
 
 @pytest.mark.nightly
-def test_dkf_has_the_worked_stationary_errors_and_attains_the_bound():
-    result = pcbench.run("csth/10s-noise", observers=["dkf"], seeds=512, options={"scenario": {"random_start": True}})
+def test_kf_has_the_worked_stationary_errors_and_attains_the_bound():
+    result = pcbench.run(
+        "csth/10s-noise", observers=["kf"], seeds=512, options={"scenario": {"random_initial_state": True}}
+    )
     rows = result.stats.set_index(["signal", "metric"])
     for state, want in zip(STATES, (0.01020648, 731.83123, 0.05303873), strict=True):
-        found = rows.loc[(state, "tail_pooled_rmse")]
+        found = rows.loc[(state, "steady_pooled_rmse")]
         assert abs(found["mean"] - want) < 4 * found["se"], state
-        efficiency = rows.loc[(state, "efficiency")]
+        efficiency = rows.loc[(state, "rms_efficiency")]
         assert abs(efficiency["mean"] - 1) < 4 * efficiency["se"], state

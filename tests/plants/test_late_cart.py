@@ -9,8 +9,8 @@ from scipy.linalg import expm
 import pcbench
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-LATE, VARYING = 0.2, {"delay_jitter": 0.08, "loss": 0.3, "jitter": 0.02}
-START = {"x0": [1.5, -20.0], "xhat0": [1.5, -20.0], "noise_std": [0.0], "assumed_delay_error": 0.0, "horizon": 5.0}
+LATE, VARYING = 0.2, {"delay_jitter": 0.08, "loss": 0.3, "sampling_jitter": 0.02}
+START = {"x0": [1.5, -20.0], "xhat0": [1.5, -20.0], "noise_std": [0.0], "assumed_delay_error": 0.0, "duration": 5.0}
 
 
 MEANS = {LATE: {}, 0.24: VARYING}
@@ -19,17 +19,17 @@ MEANS = {LATE: {}, 0.24: VARYING}
 @cache
 def traced(mean, told):
     """A run from the true start without noise, of samples so late in the mean; `told`: what is believed of that."""
-    options = {"bank": {"delays": [told]}, "ekf-delay": {"delay": told, "longest": 0.6}, "dkf": {}}
+    options = {"mmae-delay": {"delays": [told]}, "ekf-delay": {"delay": told, "longest": 0.6}, "kf": {}}
     study = {
         "name": "perfect", "observers": list(options), "options": options,
-        "scenario": {"base": "cart/unknown-delay", "tail": 1.0} | START | MEANS[mean],
+        "scenario": {"base": "cart/unknown-delay", "steady_start": 1.0} | START | MEANS[mean],
     }  # fmt: skip
-    return pcbench.trace(study, list(options), seed=3)
+    return pcbench.simulate(study, list(options), seed=3)
 
 
 def errors(mean, told, name):
     """The largest error of each signal over the signal's largest value."""
-    signals, trace = ["position", "velocity", "delay"][: 2 if name == "dkf" else 3], traced(mean, told)
+    signals, trace = ["position", "velocity", "delay"][: 2 if name == "kf" else 3], traced(mean, told)
     true = trace[signals].to_numpy()
     return np.abs(trace[[f"{name}.{of}" for of in signals]].to_numpy() - true).max(0) / np.abs(true).max(0)
 
@@ -46,9 +46,9 @@ def test_its_run_is_scipys_and_its_delay_is_that_of_its_samples_in_the_mean():
 
 
 @pytest.mark.parametrize("mean", MEANS)
-@pytest.mark.parametrize("name", ["bank", "ekf-delay", "dkf"])
+@pytest.mark.parametrize("name", ["mmae-delay", "ekf-delay", "kf"])
 def test_where_the_delay_is_known_from_a_perfect_start_there_is_no_error(name, mean):
     """Of the delay too, whether it varies or not; and where it is believed a tick off the position has one."""
     assert errors(mean, mean, name).max() < 1e-12
-    if name != "dkf":
+    if name != "kf":
         assert errors(mean, mean + 0.01, name)[0] > 1e-4

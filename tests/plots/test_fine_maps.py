@@ -14,7 +14,7 @@ Y = Over("delay [s]", [round(0.02 * i, 2) for i in range(30)])
 COLOURS = ("#112233", "#DDEEFF")
 
 
-def a_map(value, title="dkf"):
+def a_map(value, title="kf"):
     """A map of a value over both axes, in two colours: above 0.3 and below."""
     cells = {(a, b): Cell(COLOURS[value(a, b) < 0.3], value=value(a, b)) for a in X.values for b in Y.values}
     return Map(title, cells)

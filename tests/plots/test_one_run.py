@@ -18,7 +18,7 @@ def shown():
     made = read.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
     at = ["axes.noise_std=0.5", "axes.delay=0.1"]
     with process.float64():
-        traces = [pcbench.trace("cart/white", "pccebo", seed=6 + i, overrides=at) for i in range(one_run.RUNS)]
+        traces = [pcbench.simulate("cart/white", "pccebo", seed=6 + i, overrides=at) for i in range(one_run.RUNS)]
         return one_run.of(made, "cart/white", None, cell=1), traces
 
 
@@ -60,7 +60,7 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
 def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
     study = read.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
     assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
-    with pytest.raises(UserError, match="--cell: got 7, expected one of 0"):
+    with pytest.raises(UserError, match="--grid-point: got 7, expected one of 0"):
         one_run.of(study, "cart/nominal", None, cell=7)
 
 

@@ -59,16 +59,16 @@ def test_observers_that_run_together_are_told_apart_in_colour_and_on_grey_paper(
 
 
 def test_a_label_keeps_its_look_whatever_stands_beside_it():
-    alone = palette.styles(["dkf"])["dkf"]
-    assert palette.styles(["kfbo", "dkf", "dkf-bias"])["dkf"] == alone
-    three = palette.styles(["pccebo-paper", "pccebo-design", "pccebo-tuned"])
+    alone = palette.styles(["kf"])["kf"]
+    assert palette.styles(["kfbo", "kf", "kf-bias"])["kf"] == alone
+    three = palette.styles(["pccebo-published", "pccebo-design", "pccebo-tuned"])
     assert len({s.colour for s in three.values()}) == len({s.dash for s in three.values()}) == 3
-    assert palette.styles(["kfbo", "dkf-bias"])["dkf-bias"].colour == palette.COLOURS["dkf"]
+    assert palette.styles(["kfbo", "kf-bias"])["kf-bias"].colour == palette.COLOURS["kf"]
 
 
 def test_a_variant_has_the_hue_of_its_base():
-    look = palette.styles(["chain", "chain-slow", "chain-riccati", "dkf", "dkf-bias"])
-    for label in ("chain-slow", "chain-riccati", "dkf-bias"):
+    look = palette.styles(["chain", "chain-slow", "chain-riccati", "kf", "kf-bias"])
+    for label in ("chain-slow", "chain-riccati", "kf-bias"):
         base = lab(look[label.split("-")[0]].colour)[1:]
         mine = lab(look[label].colour)[1:]
         turned = np.degrees(np.arccos(base @ mine / np.linalg.norm(base) / np.linalg.norm(mine)))

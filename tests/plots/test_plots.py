@@ -39,13 +39,13 @@ def dots(ax):
 
 
 def test_a_distribution_is_the_runs_in_order(result):
-    part = frames.distribution(result, metric="tail_rmse", cell=1)
+    part = frames.distribution(result, metric="steady_rmse", cell=1)
     runs = result.runs.query("cell == 1 and signal == 'position'")
     for observer, mine in part.groupby("observer"):
-        values = np.sort(runs[runs.observer == observer].tail_rmse)
+        values = np.sort(runs[runs.observer == observer].steady_rmse)
         np.testing.assert_array_equal(mine.value, values)
         np.testing.assert_allclose(mine.share, np.arange(1, 25) / 24)
-    figure = plots.distributions(result, metric="tail_rmse", cell=1)
+    figure = plots.distributions(result, metric="steady_rmse", cell=1)
     (ax,) = figure.axes
     assert "rms error of position in the tail [m]" in said(figure)
     drawn = {line.get_label(): line.get_xdata() for line in ax.get_lines()}
@@ -68,7 +68,7 @@ def test_a_curve_has_the_means_and_their_intervals(result):
 
 def test_an_interval_never_leaves_its_axis(result):
     """Also on a logarithmic one, which ends where the intervals end and not where the means do."""
-    for metric in ("mae", "peak", "tail_rmse"):
+    for metric in ("mae", "max_abs_error", "steady_rmse"):
         (ax,) = plots.curves(result, "delay", metric=metric).axes
         ends = np.concatenate([np.array(bar.get_segments())[:, :, 1].ravel() for bar in ax.collections])
         low, high = ax.get_ylim()
@@ -86,14 +86,14 @@ def test_an_axis_that_a_figure_does_not_show_stands_at_its_first_value(result):
 
 
 def test_an_interval_of_more_seeds_is_that_of_the_table(result):
-    part = frames.convergence(result, metric="tail_rmse", cell=3)
+    part = frames.convergence(result, metric="steady_rmse", cell=3)
     row = result.stats.query(
-        "metric == 'tail_rmse' and signal == 'position' and cell == 3 and observer == 'kfbo'"
+        "metric == 'steady_rmse' and signal == 'position' and cell == 3 and observer == 'kfbo'"
     ).iloc[0]
     mine = part[part.observer == "kfbo"].set_index("seeds").half
     assert list(mine.index) == [4, 8, 16, 24]
     assert mine[24] == pytest.approx((row.ci_high - row.ci_low) / 2 / row["mean"], rel=1e-12)
-    (ax,) = plots.convergence(result, metric="tail_rmse", cell=3).axes
+    (ax,) = plots.convergence(result, metric="steady_rmse", cell=3).axes
     np.testing.assert_allclose(dots(ax)["kfbo"].get_ydata(), 100 * mine)
 
 
@@ -130,10 +130,10 @@ def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
 @pytest.mark.nightly
 def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
     """Two observers alike to the bit never win; without the twin pccebo wins where the t-test on the same draws says so."""
-    won = frames.standings(result, metric="tail_rmse").set_index("cell")
+    won = frames.standings(result, metric="steady_rmse").set_index("cell")
     runs = result.runs[result.runs.signal == "position"]
     for cell, row in won.iterrows():
-        wide = runs[runs.cell == cell].pivot(index="seed", columns="observer", values="tail_rmse")
+        wide = runs[runs.cell == cell].pivot(index="seed", columns="observer", values="steady_rmse")
         means = wide.mean()
         if means.idxmin() == "kfbo":
             p = scipy_stats.ttest_rel(wide["kfbo"], wide["pccebo"]).pvalue
@@ -142,7 +142,7 @@ def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
             assert row.winner == "", "its twin is as good"
             assert row.text == "tie"
     alone = pcbench.run(STUDY | {"observers": ["pccebo", "kfbo"]})
-    again = frames.standings(alone, metric="tail_rmse").set_index("cell")
+    again = frames.standings(alone, metric="steady_rmse").set_index("cell")
     assert "pccebo" in set(again.winner)
 
 
@@ -160,7 +160,7 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
     figure = plots.divergence(result)
     texts = [t.get_text() for t in figure.axes[1].texts]
     assert texts == ["100"] * 4
-    drawn = frames.rows(result, None, None, "divergence")
+    drawn = frames.rows(result, None, None, "divergence_rate")
     assert (
         sentences.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
     )
@@ -187,10 +187,10 @@ def test_maps_stand_on_one_scale_with_numbers_and_both_axes_named(result):
 
 
 def test_a_map_of_winners_says_who_and_by_how_much_and_is_pale_where_that_is_not_sure(result):
-    figure = plots.winners(result, metric="tail_rmse")
+    figure = plots.winners(result, metric="steady_rmse")
     (ax,) = figure.axes
     texts = [t.get_text() for t in ax.texts]
-    found = frames.standings(result, metric="tail_rmse")
+    found = frames.standings(result, metric="steady_rmse")
     for row, text in zip(found.to_dict("records"), texts, strict=True):
         if row["winner"]:
             assert text == f"{row['winner']}\n{words.times(row['factor'])}"
@@ -206,7 +206,7 @@ def test_one_run_in_time_is_the_trace(result):
     lines = {line.get_label(): line for line in above.get_lines()}
     assert set(lines) == {"plant", "pccebo", "kfbo", "pccebo-twin", "measured, held"}
     at = ["axes.delay=0.4", "axes.noise_std=0.1"]
-    trace = pcbench.trace("cart/white", ["kfbo"], seed=3, overrides=at)
+    trace = pcbench.simulate("cart/white", ["kfbo"], seed=3, overrides=at)
     t = lines["kfbo"].get_xdata()
     k = np.round(t / 1e-3).astype(int)
     np.testing.assert_allclose(lines["kfbo"].get_ydata(), trace["kfbo.position"].to_numpy()[k], rtol=1e-9)
@@ -220,7 +220,7 @@ MISTAKES = [
     (lambda r: plots.curves(r, metric="beauty"), "'beauty' is no metric"),
     (lambda r: plots.time(r, signal="speed"), "'speed' is no signal"),
     (lambda r: plots.time(r, scenario="cart/nominal"), "'cart/nominal' is no scenario"),
-    (lambda r: plots.time(r, cell=9), "--cell: got 9"),
+    (lambda r: plots.time(r, cell=9), "--grid-point: got 9"),
     (lambda r: plots.save(None, "a.gif"), "expected a name that ends in"),
     (lambda r: plots.fair(r), "expected a study with several tunings"),
     (lambda r: plots.trade_off(pd.DataFrame({"decay": [1.0], "refused": [""]}), "noise"), "'noise' is no column"),

@@ -22,13 +22,13 @@ X0 = np.array([5.0, 10.0])
 XHAT0 = np.array([0.0, 0.0])
 P0 = np.diag([25.0, 100.0])
 INTENSITY = 0.002  # of the process noise on the input
-EXACT_R = 1e-12  # what dkf takes where measurements are exact
+EXACT_R = 1e-12  # what kf takes where measurements are exact
 
 MODEL = linear.Model(np.array([[0.0, 1.0], [0.0, -LAM]]), np.array([[0.0], [GAIN]]), np.array([[1.0, 0.0]]), TICK)
 
 
 class Scenario(NamedTuple):
-    """te, d [ticks], standard deviation of a sample [m], KFBO's R, drift scale, dkf's process noise q."""
+    """te, d [ticks], standard deviation of a sample [m], KFBO's R, drift scale, kf's process noise q."""
 
     te: int
     d: int
@@ -134,20 +134,20 @@ def observe(
     lag_aware: bool = False,
     sampled_innovation: bool = False,
 ) -> Array:
-    """Return xhat [N+1, 2] of `pccebo`, `kfbo`, `dkf` or `open-loop` with the gains of this case."""
+    """Return xhat [N+1, 2] of `pccebo`, `kfbo`, `kf` or `model-only` with the gains of this case."""
     if observer == "pccebo":
         return linear.pccebo(MODEL, u, samples, xhat0, pccebo_gain(case.te))
     if observer == "kfbo":
         K = kfbo_gain(case.R)[0]
         flags = {"lag_aware": lag_aware, "sampled_innovation": sampled_innovation}
         return linear.kfbo(MODEL, u, samples, xhat0, K, case.te, case.d, **flags)
-    if observer == "dkf":
+    if observer == "kf":
         variance = max(case.noise_std**2, EXACT_R)
         W = case.q * MODEL.B @ MODEL.B.T if case.q else None
-        return linear.dkf(MODEL, u, samples, xhat0, P0, np.array([variance]), W)
-    if observer == "open-loop":
-        return linear.open_loop(MODEL, u, xhat0)
-    raise ValueError(f"no observer {observer!r}: choose pccebo, kfbo, dkf or open-loop")
+        return linear.kf(MODEL, u, samples, xhat0, P0, np.array([variance]), W)
+    if observer == "model-only":
+        return linear.model_only(MODEL, u, xhat0)
+    raise ValueError(f"no observer {observer!r}: choose pccebo, kfbo, kf or model-only")
 
 
 def run(
@@ -170,7 +170,7 @@ def run(
 ) -> tuple[Array, Array]:
     """Return x, xhat [N+1, 2] of one run; noise [M] is added to the samples as it is (None: noise off).
 
-    dkf's R is the scenario's variance, also when the noise is off. `drift` 0 takes the exact step.
+    kf's R is the scenario's variance, also when the noise is off. `drift` 0 takes the exact step.
     """
     case = configure(scenario, te, d, drift, R)
     u = sawtooth(ticks) if u is None else u

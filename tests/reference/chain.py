@@ -246,7 +246,7 @@ def classic(plant: Plant, u: Array, r: Array, xhat0: Array, K: Array, ages: list
 def kalman(
     plant: Plant, u: Array, r: Array, delays: list[int], xhat0: Array, P0: Array, Q: Array, R: Array
 ) -> tuple[Array, Array]:
-    """Return xhat [N+1, n], P [N+1, n, n] given all that arrived by tick k, prior N(xhat0, P0) at tick 0 (page, "dkf").
+    """Return xhat [N+1, n], P [N+1, n, n] given all that arrived by tick k, prior N(xhat0, P0) at tick 0 (page, "kf").
 
     State: x(k), x(k-1), .., x(k - max tau), of which the blocks before tick 0 are never read. R [q, q] diagonal.
     """

@@ -1,6 +1,6 @@
 """A Kalman filter that leaves out or weighs less what is far from what it expects, from tick 0 anew at every arrival.
 
-As `irregular.dkf`, channel by channel in the order taken, of one tick in the order of arrival: here that matters. z is an
+As `irregular.kf`, channel by channel in the order taken, of one tick in the order of arrival: here that matters. z is an
 innovation over its standard deviation. Beyond `gate` a channel is left out, unless so many of it were in a row; beyond `huber`
 its correction is that of an innovation of `huber` deviations, and its noise as large as makes that gain the best.
 """

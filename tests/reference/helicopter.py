@@ -221,6 +221,6 @@ def unconverged(trace: Trace, B: Array = B_TRUE) -> Array:
     return ~diverged(trace) & (np.abs(half - B) > 0.05 * B).any(axis=(0, 2))
 
 
-def random_start(rng: np.random.Generator, runs: int) -> Array:
+def random_initial_state(rng: np.random.Generator, runs: int) -> Array:
     """Return z(0) [runs, 6] = x(0) + U(-0.5, 0.5) in the states, 0 in the viscosities."""
     return np.hstack([X0 + rng.uniform(-0.5, 0.5, (runs, 4)), np.zeros((runs, 2))])

@@ -2,7 +2,7 @@
 
 Plant:  x' = A x + B u,  u held over a tick of h seconds,  y_j = C[j] x + D[j] u + v  at the samples of channel j.
 Source: Li, Wang, Tian, "PI Piecewise Continuous Observer Design for Sampled and Delayed Linear Systems with
-Variable Sampling Time Period"; its equations in brackets. pccebo and dkf as in `linear`.
+Variable Sampling Time Period"; its equations in brackets. pccebo and kf as in `linear`.
 
 Times are ticks, the order of events is that of `linear`: xhat[k] is the value after the arrivals of tick k and
 depends on u[0] .. u[k-1] only. D alone reads u at the sampling tick itself: the input held from that tick on.
@@ -182,7 +182,7 @@ def noise_sums(Ad: Array, Qd: Array, count: int) -> Array:
     return np.stack(out)
 
 
-def dkf_chain(
+def kf_chain(
     flow: Flow, C: Array, ordered: list[Sample], xhat0: Array, P0: Array, R: Array, added: Array
 ) -> list[Estimate]:
     """Return the Kalman estimate after each scalar sample in taken order; added [N+1, n, n] of `noise_sums`."""
@@ -198,7 +198,7 @@ def dkf_chain(
     return chain
 
 
-def dkf(
+def kf(
     model: Model,
     u: Array,
     samples: list[Sample],
@@ -227,7 +227,7 @@ def dkf(
     added = noise_sums(Ad, process_noise(model.A, W, model.h), len(u))
 
     def newest(at_hand: list[Sample]) -> Estimate:
-        return dkf_chain(flow, model.C, in_taken_order(at_hand, u, D), start, prior, R, added)[-1]
+        return kf_chain(flow, model.C, in_taken_order(at_hand, u, D), start, prior, R, added)[-1]
 
     return run(flow, samples, start, newest)[:, :n]
 

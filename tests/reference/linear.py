@@ -116,7 +116,7 @@ def whole_vectors(arrived: list[Sample], q: int) -> list[tuple[int, Array]]:
     return vectors
 
 
-def open_loop(model: Model, u: Array, xhat0: Array) -> Array:
+def model_only(model: Model, u: Array, xhat0: Array) -> Array:
     """Return xhat [N+1, n] of the model alone: e^{At} xhat(0) + I(0, t)."""
     Ad, Bd = discretise(model.A, model.B, model.h)
     xhat = [np.asarray(xhat0, float)]
@@ -198,7 +198,7 @@ def joseph_update(x: Array, P: Array, c: Array, y: float, R: float) -> tuple[Arr
     return x + gain * (y - c @ x), rest @ P @ rest.T + R * np.outer(gain, gain)
 
 
-def dkf(
+def kf(
     model: Model, u: Array, samples: list[Sample], xhat0: Array, P0: Array, R: Array, W: Array | None = None
 ) -> Array:
     """Return xhat [N+1, n] of the delay-compensated Kalman filter with prior N(xhat0, P0) at tick 0.

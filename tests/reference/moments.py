@@ -149,9 +149,9 @@ def recentre(response: ErrorMap, x0: Array) -> ErrorMap:
     return response._replace(base=response.base + np.tensordot(x0 - cart.X0, response.start, 1))
 
 
-def cart_moments(response: ErrorMap, noise_std: float, *, random_start: bool = False) -> tuple[Array, Array]:
+def cart_moments(response: ErrorMap, noise_std: float, *, random_initial_state: bool = False) -> tuple[Array, Array]:
     """Return mean and variance [N+1, 2] of e on the cart; x(0) = cart.X0 or, random, ~ N(xhat(0), P0)."""
     P0 = None
-    if random_start:
+    if random_initial_state:
         response, P0 = recentre(response, cart.XHAT0), cart.P0
     return response.base, np.diagonal(covariance(response, noise_std, P0), axis1=1, axis2=2)

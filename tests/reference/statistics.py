@@ -9,8 +9,10 @@ from functools import cache
 
 from scipy import optimize, special, stats
 
-METRICS = ["mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time", "tail_mae", "tail_rmse", "tail_mse",
-           "tail_peak", "tracking_rmse", "tail_tracking_rmse", "cost", "tail_cost", "input_rms", "tail_input_rms"]  # fmt: skip
+METRICS = ["mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time", "steady_mae",
+"steady_rmse", "steady_mse",
+           "steady_max_abs_error", "tracking_rmse", "steady_tracking_rmse", "lq_cost", "steady_lq_cost", "input_rms",
+           "steady_input_rms"]  # fmt: skip
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 NAN = float("nan")
 
@@ -110,12 +112,17 @@ def describe(results, bound):
     rows = []
     for i in range(len(results["mae"])):
         mine = {m: [float(results[m][i][j]) for j in good] for m in METRICS if m in results and i < len(results[m])}
-        found = [(m, (mean(v) if m == "final" else positive(v)) | quantiles(v)) for m, v in mine.items()]
-        found += [("pooled_rmse", pooled(mine["mse"]) | none), ("tail_pooled_rmse", pooled(mine["tail_mse"]) | none)]
-        found.append(("divergence", fraction(gone, len(results["diverged"])) | none))
-        found.append(("unsettled", fraction(sum(bool(results["unsettled"][i][j]) for j in good), len(good)) | none))
+        found = [(m, (mean(v) if m == "final_error" else positive(v)) | quantiles(v)) for m, v in mine.items()]
+        found += [
+            ("pooled_rmse", pooled(mine["mse"]) | none),
+            ("steady_pooled_rmse", pooled(mine["steady_mse"]) | none),
+        ]
+        found.append(("divergence_rate", fraction(gone, len(results["diverged"])) | none))
+        found.append(
+            ("unsettled_rate", fraction(sum(bool(results["unsettled"][i][j]) for j in good), len(good)) | none)
+        )
         if bound is not None and not math.isnan(bound[i]):
-            found.append(("efficiency", efficiency(mine["tail_mse"], bound[i]) | none))
+            found.append(("rms_efficiency", efficiency(mine["steady_mse"], bound[i]) | none))
         rows += [{"signal": i, "metric": m, "diverged": gone} | row for m, row in found]
     return rows
 
@@ -155,8 +162,8 @@ def pairs(results, signals, sizes):
             ra, rb = results[a], results[b]
             for i in range(min(len(ra["mae"]), len(rb["mae"]))):
                 for m in METRICS:
-                    if m != "final" and m in ra and i < len(ra[m]):
-                        floor = 1e-11 * sizes[i] * (sizes[i] if m in ("mse", "tail_mse") else 1.0)
+                    if m != "final_error" and m in ra and i < len(ra[m]):
+                        floor = 1e-11 * sizes[i] * (sizes[i] if m in ("mse", "steady_mse") else 1.0)
                         row = compare(ra[m][i], rb[m][i], ra["diverged"], rb["diverged"], floor)
                         rows.append({"observer_a": a, "observer_b": b, "signal": signals[i], "metric": m} | row)
     return rows

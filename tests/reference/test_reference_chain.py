@@ -198,13 +198,13 @@ SD = {
     "slow poles": [0.01582798, 1670.6139, 0.05701840],
     "riccati": [0.01198071, 910.374, 0.06962264],
     "riccati, deadbeat": [0.01167585, 874.102, 0.05669311],
-    "dkf": [0.01020648, 731.83123, 0.05303873],
+    "kf": [0.01020648, 731.83123, 0.05303873],
 }
 
 
 @cache
 def stationary(name):
-    if name == "dkf":
+    if name == "kf":
         r = np.full((301, 3), 0.0)
         return ref.kalman(PLANT, np.zeros((301, 2)), ref.received(r, TAU), TAU, ZERO, P0, Q, R)[1][-1]
     return ref.stationary(PLANT, ref.design(PLANT, TAU, **DESIGNS[name]), Q, R)
@@ -216,14 +216,14 @@ def test_printed_stationary_deviations(name):
 
 
 def test_order_of_the_enthalpy_errors():
-    order = ["dkf", "riccati, deadbeat", "riccati", "slow poles", "poles", "companion"]
+    order = ["kf", "riccati, deadbeat", "riccati", "slow poles", "poles", "companion"]
     sd = [np.sqrt(stationary(name)[1, 1]) for name in order]
     assert sd == sorted(sd)
     assert sd.pop() == pytest.approx(47437, abs=0.5)
     for name in ["theorem1", "held", "plain"]:
         x, xhat = run(name)
         assert np.sqrt(np.mean((x - xhat)[100:, 1] ** 2)) > 5 * sd[-1], "without any noise"
-    best, deadbeat, fast = (np.sqrt(np.diag(stationary(name))) for name in ["dkf", "riccati, deadbeat", "poles"])
+    best, deadbeat, fast = (np.sqrt(np.diag(stationary(name))) for name in ["kf", "riccati, deadbeat", "poles"])
     np.testing.assert_allclose(deadbeat / best, [1.14, 1.19, 1.07], atol=0.005)
     assert 1.85 < (fast / best).min() < (fast / best).max() < 5.35
 

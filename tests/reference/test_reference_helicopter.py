@@ -205,7 +205,7 @@ def test_perfect_start_stays_perfect(name):
 def test_runs_of_a_batch_do_not_meet(name):
     rng = np.random.default_rng(4)
     z0, x0, noise = (
-        he.random_start(rng, 3),
+        he.random_initial_state(rng, 3),
         he.X0 + rng.uniform(-0.1, 0.1, (3, 4)),
         1e-3 * rng.standard_normal((3, 3, 2)),
     )
@@ -281,7 +281,7 @@ def test_printed_sign_of_the_products_leaves_a_bias():
 
 @pytest.mark.nightly
 def test_random_starts_lose_a_tenth_printed_and_none_robust():
-    z0 = he.random_start(np.random.default_rng(0), 300)
+    z0 = he.random_initial_state(np.random.default_rng(0), 300)
     x0 = np.tile(he.X0, (300, 1))
     printed = he.simulate(hg.blocks(), 2000, x0=x0, z0=z0)
     assert 0.06 < he.diverged(printed).mean() < 0.16  # 0.10 and three deviations of 300
@@ -293,7 +293,7 @@ def test_random_starts_lose_a_tenth_printed_and_none_robust():
 @pytest.mark.nightly
 def test_what_random_starts_lose_depends_on_the_box():
     rng = np.random.default_rng(0)
-    z0 = he.random_start(rng, 300)
+    z0 = he.random_initial_state(rng, 300)
     z0[:, 4:] = he.B_TRUE
     true_viscosities = he.simulate(hg.blocks(), 2000, x0=np.tile(he.X0, (300, 1)), z0=z0)
     assert 0.02 < he.diverged(true_viscosities).mean() < 0.10

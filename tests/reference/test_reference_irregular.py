@@ -22,7 +22,7 @@ ORDERS = {
     "jitter and loss": {"jitter": True, "loss": 0.3, "ages": (5, 8)},
     "out of order": {"jitter": True, "loss": 0.2, "ages": (0, 30)},
 }
-NAMES = ["pccebo", "dkf", "dkf, bias", "pco", "pi-pco"]
+NAMES = ["pccebo", "kf", "kf, bias", "pco", "pi-pco"]
 
 
 def cart_samples(plant_step=None):
@@ -33,9 +33,9 @@ def cart_samples(plant_step=None):
 
 def cart_observe(name, samples):
     """Return xhat [N+1, 2] of a named observer on the cart."""
-    if name.startswith("dkf"):
-        bias = 1.0 if name == "dkf, bias" else None
-        return irregular.dkf(cart.MODEL, U, samples, cart.XHAT0, cart.P0, np.array([VARIANCE]), bias_variance=bias)
+    if name.startswith("kf"):
+        bias = 1.0 if name == "kf, bias" else None
+        return irregular.kf(cart.MODEL, U, samples, cart.XHAT0, cart.P0, np.array([VARIANCE]), bias_variance=bias)
     return irregular.pco(cart.MODEL, U, samples, cart.XHAT0, np.eye(2), KP, KI if name == "pi-pco" else None)
 
 
@@ -43,15 +43,15 @@ def cart_observe(name, samples):
 def noise_variance(name):
     """Return var e(t_k) [N+1, 2] under white noise, exactly: the observer at rest, one impulse at a time."""
     _, samples = cart_samples()
-    model = irregular.with_input_bias(cart.MODEL, None) if name == "dkf, bias" else cart.MODEL
+    model = irregular.with_input_bias(cart.MODEL, None) if name == "kf, bias" else cart.MODEL
     flow, n = irregular.flow_of(model, np.zeros_like(U)), len(model.A)
     P0 = np.diag([25.0, 100.0, 1.0])[:n, :n]
     responses = []
     for i in range(len(samples)):
         impulse = [s._replace(value=float(s.index == i)) for s in samples]
-        if name.startswith("dkf"):
+        if name.startswith("kf"):
             R, added = np.array([VARIANCE]), np.zeros_like(flow.Phi)
-            chain = irregular.dkf_chain(flow, model.C, impulse, np.zeros(n), P0, R, added)
+            chain = irregular.kf_chain(flow, model.C, impulse, np.zeros(n), P0, R, added)
         else:
             vectors, Ki = irregular.whole_vectors(impulse, 1), KI if name == "pi-pco" else None
             memories = irregular.pco_chain(flow, vectors, np.zeros(n), np.eye(n), KP, Ki)
@@ -89,10 +89,10 @@ def observe(name, model, u, samples, xhat0, T, D):
     """Return xhat [N+1, 3] of a named observer of the random plants; gains small, not designed."""
     if name == "pccebo":
         return irregular.pccebo(model, u, samples, xhat0, np.array([[0.2, -0.1], [0.1, 0.3], [-0.2, 0.1]]), D)
-    if name.startswith("dkf"):
-        bias = 0.5 if name == "dkf, bias" else None
+    if name.startswith("kf"):
+        bias = 0.5 if name == "kf, bias" else None
         W = 0.1 * model.B @ model.B.T
-        return irregular.dkf(model, u, samples, xhat0, np.diag([1.0, 2.0, 3.0]), np.array([0.3, 0.7]), W, bias, D)
+        return irregular.kf(model, u, samples, xhat0, np.diag([1.0, 2.0, 3.0]), np.array([0.3, 0.7]), W, bias, D)
     Ki = np.array([[0.02, 0.05]]) if name == "pi-pco" else None
     return irregular.pco(model, u, samples, xhat0, T, np.array([[0.2, -0.3]]), Ki, D)
 
@@ -159,11 +159,11 @@ def test_a_perfect_start_is_zero(name, order):
     model, D, T, rng = plant(2)
     u, x0 = rng.standard_normal((151, 2)), rng.standard_normal(3)
     times = [some_times(rng, 150, **ORDERS[order]) for _ in range(2)]
-    if not name.startswith("dkf"):
+    if not name.startswith("kf"):
         times[1] = times[0]
     x, samples = irregular.simulate(model, u, x0, times, D=D)
     late = any(b.taken < a.taken for a, b in pairwise(samples))
-    assert late == (order == "out of order") or name.startswith("dkf")
+    assert late == (order == "out of order") or name.startswith("kf")
     e = x - observe(name, model, u, samples, x0, T, D)
     assert np.abs(e).max() < 1e-12 * np.abs(x).max()
     slipped = [s._replace(taken=s.taken + 1, arrival=s.arrival + 1) for s in samples if s.arrival < 150]
@@ -189,7 +189,7 @@ def test_the_last_estimate_does_not_depend_on_the_order_of_arrival(name):
         assert np.abs(xhat[:80] - xhats[0][:80]).max() > 1e-2
 
 
-@pytest.mark.parametrize("name", ["pccebo", "dkf"])
+@pytest.mark.parametrize("name", ["pccebo", "kf"])
 def test_in_order_it_is_the_incremental_observer(name):
     model, _, T, rng = plant(4)
     u, x0, xhat0 = rng.standard_normal((121, 2)), rng.standard_normal(3), rng.standard_normal(3)
@@ -200,16 +200,16 @@ def test_in_order_it_is_the_incremental_observer(name):
         expected = linear.pccebo(model, u, samples, xhat0, L)
     else:
         W = 0.1 * model.B @ model.B.T
-        expected = linear.dkf(model, u, samples, xhat0, np.diag([1.0, 2.0, 3.0]), np.array([0.3, 0.7]), W)
+        expected = linear.kf(model, u, samples, xhat0, np.diag([1.0, 2.0, 3.0]), np.array([0.3, 0.7]), W)
     xhat = observe(name, model, u, samples, xhat0, T, None)
     np.testing.assert_allclose(xhat, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ["dkf", "dkf, bias"])
-def test_dkf_out_of_order_is_gaussian_conditioning_on_all_that_arrived(name):
+@pytest.mark.parametrize("name", ["kf", "kf, bias"])
+def test_kf_out_of_order_is_gaussian_conditioning_on_all_that_arrived(name):
     """The joint covariance of x(t_a), x(t_b) is written down from x(0), the bias and the process noise."""
     model, D, T, rng = plant(5)
-    N, V = 120, 0.5 if name == "dkf, bias" else 0.0
+    N, V = 120, 0.5 if name == "kf, bias" else 0.0
     u, xhat0 = rng.standard_normal((N + 1, 2)), rng.standard_normal(3)
     times = [some_times(rng, N, **ORDERS["out of order"]) for _ in range(2)]
     noise = [rng.standard_normal(len(channel)) for channel in times]
@@ -218,7 +218,7 @@ def test_dkf_out_of_order_is_gaussian_conditioning_on_all_that_arrived(name):
     P0, R = np.diag([1.0, 2.0, 3.0]), np.array([0.3, 0.7])
     Ad, Bd = linear.discretise(model.A, model.B, model.h)
     Qd = linear.process_noise(model.A, 0.1 * model.B @ model.B.T, model.h)
-    Phi, mean = linear.powers(Ad, N + 1), linear.open_loop(model, u, xhat0)
+    Phi, mean = linear.powers(Ad, N + 1), linear.model_only(model, u, xhat0)
     S, Q = [np.zeros((3, 2))], [np.zeros((3, 3))]  # response to a constant unit input; sum of process noise
     for _ in range(N):
         S.append(Ad @ S[-1] + Bd)
@@ -321,7 +321,7 @@ def test_the_closed_form_is_what_the_observer_does_on_the_cart():
 # (e) the findings, noise included: pooled tail RMSE = root of the mean of bias^2 + variance, exactly
 
 
-def tail_rmse(name, plant_step=None):
+def steady_rmse(name, plant_step=None):
     """Return the pooled tail RMSE [2] over all noise."""
     x, samples = cart_samples(plant_step)
     e = x - cart_observe(name, samples)
@@ -335,25 +335,25 @@ def driven(gain, bias):
 
 
 def test_under_input_bias_pi_pco_beats_pco_the_bias_state_beats_both_and_the_plain_filter_is_worst():
-    tails = {name: tail_rmse(name, driven(1.0, 0.2)) for name in ("pco", "pi-pco", "dkf", "dkf, bias")}
+    tails = {name: steady_rmse(name, driven(1.0, 0.2)) for name in ("pco", "pi-pco", "kf", "kf, bias")}
     position = {name: tail[0] for name, tail in tails.items()}
     np.testing.assert_allclose(position["pco"], 0.325, atol=5e-4)
     np.testing.assert_allclose(position["pi-pco"], 0.135, atol=5e-4)
-    np.testing.assert_allclose(position["dkf, bias"], 0.0134, atol=5e-5)
-    np.testing.assert_allclose(position["dkf"], 1.97, atol=5e-3)
-    for name in ("pco", "pi-pco", "dkf"):
+    np.testing.assert_allclose(position["kf, bias"], 0.0134, atol=5e-5)
+    np.testing.assert_allclose(position["kf"], 1.97, atol=5e-3)
+    for name in ("pco", "pi-pco", "kf"):
         np.testing.assert_allclose(tails[name][1], 0.58, atol=5e-3)
-    np.testing.assert_allclose(tails["dkf, bias"][1], 0.005, atol=5e-4)
+    np.testing.assert_allclose(tails["kf, bias"][1], 0.005, atol=5e-4)
 
 
 def test_with_the_exact_model_the_plain_filter_is_better_than_the_one_with_a_bias_state():
     """By simulation 0.0061 and 0.0127; exactly it is 0.00615 and 0.01338 (the latter as under bias)."""
-    np.testing.assert_allclose(tail_rmse("dkf")[0], 0.00615, atol=5e-6)
-    np.testing.assert_allclose(tail_rmse("dkf, bias")[0], 0.01338, atol=5e-6)
+    np.testing.assert_allclose(steady_rmse("kf")[0], 0.00615, atol=5e-6)
+    np.testing.assert_allclose(steady_rmse("kf, bias")[0], 0.01338, atol=5e-6)
 
 
 def test_under_gain_error_and_with_the_exact_model_pi_pco_loses_to_pco():
     """By 16 % with the exact model, by 15 % where the plant's gain is 10 % higher."""
     for gain, expected in [(1.0, 1.165), (1.1, 1.147)]:
-        ratio = tail_rmse("pi-pco", driven(gain, 0.0))[0] / tail_rmse("pco", driven(gain, 0.0))[0]
+        ratio = steady_rmse("pi-pco", driven(gain, 0.0))[0] / steady_rmse("pco", driven(gain, 0.0))[0]
         np.testing.assert_allclose(ratio, expected, atol=1e-3)

@@ -28,8 +28,8 @@ def test_perfect_start_is_zero_but_for_kfbo_on_held_data(te, d):
     L, K = rng.standard_normal((3, 2)) * 0.1, rng.standard_normal((3, 2)) * 0.1
     xhats = {
         "pccebo": linear.pccebo(model, u, samples, x0, L),
-        "dkf": linear.dkf(model, u, samples, x0, np.eye(3), np.ones(2)),
-        "open-loop": linear.open_loop(model, u, x0),
+        "kf": linear.kf(model, u, samples, x0, np.eye(3), np.ones(2)),
+        "model-only": linear.model_only(model, u, x0),
         "kfbo, sampled innovation": linear.kfbo(model, u, samples, x0, K, te, d, sampled_innovation=True),
         "kfbo": linear.kfbo(model, u, samples, x0, K, te, d),
     }
@@ -62,7 +62,7 @@ def test_pccebo_error_follows_its_recursion(te, d):
 
 @pytest.mark.parametrize("intensity", [0.0, 0.5])
 @pytest.mark.parametrize(("te", "d"), [([6, 6], [6, 6]), ([4, 4], [9, 9]), ([4, 8], [5, 5])])
-def test_dkf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensity):
+def test_kf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensity):
     model, rng = plant(3)
     model = model._replace(A=model.A - np.eye(3))  # unstable priors would cost the batch its digits
     N, n = 80, 3
@@ -76,13 +76,13 @@ def test_dkf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensi
     prior = [P0]
     for _ in range(N):
         prior.append(Ad @ prior[-1] @ Ad.T + Qd)
-    mean = linear.open_loop(model, u, xhat0)
+    mean = linear.model_only(model, u, xhat0)
 
     def joint(a, b):
         """Return cov(x(t_a), x(t_b)) before any measurement."""
         return Phi[a - b] @ prior[b] if a >= b else prior[a] @ Phi[b - a].T
 
-    xhat = linear.dkf(model, u, samples, xhat0, P0, R, W)
+    xhat = linear.kf(model, u, samples, xhat0, P0, R, W)
     P = moments.posterior_covariance(model, N, te, d, R, P0, W)
     worst = np.zeros(2)
     for k in range(N + 1):

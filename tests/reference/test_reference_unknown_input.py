@@ -434,19 +434,19 @@ def test_an_unknown_measurement_option_is_refused():
         ui.sampled(ui.PIO, np.zeros((2, 1, 2)), TICK, "innovation")
 
 
-# ---------------------------------------------------------------- dkf
+# ---------------------------------------------------------------- kf
 
 
 @pytest.mark.nightly
-def test_dkf_with_noise():
+def test_kf_with_noise():
     noise = 1e-3 * np.random.default_rng(3).standard_normal((501, 64, 2))
     y = ui.samples_of(np.repeat(arm(), 64, axis=1), 40, 40, noise)
-    xhat, _ = ui.dkf(y, TICKS, 40, 40, TICK, 1e-6)
+    xhat, _ = ui.kf(y, TICKS, 40, 40, TICK, 1e-6)
     assert rms(arm() - xhat)[:, 1].mean() == pytest.approx(0.0025, rel=0.06)  # worked out beforehand: about .0025
 
 
 @pytest.mark.nightly
-def test_dkf_is_the_conditional_mean():
+def test_kf_is_the_conditional_mean():
     te, d, h, R, q, count = 30, 45, 1e-2, 0.04, 1.7, 5
     A = np.block([[ui.ARM.A, ui.ARM.D], [np.zeros((1, 5))]])
     C = np.hstack([ui.C_ARM, np.zeros((2, 1))])
@@ -465,7 +465,7 @@ def test_dkf_is_the_conditional_mean():
     y = np.random.default_rng(4).standard_normal((count, 1, 2))
     last = X[-5:] @ CC.T @ np.linalg.solve(CC @ X @ CC.T + R * np.eye(2 * count), y.ravel())
     steps = (count - 1) * te + d + 7
-    xhat, fhat = ui.dkf(y, steps, te, d, h, R, q)
+    xhat, fhat = ui.kf(y, steps, te, d, h, R, q)
     expected = expm(A * (d + 7) * h) @ last
     assert np.allclose([*xhat[-1, 0], fhat[-1, 0]], expected, rtol=1e-5, atol=1e-6)
     assert not xhat[:d].any()

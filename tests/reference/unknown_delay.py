@@ -1,7 +1,7 @@
 """Filters that look for the delay of their samples, the long way: every sample of every filter again at every arrival.
 
 Plant x' = A x + B u under held u, ticks of h; y = C x + v; samples come late, how late in the mean nobody knows.
-`bank`: for each delay a textbook filter of all samples at hand in the order they were taken; the mixture of them.
+`mmae-delay`: for each delay a textbook filter of all samples at hand in the order they were taken; the mixture of them.
 `ekf_delay`: state of L ticks ago and delay; the sample's time between ticks by a straight line, slopes by matrix powers.
 Samples are those of `linear`, one for each channel; of their age both read by how much it differs from a believed mean.
 """

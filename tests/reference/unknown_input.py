@@ -11,7 +11,7 @@ Errors are x - xhat and d - dhat. Arrays of a run are [time, runs, component]; a
 
 Time: a disturbance is an array at the 2 N + 1 stage times (j/2) dt, never at an accumulated time; the fourth stage of
 step i reads d((i+1) dt), so after a jump that falls there. `joint` is the continuous measurement: plant and
-observer are one ODE, y(t) = C x(t) at every stage. `sampled` and `dkf` get samples, te ticks apart and late by d ticks.
+observer are one ODE, y(t) = C x(t) at every stage. `sampled` and `kf` get samples, te ticks apart and late by d ticks.
 
 Differs from print: x(0), xhat(0), dt and the window's ends are not printed; those below reproduce Table 2. The paper
 puts the zeros of the arm with both sensors on the link at 0.006 +- 1.9365j in size; they are -0.000625 +- 1.9365j.
@@ -306,7 +306,7 @@ def to_now(xd: Array, fhat: Array, delay: float, reconstruct: bool = False) -> A
     return xd @ Phi.T + (fhat[..., None] * response[:, 0] if reconstruct else 0.0)
 
 
-def dkf(y: Array, steps: int, te: int, d: int, dt: float, R: float, q: float = 1.0) -> tuple[Array, Array]:
+def kf(y: Array, steps: int, te: int, d: int, dt: float, R: float, q: float = 1.0) -> tuple[Array, Array]:
     """Return xhat [N+1, runs, 4], fhat [N+1, runs] at t_k of the Kalman filter with f' = white noise of density q.
 
     Augmented model A_a = [A D; 0 0], prior N(0, I) at t = 0. Sample i updates at its own time i te, once it has

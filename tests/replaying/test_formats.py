@@ -13,13 +13,13 @@ from pcbench.errors import UserError
 from pcbench.logs import reading, tables
 from pcbench.logs.survey import survey
 
-OBSERVERS = ["pccebo", "dkf"]
-WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "jitter": 0.02}}
+OBSERVERS = ["pccebo", "kf"]
+WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "sampling_jitter": 0.02}}
 
 
 def traced(study, folder):
     """A run of a study: its frame, the folder of its log, and what arrived."""
-    frame = pcbench.trace(study, OBSERVERS, seed=3, log=folder)
+    frame = pcbench.simulate(study, OBSERVERS, seed=3, log=folder)
     log = tables.opened(folder)
     (batch,), (inputs,) = log.measurements(), log.inputs.read()
     came = ~np.isnan(batch.arrived)

@@ -22,8 +22,8 @@ DT = 0.01
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
-    pcbench.trace(MOTOR, "dkf", seed=5, log=folder)
-    return folder, pcbench.replay(folder, MOTOR, ["dkf", "kf-cloning", "open-loop"])
+    pcbench.simulate(MOTOR, "kf", seed=5, log=folder)
+    return folder, pcbench.replay(folder, MOTOR, ["kf", "kf-cloning", "model-only"])
 
 
 def books(folder):
@@ -44,7 +44,7 @@ def test_a_smoother_is_left_out_before_memory_runs_out(replayed, monkeypatch):
     folder, found = replayed
     assert not found.distances.empty
     monkeypatch.setattr(smoother.memory, "free", lambda: 1 << 14)
-    found = pcbench.replay(folder, MOTOR, ["dkf", "kf-cloning", "open-loop"])
+    found = pcbench.replay(folder, MOTOR, ["kf", "kf-cloning", "model-only"])
     assert found.distances.empty
     (said,) = (sentence for sentence in found.summary["said"] if "smoother" in sentence)
     assert said.endswith("it needs a linear model without unknown inputs, and memory for all ticks.")
@@ -65,7 +65,7 @@ def test_what_a_filter_expects_is_what_the_book_says(replayed):
     for row in found.innovations.to_dict("records"):
         for name, value in want.items():
             assert row[name] == pytest.approx(value, rel=1e-10), (row["observer"], name)
-    assert list(found.innovations.observer) == ["dkf", "kf-cloning"]
+    assert list(found.innovations.observer) == ["kf", "kf-cloning"]
 
 
 def test_parts_of_a_sequence_say_what_the_whole_says():
@@ -133,7 +133,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_samples(noise):
 
 def test_the_distance_is_that_to_the_smoother(replayed):
     folder, found = replayed
-    a = asked(folder, MOTOR, ["dkf"])
+    a = asked(folder, MOTOR, ["kf"])
     model = smoother.model_of(setting(a.cell), np.zeros(2))
     (batch,), (inputs,) = a.log.measurements(), a.log.inputs.read()
     y = np.full((len(inputs.t), 1), np.nan)
@@ -141,6 +141,6 @@ def test_the_distance_is_that_to_the_smoother(replayed):
     y[np.rint(batch.sampled[came] / DT).astype(int), 0] = batch.value[came]
     best = np.asarray(smoother.smooth(model, inputs.values, y))
     for i, signal in enumerate(("angle", "rate")):
-        e = found.estimates[f"dkf.{signal}"].to_numpy() - best[:, i]
-        said = found.distances.set_index(["observer", "signal"]).rms["dkf", signal]
+        e = found.estimates[f"kf.{signal}"].to_numpy() - best[:, i]
+        said = found.distances.set_index(["observer", "signal"]).rms["kf", signal]
         assert said == pytest.approx(np.sqrt(np.mean(e**2)), rel=1e-10)

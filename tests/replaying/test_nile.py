@@ -25,11 +25,11 @@ LEVEL = {
         **{"sampling_period": 1.0, "delay": 0.0, "noise_std": NOISE**0.5, "process_std": WALK**0.5},
         **{
             "prior_std": [WIDE**0.5],
-            "horizon": 100.0,
+            "duration": 100.0,
             "x0": [0.0],
             "input": "zero",
             "settle_band": [1.0],
-            "bound": 1e6,
+            "divergence_threshold": 1e6,
         },
     },
 }
@@ -65,7 +65,7 @@ def test_the_notebook_of_a_recording_has_the_same_flows():
 
 
 def test_the_filter_with_the_books_variances_is_consistent_and_its_innovations_white(nile):
-    found = pcbench.replay(nile, LEVEL, "dkf")
+    found = pcbench.replay(nile, LEVEL, "kf")
     y = np.loadtxt(HERE, delimiter=",", skiprows=1)[:, 1]
     one = np.eye(1)
     nu, s = reference.kalman(one, 0 * one, WALK * one, one, NOISE, np.zeros(1), WIDE * one, np.zeros((100, 1)), y)
@@ -83,6 +83,6 @@ def test_the_filter_with_the_books_variances_is_consistent_and_its_innovations_w
 
 def test_a_level_that_hardly_walks_is_seen_to_be_wrong(nile):
     stiff = LEVEL | {"lti": LEVEL["lti"] | {"process_std": 1.0}}
-    (row,) = pcbench.replay(nile, stiff, "dkf").innovations.to_dict("records")
+    (row,) = pcbench.replay(nile, stiff, "kf").innovations.to_dict("records")
     assert row["p_white"] < 0.001
     assert row["verdict"] == "over-confident"

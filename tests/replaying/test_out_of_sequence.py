@@ -22,7 +22,7 @@ PLANT = {
     "lti": {
         **{"A": [[0.0]], "B": [[0.0]], "C": [[1.0], [1.0]], "tick": DT, "states": ["level [m]"]},
         **{"sampling_period": [DT, 0.1], "delay": [0.0, LATE * DT], "noise_std": [0.1, 0.02], "process_std": [0.02]},
-        **{"prior_std": [1.0], "horizon": 1.0, "input": "zero"},
+        **{"prior_std": [1.0], "duration": 1.0, "input": "zero"},
     },
 }
 
@@ -63,20 +63,20 @@ def whitened(samples, variances=R):
 def replayed(tmp_path_factory):
     folder, samples = tmp_path_factory.mktemp("log") / "walk", walk(1)
     recording(folder, samples)
-    return folder, samples, pcbench.replay(folder, PLANT, ["dkf", "kf-discard", "iekf"])
+    return folder, samples, pcbench.replay(folder, PLANT, ["kf", "kf-drop-delayed", "ekf-iterated"])
 
 
 def test_every_sample_counts_by_channel_in_the_order_of_arrival(replayed):
     _, samples, found = replayed
     z, total = whitened(samples)
     channel = np.array([s.channel for s in samples])
-    whole = found.innovations.set_index("observer").loc["dkf"]
+    whole = found.innovations.set_index("observer").loc["kf"]
     assert whole.samples == len(samples)
     assert whole.nis == pytest.approx(np.mean(z**2), rel=1e-10)
     assert whole.log_likelihood == pytest.approx(total / len(z), rel=1e-10)
     by = found.channels.set_index(["observer", "channel"])
     for i in range(2):
-        row = by.loc["dkf", f"y{i + 1}"]
+        row = by.loc["kf", f"y{i + 1}"]
         assert (row.samples, row.not_judged) == ((channel == i).sum(), 0)
         assert row.nis == pytest.approx(np.mean(z[channel == i] ** 2), rel=1e-10)
 
@@ -85,25 +85,25 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
     _, samples, found = replayed
     late = sum(s.channel for s in samples)
     by = found.channels.set_index(["observer", "channel"])
-    assert by.loc["kf-discard", "y2"][["samples", "not_judged"]].tolist() == [0, late]
-    assert by.loc["iekf", "y2"].not_judged > 0
+    assert by.loc["kf-drop-delayed", "y2"][["samples", "not_judged"]].tolist() == [0, late]
+    assert by.loc["ekf-iterated", "y2"].not_judged > 0
     said = [s for s in found.summary["said"] if "not judged" in s]
     assert said[0] == (
-        f"kf-discard does not say what it expects of {late} of {len(samples)} samples, which are not judged: all of y2."
+        f"kf-drop-delayed does not say what it expects of {late} of {len(samples)} samples, which are not judged: all of y2."
     )
-    assert [s.split()[0] for s in said] == ["kf-discard", "iekf"]
+    assert [s.split()[0] for s in said] == ["kf-drop-delayed", "ekf-iterated"]
 
 
 @pytest.mark.nightly
 def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     folder, samples, _ = replayed
-    record = likelihood.recorded(asked(folder, PLANT, ["dkf"]))
-    cell = asked(folder, PLANT, ["dkf"]).cell
-    entry, options = cell.entry("dkf"), cell.options["dkf"]
+    record = likelihood.recorded(asked(folder, PLANT, ["kf"]))
+    cell = asked(folder, PLANT, ["kf"]).cell
+    entry, options = cell.entry("kf"), cell.options["kf"]
 
     def design(point):
         free = options.model_copy(update={"R": tuple(np.exp(point).tolist())})
-        return planning.designed("dkf", entry, record.prepared.setting, free).gains
+        return planning.designed("kf", entry, record.prepared.setting, free).gains
 
     found = likelihood.evaluator(record, design)(np.log(R))
     assert len(found.tick) == len({(s.arrival, s.taken) for s in samples})

@@ -35,7 +35,7 @@ PLANT = {
             "noise_std": 0.2,
             "process_std": [0.02],
         },  # four times and a sixth off
-        **{"prior_std": [P0**0.5], "horizon": 1.0},
+        **{"prior_std": [P0**0.5], "duration": 1.0},
     },
 }
 
@@ -101,7 +101,7 @@ def covers(found):
 
 def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp_path):
     u, y = recording(tmp_path / "log", 1)
-    found = tune_log(tmp_path / "log", PLANT, "dkf", out=tmp_path / "tuned")
+    found = pcbench.tune(PLANT, "kf", log=tmp_path / "log", out=tmp_path / "tuned")
     z, sd = most_likely(u, y)
     assert [i.name for i in found.intensities] == ["R", "Q"]
     for i, at, wide in zip(found.intensities, z, sd, strict=True):
@@ -113,13 +113,11 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     assert found.gain > 2 * found.gain_se
     assert not found.kept_start
     record = tomllib.loads((tmp_path / "tuned" / "tuned.toml").read_text())
-    assert record["options"]["dkf"] == found.found
+    assert record["options"]["kf"] == found.found
     assert record["resolved"]["tuning"]["intensities"][1] == found.intensities[1]._asdict()
     first = pd.read_parquet(tmp_path / "tuned" / "history.parquet").sort_values("objective").iloc[0]
     options = {"R": float(np.exp(first["free.R"])), "Q": [float(np.exp(first["free.Q"]))]}
-    (row,) = pcbench.replay(tmp_path / "log", PLANT | {"options": {"dkf": options}}, "dkf").innovations.to_dict(
-        "records"
-    )
+    (row,) = pcbench.replay(tmp_path / "log", PLANT | {"options": {"kf": options}}, "kf").innovations.to_dict("records")
     assert row["log_likelihood_held_out"] == pytest.approx(found.held_out["tuned"]["log_likelihood"], rel=1e-9)
 
 
@@ -127,8 +125,8 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     ("observer", "more", "many", "sentence"),
     [
         ("pccebo", {}, 60, "expected one that does, for else a log has no likelihood"),
-        ("dkf", {"only": ["walk"]}, 60, "got 'walk' to tune, expected R or q or Q"),
-        ("dkf", {"budget": 0}, 60, "--budget: got 0"),
+        ("kf", {"only": ["walk"]}, 60, "got 'walk' to tune, expected R or q or Q"),
+        ("kf", {"budget": 0}, 60, "--budget: got 0"),
     ],
 )
 def test_what_cannot_be_tuned_is_one_sentence(tmp_path, observer, more, many, sentence):
@@ -152,7 +150,7 @@ def test_a_part_with_too_few_samples_or_none_is_refused_before_anything_is_compi
     recording(tmp_path / "log", 1, many)
     rows(tmp_path / "log", None, {"t": [0.0, inputs_until * DT], "u1": [0.0, 0.0]})
     with pytest.raises(UserError, match=f"{got}, expected 20 or more"):
-        tune_log(tmp_path / "log", PLANT, "dkf", out=tmp_path / "tuned")
+        tune_log(tmp_path / "log", PLANT, "kf", out=tmp_path / "tuned")
     assert not (tmp_path / "tuned").exists()
 
 
@@ -171,19 +169,19 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
             raise KeyboardInterrupt
 
     monkeypatch.setattr(likelihood, "evaluator", counted)
-    whole = tune_log(tmp_path / "log", tmp_path / "lag.toml", "dkf")
+    whole = tune_log(tmp_path / "log", tmp_path / "lag.toml", "kf")
     in_a_piece = len(looked)
     looked.clear()
     with pytest.raises(KeyboardInterrupt):
         tune_log(
-            *(tmp_path / "log", tmp_path / "lag.toml", "dkf"),
+            *(tmp_path / "log", tmp_path / "lag.toml", "kf"),
             out=tmp_path / "tuned",
             progress=Progress(lambda *_: None, stop_at_the_fourth, lambda _: None),
         )
     assert [p.name for p in (tmp_path / "tuned").iterdir()] == ["history.parquet"]
     looked.clear()
     tuning.tune(
-        *(str(tmp_path / "lag.toml"), "dkf"), log=str(tmp_path / "log"), folder=str(tmp_path / "tuned"), as_json=True
+        *(str(tmp_path / "lag.toml"), "kf"), log=str(tmp_path / "log"), folder=str(tmp_path / "tuned"), as_json=True
     )
     assert len(looked) == in_a_piece - 4
     said = json.loads(capsys.readouterr().out)
@@ -193,7 +191,7 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
     assert said["held_out"]["tuned"]["nis"] == whole.held_out["tuned"]["nis"]
     recording(tmp_path / "log", 2)
     with pytest.raises(UserError, match="holds another tuning"):
-        tune_log(tmp_path / "log", tmp_path / "lag.toml", "dkf", out=tmp_path / "tuned")
+        tune_log(tmp_path / "log", tmp_path / "lag.toml", "kf", out=tmp_path / "tuned")
 
 
 @pytest.mark.nightly
@@ -224,8 +222,24 @@ def test_intervals_hold_the_truth_of_95_of_100_logs(tmp_path):
     held = []
     for seed in range(100):
         recording(tmp_path / str(seed), 1000 + seed)
-        held.append(covers(tune_log(tmp_path / str(seed), PLANT, "dkf")))
+        held.append(covers(tune_log(tmp_path / str(seed), PLANT, "kf")))
         print(seed, np.sum(held, 0), flush=True)
     low, high = binom.ppf([0.025, 0.975], 100, 0.95)  # 90 and 99: where 95 % lies with a chance of 95 %
     counts = np.sum(held, 0)
     assert np.all((low <= counts) & (counts <= high)), counts
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (
+            {"log": "log", "objective": "rmse", "judges": (0, 2)},
+            "objective: got it with a log.*leave objective and judges out",
+        ),
+        ({"delay": 0.1}, "delay: got it without a log"),
+        ({"start": 0.1}, "start: got it without a log"),
+    ],
+)
+def test_tune_refuses_arguments_of_the_other_kind(given, sentence):
+    with pytest.raises(UserError, match=sentence):
+        pcbench.tune("cart/white", "kf", **given)

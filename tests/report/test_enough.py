@@ -9,14 +9,14 @@ HEADS = ["observer", "delay", "metric", "mean", "ci_low", "ci_high", "n", "diver
 
 def rows(*given):
     return pd.DataFrame(
-        [(o, x, "tail_rmse", m, m - h, m + h, 8 - lost, lost) for o, x, m, h, lost in given], columns=HEADS
+        [(o, x, "steady_rmse", m, m - h, m + h, 8 - lost, lost) for o, x, m, h, lost in given], columns=HEADS
     )
 
 
 PART = rows(
-    ("dkf", 0.1, 0.010, 0.001, 0),
-    ("dkf", 0.2, 0.015, 0.001, 0),
-    ("dkf", 0.4, 0.030, 0.001, 0),
+    ("kf", 0.1, 0.010, 0.001, 0),
+    ("kf", 0.2, 0.015, 0.001, 0),
+    ("kf", 0.4, 0.030, 0.001, 0),
     ("chain", 0.1, 0.040, 0.001, 0),
     ("chain", 0.2, 0.050, 0.001, 0),
     ("chain", 0.4, 0.060, 0.001, 0),
@@ -28,28 +28,28 @@ PART = rows(
 
 def test_without_a_limit_it_is_twice_the_least_error_of_the_axis():
     assert enough.said(PART, "delay", "m", None) == (
-        "Surely below 0.02 m, twice the least: dkf up to 0.2, not at 0.4; chain nowhere; kfbo up to 0.1, not at 0.4."
+        "Surely below 0.02 m, twice the least: kf up to 0.2, not at 0.4; chain nowhere; kfbo up to 0.1, not at 0.4."
     )
 
 
 def test_a_limit_is_what_a_user_says():
     said = enough.said(PART, "delay", "m", 0.045)
-    assert said == "Surely below 0.045 m: dkf everywhere; chain up to 0.1, not at 0.2; kfbo up to 0.2, not at 0.4."
+    assert said == "Surely below 0.045 m: kf everywhere; chain up to 0.1, not at 0.2; kfbo up to 0.2, not at 0.4."
 
 
 def test_what_is_not_sure_is_not_said():
-    wide = rows(("dkf", 0.1, 0.010, 0.015, 0), ("dkf", 0.2, 0.010, 0.015, 0))
-    assert enough.said(wide, "delay", "m", None) == "Surely below 0.02 m, twice the least: dkf not sure anywhere."
+    wide = rows(("kf", 0.1, 0.010, 0.015, 0), ("kf", 0.2, 0.010, 0.015, 0))
+    assert enough.said(wide, "delay", "m", None) == "Surely below 0.02 m, twice the least: kf not sure anywhere."
 
 
 def test_an_error_that_falls_again_is_said():
-    odd = rows(("dkf", 0.1, 0.05, 0.001, 0), ("dkf", 0.2, 0.01, 0.001, 0))
+    odd = rows(("kf", 0.1, 0.05, 0.001, 0), ("kf", 0.2, 0.01, 0.001, 0))
     assert enough.said(odd, "delay", "m", 0.02) == (
-        "Surely below 0.02 m: dkf up to 0.2, beyond not sure, but not at 0.1."
+        "Surely below 0.02 m: kf up to 0.2, beyond not sure, but not at 0.1."
     )
 
 
 def test_an_axis_of_words_and_errors_that_are_0_have_no_answer():
     assert enough.said(PART.assign(delay="interval"), "delay", "m", None) == ""
     assert enough.said(PART.assign(delay=None), "delay", "m", None) == ""
-    assert enough.said(rows(("dkf", 0.1, 0.0, 0.0, 0)), "delay", "m", None) == ""
+    assert enough.said(rows(("kf", 0.1, 0.0, 0.0, 0)), "delay", "m", None) == ""

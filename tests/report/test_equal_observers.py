@@ -30,8 +30,8 @@ def standings(*sets):
 
 
 def test_a_draw_in_every_cell_names_the_observers_that_are_as_good():
-    found = standings(*[("kf", "kf-shift")] * 4, ("kf-shift", "kf"))
-    assert _said(found, NONE, "", False, 64) == "as good as the best: kf, kf-shift in 5 of 5 cells"
+    found = standings(*[("kf", "kf-shifted-innovation")] * 4, ("kf-shifted-innovation", "kf"))
+    assert _said(found, NONE, "", False, 64) == "as good as the best: kf, kf-shifted-innovation in 5 of 5 cells"
 
 
 def test_an_observer_that_is_as_good_in_fewer_cells_is_not_named():
@@ -51,7 +51,7 @@ def test_cells_of_one_run_have_no_winner_and_no_draw():
 def study_of(cells, runs=64, **means):
     """A result without runs: each observer's means by cell, of which a difference of 0.1 or more is significant."""
     cell = {"study": "t", "scenario": "cart/white", "plant": "cart"}
-    signal = {"signal": "position", "unit": "m", "carries_input": None}
+    signal = {"signal": "position", "unit": "m", "predicts_unknown_input": None}
     stats, pairs = [], []
     for i in range(cells):
         here = cell | {"cell": i, "delay": 0.1 * i} | signal
@@ -67,16 +67,16 @@ def study_of(cells, runs=64, **means):
                 "diverged": 0,
                 "p50": each[i],
             }
-            for metric in ("mae", "tail_rmse", "rmse"):
+            for metric in ("mae", "steady_rmse", "rmse"):
                 stats.append(
                     about | {"metric": metric, "mean": each[i], "p05": 0.5 * each[i], "p95": 2 * each[i]} | interval
                 )
-            stats.append(about | {"metric": "divergence", "mean": 0.0, "p05": NAN, "p95": NAN} | interval)
+            stats.append(about | {"metric": "divergence_rate", "mean": 0.0, "p05": NAN, "p95": NAN} | interval)
         for a, b in combinations(means, 2):
             p = NAN if runs == 1 else 0.5 if abs(means[a][i] - means[b][i]) < 0.1 else 1e-6
             said = {"observer_a": a, "observer_b": b, "n": runs, "p_value": p, "p_holm": p, "prob_a_better": 0.4}
             ends = {"mean_diff": means[a][i] - means[b][i], "ci_low": -1.0, "ci_high": 1.0}
-            pairs.append(here | {"metric": "tail_rmse"} | said | ends)
+            pairs.append(here | {"metric": "steady_rmse"} | said | ends)
     made = Result(study=STUDIES["quick"], stats=pd.DataFrame(stats), pairs=pd.DataFrame(pairs), exact=False)
     made.scenarios, made.signals = ["cart/white"], lambda scenario: ["position"]
     made.stats_of, made.pairs_of = lambda scenario, signal: made.stats, lambda scenario, signal: made.pairs
@@ -89,8 +89,12 @@ class Result(SimpleNamespace):
 
 
 CASES = {
-    "draw": {"dkf": [1.0] * 4, "kf-shift": [1.01] * 4, "pco": [1.5, 1.5, 1.0, 1.5]},
-    "winner": {"dkf": [1.0, 1.0, 1.0, 2.0], "kf-shift": [1.5, 1.5, 1.01, 1.5], "pco": [2.0, 2.0, 3.0, 1.49]},
+    "draw": {"kf": [1.0] * 4, "kf-shifted-innovation": [1.01] * 4, "pco": [1.5, 1.5, 1.0, 1.5]},
+    "winner": {
+        "kf": [1.0, 1.0, 1.0, 2.0],
+        "kf-shifted-innovation": [1.5, 1.5, 1.01, 1.5],
+        "pco": [2.0, 2.0, 3.0, 1.49],
+    },
 }
 
 
@@ -101,30 +105,30 @@ def leaders_of(means, cell):
 
 def terminal(result):
     screen = Screen(file=io.StringIO(), width=120, force_terminal=True, color_system="standard")
-    results.closing(result, screen, "tail_rmse")
+    results.closing(result, screen, "steady_rmse")
     return screen.file.getvalue()
 
 
 @pytest.mark.parametrize("means", CASES.values(), ids=CASES)
 def test_every_output_marks_the_same_observers_in_every_cell(means, monkeypatch):
     result, wanted = study_of(4, **means), [leaders_of(means, cell) for cell in range(4)]
-    (table,) = layout.tables(result, "tail_rmse")
+    (table,) = layout.tables(result, "steady_rmse")
     for cell, names in enumerate(wanted):
         assert {words[0] for words, each in table.rows if each[cell].best} == names
     marks = sum(map(len, wanted))
     assert (text.markdown([table]).count("**"), latex.latex([table]).count("bfseries")) == (2 * marks, marks)
-    shown = headline.headlines(result, "cart/white", "position", "tail_rmse")
+    shown = headline.headlines(result, "cart/white", "position", "steady_rmse")
     assert [{row["cells"][0] for row in h.rows if row["best"]} for h in shown] == wanted
     bold = [n for n in re.findall(r"\x1b\[1m([\w-]+)\x1b\[0m", terminal(result).replace(" ", "")) if n in means]
     assert [set(each) for each in _split(bold, wanted)] == wanted
     led = {name: sum(name in each for each in wanted) for name in means}
     monkeypatch.setattr(results, "LONGEST", 1)
     monkeypatch.setattr(headline, "MOST", 1)
-    counted = headline.headlines(result, "cart/white", "position", "tail_rmse")[0]
+    counted = headline.headlines(result, "cart/white", "position", "steady_rmse")[0]
     assert {row["cells"][0]: int(row["cells"][2]) for row in counted.rows} == led
     lines = [line.split() for line in re.sub(r"\x1b\[\d*m", "", terminal(result)).splitlines()]
     assert {line[0]: int(line[2]) for line in lines if line[:1] and line[0] in means} == led
-    tally = summary.tally(summary.stood(result, "tail_rmse", None))
+    tally = summary.tally(summary.stood(result, "steady_rmse", None))
     assert {t.observer: t.led for t in tally} == led
 
 
@@ -137,23 +141,28 @@ def _split(names, wanted):
 
 def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 1)
-    result, draw = study_of(4, **CASES["draw"]), "as good as the best: dkf, kf-shift in 4 of 4 cells"
+    result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation in 4 of 4 cells"
     assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
-    (row,) = summary.rows(result, summary.stood(result, "tail_rmse", None))
-    assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["dkf", "kf-shift"], True)
-    found = summary.stood(result, "tail_rmse", None)[0].found
-    assert sentences.winners(found) == "Of 4 cells: tie 4. None is better than dkf and kf-shift in 4 of them."
-    (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "tail_rmse", None)))(study_of(1, **CASES["draw"])))
-    assert one.won == "as good as the best: dkf, kf-shift"
+    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
+    assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
+    found = summary.stood(result, "steady_rmse", None)[0].found
+    assert (
+        sentences.winners(found) == "Of 4 cells: tie 4. None is better than kf and kf-shifted-innovation in 4 of them."
+    )
+    (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
+    assert one.won == "as good as the best: kf, kf-shifted-innovation"
 
 
 def test_of_one_run_each_nothing_is_marked():
     result = study_of(2, runs=1, **CASES["draw"])
-    assert not [e for table in layout.tables(result, "tail_rmse") for e in table.entries if e.best]
+    assert not [e for table in layout.tables(result, "steady_rmse") for e in table.entries if e.best]
     assert not [
-        row for h in headline.headlines(result, "cart/white", "position", "tail_rmse") for row in h.rows if row["best"]
+        row
+        for h in headline.headlines(result, "cart/white", "position", "steady_rmse")
+        for row in h.rows
+        if row["best"]
     ]
-    (row,) = summary.rows(result, summary.stood(result, "tail_rmse", None))
+    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
     assert (row.won, row.sure) == ("one run: nothing is sure", False)
 
 

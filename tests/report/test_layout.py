@@ -11,8 +11,8 @@ WIDTHS = [(390, False), (1024, False), (1400, False), (718, True)]  # phone, sma
 MOTOR = {
     "name": "motor",
     "seeds": 8,
-    "observers": ["dkf", "dkf-load", "open-loop"],
-    "options": {"dkf-load": {"bias_variance": 0.1}},
+    "observers": ["kf", "kf-load", "model-only"],
+    "options": {"kf-load": {"bias_variance": 0.1}},
     "axes": {"plant.input_bias": [0.0, 0.2]},
     "lti": {
         "A": [[0.0, 1.0, 0.0], [0.0, -0.5, 20.0], [0.0, -2.0, -40.0]],
@@ -24,20 +24,20 @@ MOTOR = {
         "noise_std": [0.002, 0.5],
         "process_std": [0.0, 0.0, 0.05],
         "x0": [0.5, 0.0, 0.0],
-        "horizon": 1.0,
+        "duration": 1.0,
     },
 }
 MAP = {
     "name": "map",
     "scenarios": ["cart/white"],
-    "observers": ["pccebo", "kfbo", "dkf"],
+    "observers": ["pccebo", "kfbo", "kf"],
     "seeds": 4,
     "axes": {"delay": [0.2, 0.4], "noise_std": [0.1, 0.5], "sampling_period": [0.1, 0.2]},
 }
 PLANTS = {  # a page of several scenarios, whose signals and units differ
     "name": "plants",
     "scenarios": ["cart/nominal", "cart/white", "csth/10s-noise"],
-    "observers": ["dkf", "open-loop"],
+    "observers": ["kf", "model-only"],
     "seeds": 4,
 }
 BROKEN = "<p style='position:absolute;left:1390px;white-space:nowrap'>this one is cut off</p>"
@@ -79,7 +79,7 @@ def test_a_motors_page_is_whole(drawn, width, paper):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("width", "paper"), WIDTHS)
-@pytest.mark.parametrize("study", ["map", "quick", "plants", "helicopter", "unequal-delays", "fair"])
+@pytest.mark.parametrize("study", ["map", "quick", "plants", "helicopter", "unequal-delays", "equal-tuning"])
 def test_the_page_of_a_study_is_whole(drawn, study, width, paper):
     quiet(drawn(study), width, paper)
 

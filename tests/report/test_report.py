@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 STUDY = {
     "name": "map",
     "scenarios": ["cart/white"],
-    "observers": ["pccebo", "kfbo", "dkf"],
+    "observers": ["pccebo", "kfbo", "kf"],
     "seeds": 24,
     "axes": {"delay": [0.2, 0.4], "noise_std": [0.1, 0.5], "sampling_period": [0.1, 0.2]},
 }
@@ -61,28 +61,28 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
     study = {
         "name": "set",
         "scenarios": ["cart/slow"],
-        "observers": ["dkf-push", "pccebo", "open-loop"],
+        "observers": ["kf-push", "pccebo", "model-only"],
         "axes": {"delay": [0.2, 0.4]},
-        "options": {"dkf-push": {"bias_variance": 0.25}, "pccebo": {"L": [[0.5], [0.125]], "gain": "lmi"}},
-        "tuned": tuned | {"options": {"pccebo": {"L": [[0.5], [0.125]]}, "dkf-push": {"bias_variance": 9.0}}},
+        "options": {"kf-push": {"bias_variance": 0.25}, "pccebo": {"L": [[0.5], [0.125]], "gain": "lmi"}},
+        "tuned": tuned | {"options": {"pccebo": {"L": [[0.5], [0.125]]}, "kf-push": {"bias_variance": 9.0}}},
     }
     read_study = read.grid_of(study, {}, []).study
     rows = set_options.rows(SimpleNamespace(study=read_study))
     assert [(o.value, o.tuned) for o in rows if (o.observer, o.name) == ("pccebo", "L")] == [("[[0.5], [0.125]]", True)]
-    (push,) = [o for o in rows if o.observer == "dkf-push"]
+    (push,) = [o for o in rows if o.observer == "kf-push"]
     assert push[1:] == ("bias_variance", "0.25", "none", False, "the study"), (
         "no bias is estimated by default; 0.25 is not the tuned value"
     )
-    assert not [o for o in rows if o.observer == "open-loop"]
+    assert not [o for o in rows if o.observer == "model-only"]
     assert read_study.tuning_sentence == (
-        "The gains of pccebo, dkf-push were tuned for rmse of position in cart/slow at delay = 0.2. "
+        "The gains of pccebo, kf-push were tuned for rmse of position in cart/slow at delay = 0.2. "
         "The other cells use the same gains."
     )
 
 
 def test_every_option_that_is_not_a_default_is_in_the_report(folder, text):
     section = re.search(r'<section id="options">.*?</section>', text, re.S).group(0)
-    assert len(re.findall(r"<tr><td>", section)) == len(set_options.rows(pcbench.opened(folder)))
+    assert len(re.findall(r"<tr><td>", section)) == len(set_options.rows(pcbench.open_result(folder)))
     assert "the scenario" in section
 
 
@@ -110,8 +110,8 @@ def test_every_picture_has_its_place_a_text_and_a_unit(text):
 
 
 def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text):
-    result = pcbench.opened(folder)
-    mine = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
+    result = pcbench.open_result(folder)
+    mine = result.stats.query("metric == 'steady_rmse' and signal == 'position'")
     for observer, median in mine.groupby("observer")["mean"].median().items():
         assert re.search(
             rf"</span>{observer}</td><td>\d+</td><td>\d+</td><td>{scales.number(float(f'{median:.4g}'))}</td>", text
@@ -119,12 +119,12 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
     rows = re.findall(r"</span>(\S+)</td><td>(\d+)</td><td>\d+</td><td>([^<]+)</td>", text)
     order = [(-int(wins), float(median)) for _, wins, median in rows]
     assert order == sorted(order), "who wins most stands first"
-    won = frames.standings(result, "cart/white", "position", "tail_rmse").winner.value_counts()
+    won = frames.standings(result, "cart/white", "position", "steady_rmse").winner.value_counts()
     for observer, wins, _ in rows:
         assert int(wins) == won.get(observer, 0)
         assert re.search(rf"{observer} {wins}(</strong>)? of 8", text), "and so says the summary"
     assert f"{won.max()} of 8 cells" in text
-    cell = frames.telling(result, "cart/white", "position", "tail_rmse")
+    cell = frames.telling(result, "cart/white", "position", "steady_rmse")
     for row in mine[mine.cell == cell].to_dict("records"):
         assert f">{wording.interval(row)}</td>" in text
     assert "8 combinations of axis values" in text
@@ -133,13 +133,13 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
 
 
 def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables(folder, text):
-    result = pcbench.opened(folder)
-    found = frames.standings(result, "cart/white", "position", "tail_rmse")
+    result = pcbench.open_result(folder)
+    found = frames.standings(result, "cart/white", "position", "steady_rmse")
     said = html.unescape(figure(text, "cart-white-position-winners"))
     tips = re.findall(r"<title>(.*?), sampling|<title>(.*?), delay", said)
     assert len(tips) == len(found) == 8
     assert sum("surely" in a + b for a, b in tips) == (found.winner != "").sum()
-    cell = frames.telling(result, "cart/white", "position", "tail_rmse")
+    cell = frames.telling(result, "cart/white", "position", "steady_rmse")
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p
@@ -147,7 +147,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
         if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes
-    rows = result.stats.query("metric == 'tail_rmse' and signal == 'position' and observer == 'kfbo'")
+    rows = result.stats.query("metric == 'steady_rmse' and signal == 'position' and observer == 'kfbo'")
     rows = rows[(rows.noise_std == at["noise_std"]) & (rows.sampling_period == at["sampling_period"])].sort_values(
         "delay"
     )
@@ -169,16 +169,25 @@ def test_it_says_the_experiment_that_was_run_not_the_one_that_was_published(text
 @pytest.mark.nightly
 def test_signals_the_metric_and_the_cell_can_be_chosen(folder, tmp_path):
     done = call(
-        "report", str(folder), "-o", str(tmp_path / "p.html"), "--signal", "all", "--metric", "peak", "--cell", "5"
+        "report",
+        str(folder),
+        "-o",
+        str(tmp_path / "p.html"),
+        "--signal",
+        "all",
+        "--metric",
+        "max_abs_error",
+        "--grid-point",
+        "5",
     )
     text = (tmp_path / "p.html").read_text()
     assert done.returncode == 0, done.stderr
     assert re.findall(r"<h3>Error of (\w+)", text) == ["position", "velocity"]
-    assert "Ranked by <code>peak</code>: largest |e|" in html.unescape(text)
-    cell = pcbench.opened(folder).stats.query("cell == 5").iloc[0]
+    assert "Ranked by <code>max_abs_error</code>: largest |e|" in html.unescape(text)
+    cell = pcbench.open_result(folder).stats.query("cell == 5").iloc[0]
     assert f"delay {cell.delay:g} s, noise std {cell.noise_std:g}" in re.sub(r"<[^>]+>", "", text)
     for words, sentence in (
-        (["--cell", "99"], "--cell: got 99"),
+        (["--grid-point", "99"], "--grid-point: got 99"),
         (["--metric", "recovery_time"], "no signal shown has"),
     ):
         assert sentence in call("report", str(folder), "-o", str(tmp_path / "q.html"), *words).stderr
@@ -187,20 +196,20 @@ def test_signals_the_metric_and_the_cell_can_be_chosen(folder, tmp_path):
 @pytest.mark.nightly
 def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     result = pcbench.run(STUDY | {"axes": {}}, out=tmp_path / "one")
-    text = page.page(pcbench.opened(tmp_path / "one"))
+    text = page.page(pcbench.open_result(tmp_path / "one"))
     (best,) = re.findall(r'<tr class="best"><td>.*?</span>(\S+)</td>', text)
-    assert best == "dkf"
+    assert best == "kf"
     assert "less the best [m]" in text
     assert "surely, p &lt; 0.001" in text
-    for metric in ("tail_rmse", "efficiency"):
-        (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'dkf'").to_dict(
+    for metric in ("steady_rmse", "rms_efficiency"):
+        (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'kf'").to_dict(
             "records"
         )
         assert f">{wording.interval(row)}<" in text
 
 
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
-    names = figures.write(pcbench.opened(folder), tmp_path, shown=pictures.Shown(paper=plots.Paper(3.3, 8.0)))
+    names = figures.write(pcbench.open_result(folder), tmp_path, shown=pictures.Shown(paper=plots.Paper(3.3, 8.0)))
     assert names == re.findall(r'<figure id="([^"]+)">', text)
     for name in names:
         svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in figures.KINDS)
@@ -216,7 +225,7 @@ def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp
     assert "which opens in any browser" in done.stdout, done.stderr
     assert (tmp_path / "a" / "page.html").exists()
     for words, sentence in (
-        (["--kinds", "svg,gif"], "'gif' is no kind of file"),
+        (["--formats", "svg,gif"], "'gif' is no kind of file"),
         (["--width", "0.5"], "--width: got 0.5"),
         (["--size", "99"], "--size: got 99"),
         (["--out", "page.html"], "--out: got page.html beside --figures"),
@@ -231,7 +240,7 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
     assert done.returncode == 2
     assert "holds no study.toml" in done.stderr
     with pytest.raises(UserError, match="holds no study"):
-        pcbench.opened(tmp_path)
+        pcbench.open_result(tmp_path)
 
 
 def test_every_picture_says_its_numbers_whole(folder, text):
@@ -256,7 +265,7 @@ GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"],
 
 
 def series(out):
-    return figure(page.page(pcbench.opened(out)), "cart-white-position-time")
+    return figure(page.page(pcbench.open_result(out)), "cart-white-position-time")
 
 
 @pytest.mark.nightly
@@ -270,7 +279,7 @@ def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
     second = series(out)
     assert "kfbo" in second
     assert "kfbo" not in first
-    pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"], "root_seed": 9}, out=out, fresh=True)
+    pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"], "root_seed": 9}, out=out, overwrite=True)
     assert series(out) != second
 
 
@@ -279,18 +288,18 @@ def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
     unstable = {"sampled_innovation": True, "R": 1e-6}
     study = {"name": "lost", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "options": {"kfbo": unstable}}
     pcbench.run(study | {"seeds": 16}, out=tmp_path / "lost")
-    text = html.unescape(page.page(pcbench.opened(tmp_path / "lost")))
+    text = html.unescape(page.page(pcbench.open_result(tmp_path / "lost")))
     assert "diverges more often" in text
     assert "kfbo ∞" in text
     assert "nan" not in text.partition("<script>")[0].replace("nan-", "")
     pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"], "seeds": 1}, out=tmp_path / "one")
-    text = page.page(pcbench.opened(tmp_path / "one"))
+    text = page.page(pcbench.open_result(tmp_path / "one"))
     assert "One run each" in text
     assert " ± ?" in text
 
 
 def test_what_a_user_names_stays_text(folder, text):
-    result, unit = pcbench.opened(folder), "</svg><script>m"
+    result, unit = pcbench.open_result(folder), "</svg><script>m"
     result.stats["unit"] = unit
     named = page.page(result)
     assert "<script>m" not in named

@@ -8,9 +8,9 @@ from scipy.linalg import expm, solve_continuous_are
 import pcbench
 
 
-def test_kfbo_tail_rmse_is_1_0415_by_the_rule_and_1_0414_with_tick_n():
+def test_kfbo_steady_rmse_is_1_0415_by_the_rule_and_1_0414_with_tick_n():
     """Metrics use ticks 0 .. N-1; the figure 1.0414 comes out only when tick N is counted as well."""
-    d = pcbench.trace("cart/nominal", "kfbo")
+    d = pcbench.simulate("cart/nominal", "kfbo")
     e = (d["position"] - d["kfbo.position"]).to_numpy()[3000:]
     assert np.sqrt(np.mean(e[:-1] ** 2)) == pytest.approx(1.041490, abs=1e-6)
     assert np.sqrt(np.mean(e**2)) == pytest.approx(1.041421, abs=1e-6)

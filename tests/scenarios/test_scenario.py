@@ -23,11 +23,11 @@ def test_no_two_records_have_a_field_of_the_same_name():
 
 
 def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
-    changed = ARM.having(delay=(0.1, 0.1), noise_std=(1.0, 1.0), drift=0.5, horizon=3.0)
+    changed = ARM.having(delay=(0.1, 0.1), noise_std=(1.0, 1.0), parameter_drift=0.5, duration=3.0)
     assert (changed.sampling.delay, changed.sampling.noise_std) == ((0.1, 0.1), (1.0, 1.0))
-    assert (changed.truth.drift, changed.horizon) == (0.5, 3.0)
+    assert (changed.truth.parameter_drift, changed.duration) == (0.5, 3.0)
     different = {name for name, value in changed.flat().items() if value != ARM.value(name)}
-    assert different == {"delay", "noise_std", "drift", "horizon"}
+    assert different == {"delay", "noise_std", "parameter_drift", "duration"}
 
 
 @pytest.mark.parametrize("name", ["delays", "sampling", "truth"])

@@ -26,7 +26,7 @@ def test_every_seed_is_in_one_job(many):
 @pytest.mark.parametrize("count", [1, 2])
 def test_jobs_come_back_in_order_with_what_is_theirs(count):
     """Nine jobs of one run to three, each from a start of its own: the model alone keeps how far off it starts."""
-    layout, p = problem(Case(ODD, 20, 5, ticks=40, h=0.01), {"open-loop": {}})
+    layout, p = problem(Case(ODD, 20, 5, ticks=40, h=0.01), {"model-only": {}})
     layout, jobs = layout._replace(width=3), []
     for i in range(9):
         seeds = np.arange(i, i + 1 + i % 3)
@@ -34,10 +34,10 @@ def test_jobs_come_back_in_order_with_what_is_theirs(count):
     with process.float64():
         done = list(runner.run(layout, jobs, count))
     assert [job is given for (job, _), given in zip(done, jobs, strict=True)] == [True] * 9
-    first = done[1][1].final["open-loop"][0, 0]
+    first = done[1][1].final["model-only"][0, 0]
     for i, (job, out) in enumerate(done):
-        assert out.final["open-loop"].shape == (3, len(job.seeds))
-        np.testing.assert_allclose(out.final["open-loop"][0], i * first, rtol=1e-12)
+        assert out.final["model-only"].shape == (3, len(job.seeds))
+        np.testing.assert_allclose(out.final["model-only"][0], i * first, rtol=1e-12)
 
 
 def outcome(size):
@@ -50,12 +50,12 @@ def outcome(size):
 
 @pytest.mark.parametrize("falls", [[], [2], [2**30]])
 def test_recovery_is_a_metric_where_something_jumps_within_the_horizon(falls):
-    cell = cell_of(SCENARIOS["cart/nominal"].having(horizon=0.004, tail=0.002))
+    cell = cell_of(SCENARIOS["cart/nominal"].having(duration=0.004, steady_start=0.002))
     p = planning.draft(cell, {})
     p = p._replace(problem=p.problem._replace(jumps=np.array(falls, int)), labels=("mine",))
     p = p._replace(layout=p.layout._replace(observers=(("o", None),)))
     found = in_memory.results(p, [(None, outcome(2.0)), (None, outcome(3.0))])["mine"]
     assert ("recovery_time" in found) == (falls == [2])
     np.testing.assert_allclose(found["mae"], [[2.0, 3.0]])
-    np.testing.assert_allclose(found["tail_mse"], [[4.0, 9.0]])
+    np.testing.assert_allclose(found["steady_mse"], [[4.0, 9.0]])
     np.testing.assert_allclose(found["settling_time"], [[0.002, 0.002]])

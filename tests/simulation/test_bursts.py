@@ -17,7 +17,7 @@ from pcbench.simulation.schedule.shared import NEVER
 from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
+PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 MANY, RUNS = 2000, 16
 
 
@@ -73,18 +73,20 @@ def test_a_gamma_distribution_is_in_whole_ticks_as_scipy_has_it(mean, shape):
 
 
 def test_a_study_says_them_in_seconds_and_designers_know_the_mean():
-    (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | {"delay_gamma": 0.4, "delay_shape": 2.0}}, {}, []).cells
+    (cell,) = read.grid_of(
+        PLAIN | {"lti": PLAIN["lti"] | {"delay_gamma_mean": 0.4, "delay_gamma_shape": 2.0}}, {}, []
+    ).cells
     (clock,) = cell.times.clocks
     np.testing.assert_allclose(clock.share, sampling.gamma(4.0, 2.0), rtol=1e-12)
     assert (clock.steps, clock.later) == (tuple(range(len(clock.share))), 4)
-    told = {"delay_steps": [0.0, 0.3], "delay_share": [3.0, 1.0]}
+    told = {"delay_values": [0.0, 0.3], "delay_weights": [3.0, 1.0]}
     (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
     assert (cell.times.clocks[0].share, cell.times.clocks[0].steps) == ((0.75, 0.25), (0, 3))
 
 
 def test_losses_in_a_row_have_no_recursion():
     """Their exact numbers are averaged over drawn schedules; of losses that come one by one they move over both cases."""
-    for given, alone in (({"loss": 0.3}, True), ({"loss": 0.3, "burst": 4.0}, False)):
+    for given, alone in (({"loss": 0.3}, True), ({"loss": 0.3, "mean_burst_length": 4.0}, False)):
         (p,) = planning.plan(read.parse(PLAIN | {"lti": PLAIN["lti"] | given}, "bursts"))
         assert realised.losses_alone(p) is alone
 
@@ -92,32 +94,39 @@ def test_losses_in_a_row_have_no_recursion():
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "given",
-    [{"loss": 0.3, "burst": 4.0}, {"delay_gamma": 0.4}, {"delay_steps": [0.0, 0.9], "delay_share": [0.8, 0.2]}],
-    ids=["burst", "gamma", "histogram"],
+    [
+        {"loss": 0.3, "mean_burst_length": 4.0},
+        {"delay_gamma_mean": 0.4},
+        {"delay_values": [0.0, 0.9], "delay_weights": [0.8, 0.2]},
+    ],
+    ids=["mean_burst_length", "gamma", "histogram"],
 )
 def test_exact_answers_are_averaged_over_drawn_schedules_and_runs_come_to_them(given):
     """Both have errors of their own: within four of the two together. Two delays are few enough modes for no average."""
     study = PLAIN | {"lti": PLAIN["lti"] | given}
-    keys = "metric == 'tail_mse' and signal == 'a'"
-    exact = pcbench.exact(study, schedules=64).stats.query(keys).iloc[0]
+    keys = "metric == 'steady_mse' and signal == 'a'"
+    exact = pcbench.exact_moments(study, schedules=64).stats.query(keys).iloc[0]
     runs = pcbench.run(study, seeds=2048).stats.query(keys).iloc[0]
-    assert (exact.method, exact.n) == ("exact", 0 if "delay_steps" in given else 64)
+    assert (exact.method, exact.n) == ("exact", 0 if "delay_values" in given else 64)
     assert abs(exact["mean"] - runs["mean"]) < 4 * np.hypot(exact.se, runs.se)
 
 
 REFUSED = [
-    ({"burst": 5.0}, "with a loss of 0, expected a loss between 0 and 1 to come in bursts"),
-    ({"burst": 5.0, "loss": 1.0}, "with a loss of 1, expected a loss between 0 and 1"),
-    ({"burst": 2.0, "loss": 0.8}, "expected gaps of at least 4 samples in the mean"),
-    ({"burst": 0.5, "loss": 0.2}, "expected gaps of at least 1 samples"),
-    ({"burst": -1.0, "loss": 0.2}, "expected a number of at least 0"),
-    ({"delay_share": [0.5, 0.5]}, "got 2 values of delay_share for 0 delay_steps"),
-    ({"delay_steps": [0.0, 0.1], "delay_share": [1.0, 0.0]}, "expected shares greater than 0"),
-    ({"delay_steps": [0.0, 0.1], "delay_share": [0.5, 0.5], "delay_stay": 0.5}, "got delay_share and delay_stay"),
-    ({"delay_steps": [0.0, 0.1], "delay_gamma": 0.1}, "and delay_steps, expected one of them"),
-    ({"delay_shape": 2.0}, "with a delay_gamma of 0, where it has no effect"),
-    ({"delay_gamma": 0.1, "delay_shape": 0.0}, "expected a shape greater than 0"),
-    ({"delay_gamma": float("nan")}, "finite number"),
+    ({"mean_burst_length": 5.0}, "with a loss of 0, expected a loss between 0 and 1 to come in bursts"),
+    ({"mean_burst_length": 5.0, "loss": 1.0}, "with a loss of 1, expected a loss between 0 and 1"),
+    ({"mean_burst_length": 2.0, "loss": 0.8}, "expected gaps of at least 4 samples in the mean"),
+    ({"mean_burst_length": 0.5, "loss": 0.2}, "expected gaps of at least 1 samples"),
+    ({"mean_burst_length": -1.0, "loss": 0.2}, "expected a number of at least 0"),
+    ({"delay_weights": [0.5, 0.5]}, "got 2 values of delay_weights for 0 delay_values"),
+    ({"delay_values": [0.0, 0.1], "delay_weights": [1.0, 0.0]}, "expected shares greater than 0"),
+    (
+        {"delay_values": [0.0, 0.1], "delay_weights": [0.5, 0.5], "delay_self_transition": 0.5},
+        "got delay_weights and delay_self_transition",
+    ),
+    ({"delay_values": [0.0, 0.1], "delay_gamma_mean": 0.1}, "and delay_values, expected one of them"),
+    ({"delay_gamma_shape": 2.0}, "with a delay_gamma_mean of 0, where it has no effect"),
+    ({"delay_gamma_mean": 0.1, "delay_gamma_shape": 0.0}, "expected a shape greater than 0"),
+    ({"delay_gamma_mean": float("nan")}, "finite number"),
 ]
 
 
@@ -128,7 +137,7 @@ def test_what_cannot_be_is_one_sentence(given, sentence):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("axes", [{"delay_gamma": [0.1]}, {"loss": [0.2]}], ids=str)
+@pytest.mark.parametrize("axes", [{"delay_gamma_mean": [0.1]}, {"loss": [0.2]}], ids=str)
 def test_who_works_with_constant_delays_alone_says_so_of_a_gamma_distribution(axes):
-    with pytest.raises(UserError, match="got delay_gamma, expected one constant delay"):
-        pcbench.run("cart/white", observers=["kfbo"], axes={"delay_gamma": [0.1]} | axes, seeds=1)
+    with pytest.raises(UserError, match="got delay_gamma_mean, expected one constant delay"):
+        pcbench.run("cart/white", observers=["kfbo"], axes={"delay_gamma_mean": [0.1]} | axes, seeds=1)

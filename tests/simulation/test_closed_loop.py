@@ -19,7 +19,7 @@ from pcbench.simulation import draws
 from pcbench.study import Study
 
 SECOND = 1.0
-BOX = {"random_start": True}
+BOX = {"random_initial_state": True}
 
 
 def swept(p, seeds=1):
@@ -46,9 +46,9 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
         assert (np.diff(run[:first], axis=0) != 0).any(1).all()
     found = swept(blown)
     assert found["diverged"].all()
-    assert found["first_bad_time"] == pytest.approx([first * 1e-3], rel=1e-12)
+    assert found["divergence_time"] == pytest.approx([first * 1e-3], rel=1e-12)
     assert np.isnan(found["mae"]).all()
-    assert np.isnan(found["tail_tracking_rmse"]).all()
+    assert np.isnan(found["steady_tracking_rmse"]).all()
     assert not found["unsettled"].any(), "counted apart"
 
 
@@ -59,12 +59,12 @@ def test_sums_are_those_of_the_recorded_run():
     e, off = got.x - estimate(got), got.target - got.x[:, :2]
     for metric, want in (
         ("mae", np.abs(e[:-1]).mean(0)),
-        ("tail_rmse", np.sqrt((e[tail:-1] ** 2).mean(0))),
-        ("peak", np.abs(e[:-1]).max(0)),
-        ("final", e[-2]),
+        ("steady_rmse", np.sqrt((e[tail:-1] ** 2).mean(0))),
+        ("max_abs_error", np.abs(e[:-1]).max(0)),
+        ("final_error", e[-2]),
     ):
         np.testing.assert_allclose(found[metric][:, 0], want, rtol=1e-10, atol=1e-12, err_msg=metric)
-    for metric, start in (("tracking_rmse", 0), ("tail_tracking_rmse", tail)):
+    for metric, start in (("tracking_rmse", 0), ("steady_tracking_rmse", tail)):
         want = np.sqrt((off[start:-1] ** 2).mean(0))
         np.testing.assert_allclose(found[metric][:2, 0], want, rtol=1e-10, err_msg=metric)
         assert found[metric].shape == (2, 1), "only angles have a set point"
@@ -95,7 +95,7 @@ def test_random_starts_are_those_of_the_box():
 @pytest.mark.parametrize("observer", ["high-gain-robust", "ekf"])
 def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(observer):
     p = planned(observer, SECOND, choices=BOX, noise_std=5e-3)
-    p = p._replace(layout=p.layout._replace(random_start=False))
+    p = p._replace(layout=p.layout._replace(random_initial_state=False))
 
     def results(seeds, devices):
         study = Study(name="t", scenarios=[p.cell.scenario.name], observers=[observer], seeds=1)
@@ -126,14 +126,14 @@ def test_fractions_have_wilsons_interval(k, n):
 def short(monkeypatch):
     """The helicopter's scenarios cut to a second."""
     for name in ("helicopter/constant", "helicopter/varying"):
-        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].having(horizon=1.0, tail=0.5))
+        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].having(duration=1.0, steady_start=0.5))
 
 
 @pytest.mark.nightly
 def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     raw = {
         "name": "loops", "scenarios": ["helicopter/constant"], "observers": ["high-gain", "high-gain-robust"], "seeds": 6,
-        "options": {"scenario": {"random_start": True, "path": "still"}},
+        "options": {"scenario": {"random_initial_state": True, "path": "still"}},
     }  # fmt: skip
     before = runner.compilations()
     done = pcbench.run(raw, out=tmp_path / "out")
@@ -145,11 +145,11 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     bad = runs[runs.signal == "pitch"].groupby("observer").diverged.mean()
     assert bad["high-gain"] > 0
     assert bad["high-gain-robust"] == 0
-    rows = stats[stats.metric == "divergence"].set_index(["observer", "signal"])
+    rows = stats[stats.metric == "divergence_rate"].set_index(["observer", "signal"])
     assert rows.loc[("high-gain", "yaw"), "mean"] == bad["high-gain"]
     assert (rows.unit == "1").all()
     assert (rows.n == 6).all()
-    late = stats[stats.metric == "unsettled"].set_index(["observer", "signal"])
+    late = stats[stats.metric == "unsettled_rate"].set_index(["observer", "signal"])
     mine = runs[(runs.observer == "high-gain-robust") & (runs.signal == "yaw_viscosity")]
     assert late.loc[("high-gain-robust", "yaw_viscosity"), "mean"] == (mine.status == "unsettled").mean()
     assert set(stats[stats.metric == "tracking_rmse"].signal) == {"pitch", "yaw"}
@@ -202,19 +202,19 @@ SAMPLES = "samples at times that all runs share"
         ("helicopter/constant", ["axes.delay=0.0004"], ["whole number of ticks", "write 0 or 0.001"]),
         ("helicopter/constant", ["axes.actuator_delay=0.0003"], ["whole number of ticks"]),
         ("helicopter/constant", ["axes.delay=-0.01"], ["at least 0"]),
-        ("helicopter/constant", ["axes.delay=30"], ["horizon"]),
+        ("helicopter/constant", ["axes.delay=30"], ["duration"]),
         ("helicopter/varying", ["axes.delay=0.01"], ["half a tick on the way", "write at least 0.016"]),
         ("helicopter/varying", ["axes.actuator_delay=0.015"], ["actuator_delay = 0.015", "write at least 0.016"]),
         ("helicopter/constant", ["axes.delay=[[0.02,0.03]]"], ["0.02, 0.03 s", "one for all channels"]),
         ("helicopter/constant", ["axes.delay=interval"], ["one interval", "expected seconds"]),
         ("helicopter/constant", ["axes.plant.Jth=-0.08"], ["-0.08", "greater than 0"]),
         ("helicopter/constant", ["axes.loss=0.1"], [SAMPLES]),
-        ("helicopter/constant", ["axes.jitter=0.01"], [SAMPLES]),
+        ("helicopter/constant", ["axes.sampling_jitter=0.01"], [SAMPLES]),
         ("helicopter/constant", ["options.high-gain.theta=-4"], ["theta", "greater than 0"]),
         ("helicopter/constant", ["options.ekf.R=-1"], ["R", "greater than 0"]),
         ("helicopter/constant", ["options.scenario.path=spiral"], ["spiral", "circle"]),
         ("helicopter/constant", ["options.scenario.input=sine"], ["path to follow"]),
-        ("helicopter/constant", ["observers=['dkf']"], ["nonlinear", "high-gain, ekf"]),
+        ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ekf"]),
         ("cart/white", ["options.scenario.feedforward=true"], ["no controller"]),
         ("cart/white", ["axes.actuator_delay=0.1"], ["no controller", "leave it out"]),
         ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "take ekf"]),
@@ -232,7 +232,7 @@ def test_what_a_loop_cannot_be_is_one_sentence(study, changes, parts, tmp_path):
 
 def test_a_trace_of_a_loop_is_of_one_observer(tmp_path):
     with pytest.raises(UserError, match="one at a time"):
-        pcbench.trace("helicopter/constant", ["high-gain", "ekf"])
-    done = call("trace", "helicopter/constant", "--observer", "high-gain,ekf", "--out", str(tmp_path / "t.parquet"))
+        pcbench.simulate("helicopter/constant", ["high-gain", "ekf"])
+    done = call("simulate", "helicopter/constant", "--observer", "high-gain,ekf", "--out", str(tmp_path / "t.parquet"))
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1

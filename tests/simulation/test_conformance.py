@@ -5,21 +5,24 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS, Entry, open_loop
+from pcbench.observers import OBSERVERS, ObserverSpec, model_only
 
 BROKEN = {
     "estimate of one state": (
         {"estimate": lambda gains, memory: memory[:1]},
         r"estimate returned shape \(1,\), expected \(2,\)",
     ),
-    "scalar note": ({"note": lambda gains, memory, now: now.t}, r"note returned shape \(\), expected a vector"),
+    "scalar snapshot": (
+        {"snapshot": lambda gains, memory, now: now.t},
+        r"snapshot returned shape \(\), expected a vector",
+    ),
     "flow without return": ({"flow": lambda gains, memory, now: None}, "flow returned None, expected the memory"),
     "growing memory": (
         {"jump": lambda gains, memory, now, arrival: jnp.tile(memory, 2)},
         r"jump returned float64\[4\], expected",
     ),
     "python if": (
-        {"jump": lambda gains, memory, now, arrival: memory if arrival.fresh[0] else -memory},
+        {"jump": lambda gains, memory, now, arrival: memory if arrival.mask[0] else -memory},
         "jump cannot be traced .*jnp.where in place of if",
     ),
     "covariance of one state": (
@@ -37,19 +40,19 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_observer_is_named(name):
     changes, expected = BROKEN[name]
-    OBSERVERS["mine"] = Entry(
-        open_loop.OBSERVER._replace(**changes), open_loop.Options, open_loop.design, True, "broken"
+    OBSERVERS["mine"] = ObserverSpec(
+        model_only.OBSERVER._replace(**changes), model_only.Options, model_only.design, True, "broken"
     )
     try:
         with pytest.raises(UserError, match=f"observer mine: {expected}"):
-            pcbench.run("cart/nominal", observers=["mine", "dkf"], seeds=1)
+            pcbench.run("cart/nominal", observers=["mine", "kf"], seeds=1)
     finally:
         del OBSERVERS["mine"]
 
 
 def test_a_field_of_another_shape_than_the_memory_is_named():
-    broken = open_loop.OBSERVER._replace(field=lambda gains, memory, now, y: y)
-    OBSERVERS["mine"] = Entry(broken, open_loop.Options, open_loop.design, True, "broken")
+    broken = model_only.OBSERVER._replace(field=lambda gains, memory, now, y: y)
+    OBSERVERS["mine"] = ObserverSpec(broken, model_only.Options, model_only.design, True, "broken")
     try:
         with pytest.raises(UserError, match=r"observer mine: field returned float64\[2\], expected .*float64\[4\]"):
             pcbench.run("arm/sine", observers=["mine"], seeds=1)
@@ -58,7 +61,7 @@ def test_a_field_of_another_shape_than_the_memory_is_named():
 
 
 def test_a_design_that_returns_no_certificate_is_named():
-    OBSERVERS["mine"] = Entry(open_loop.OBSERVER, open_loop.Options, lambda s, o: (1, 2), True, "broken")
+    OBSERVERS["mine"] = ObserverSpec(model_only.OBSERVER, model_only.Options, lambda s, o: (1, 2), True, "broken")
     try:
         with pytest.raises(UserError, match=r"observer mine: design returned tuple, .*, expected Design"):
             pcbench.run("cart/nominal", observers=["mine"], seeds=1)
@@ -67,14 +70,14 @@ def test_a_design_that_returns_no_certificate_is_named():
 
 
 def test_an_empty_note_cut_from_what_differs_between_lanes_is_legal():
-    spare = open_loop.OBSERVER._replace(
-        note=lambda gains, memory, now: memory[:0],
+    spare = model_only.OBSERVER._replace(
+        snapshot=lambda gains, memory, now: memory[:0],
         jump=lambda gains, memory, now, arrival: memory + 0 * arrival.value[0],
     )
-    OBSERVERS["mine"] = Entry(spare, open_loop.Options, open_loop.design, True, "empty note")
+    OBSERVERS["mine"] = ObserverSpec(spare, model_only.Options, model_only.design, True, "empty note")
     try:
-        runs = pcbench.run("cart/white", observers=["mine", "open-loop"], seeds=2).runs
+        runs = pcbench.run("cart/white", observers=["mine", "model-only"], seeds=2).runs
         mae = runs[runs.signal == "position"].pivot(index="seed", columns="observer", values="mae")
-        assert mae["mine"].tolist() == pytest.approx(mae["open-loop"].tolist(), rel=1e-12)
+        assert mae["mine"].tolist() == pytest.approx(mae["model-only"].tolist(), rel=1e-12)
     finally:
         del OBSERVERS["mine"]

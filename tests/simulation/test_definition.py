@@ -15,7 +15,7 @@ from pcbench.study import read
 
 SEEDS = np.arange(3)
 WITHIN = 1e-11  # of the largest error
-RANDOM = {"options": {"scenario": {"random_start": True}}}
+RANDOM = {"options": {"scenario": {"random_initial_state": True}}}
 LTI = {
     "A": [[0.0, 1.0], [-2.0, -0.6]],
     "B": [[0.0], [1.5]],
@@ -25,18 +25,18 @@ LTI = {
     "noise_std": [0.3, 0.4],
     "process_std": [0.02, 0.05],
     "tick": 0.01,
-    "horizon": 2.0,
+    "duration": 2.0,
 }
 LQR = {"use": "lqr", "Q1": [1.0, 1.0], "Q2": [1.0]}
-MANY = ["dkf", "open-loop", "kf-now", "kf-cloning", "ekf", "ukf"]
+MANY = ["kf", "model-only", "kf-ignore-delay", "kf-cloning", "ekf", "ukf"]
 FAULTS = {
     "outlier_probability": [0.1],
-    "resolution": [0.05],
-    "noise_tail": [4],
-    "stamp_offset": [0.01],
+    "quantization_step": [0.05],
+    "student_t_dof": [4],
+    "timestamp_offset": [0.01],
 }
 CASES = {
-    "shared": {"scenarios": ["cart/white"], "observers": ["dkf", "pccebo", "kfbo", "pco", "pi-pco"]},
+    "shared": {"scenarios": ["cart/white"], "observers": ["kf", "pccebo", "kfbo", "pco", "pi-pco"]},
     "drift": {"scenarios": ["cart/variable-gain"]},
     "csth": {"scenarios": ["csth/10s-noise"]},
     "arm": {"scenarios": ["arm/sampled"]},
@@ -46,33 +46,33 @@ CASES = {
     "process noise": {"lti": LTI, "observers": MANY, **RANDOM},
     "consistency": {
         "lti": LTI,
-        "observers": ["dkf"],
-        "options": {"scenario": {"random_start": True, "consistency": True}},
+        "observers": ["kf"],
+        "options": {"scenario": {"random_initial_state": True, "consistency": True}},
     },
     "faults": {
         "lti": LTI,
-        "observers": ["dkf"],
+        "observers": ["kf"],
         "axes": FAULTS,
-        "options": RANDOM["options"] | {"dkf": {"gate": 0.999}},
+        "options": RANDOM["options"] | {"kf": {"gate": 0.999}},
     },
     "random": {
         "lti": LTI,
         "observers": MANY,
-        "axes": {"loss": [0.2], "delay_jitter": [0.05], "jitter": [0.02]},
+        "axes": {"loss": [0.2], "delay_jitter": [0.05], "sampling_jitter": [0.02]},
         **RANDOM,
     },
     "clones": {
-        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1], "horizon": 1.2},
+        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1], "duration": 1.2},
         "observers": ["kf-cloning", "kf-larsen"],
         "axes": {"loss": [0.2], "delay_jitter": [0.05]},
-        "options": {"scenario": {"random_start": True, "consistency": True}},
+        "options": {"scenario": {"random_initial_state": True, "consistency": True}},
     },
-    "stamps": {"lti": LTI, "observers": ["dkf"], "axes": {"stamp_jitter": [0.02], "loss": [0.1]}},
-    "loop": {"lti": LTI, "observers": ["dkf"], "controller": LQR, **RANDOM},
-    "random loop": {"lti": LTI, "observers": ["kf-now"], "controller": LQR, "axes": {"loss": [0.3]}},
+    "stamps": {"lti": LTI, "observers": ["kf"], "axes": {"timestamp_jitter": [0.02], "loss": [0.1]}},
+    "loop": {"lti": LTI, "observers": ["kf"], "controller": LQR, **RANDOM},
+    "random loop": {"lti": LTI, "observers": ["kf-ignore-delay"], "controller": LQR, "axes": {"loss": [0.3]}},
     "network": {
         "lti": LTI,
-        "observers": ["dkf"],
+        "observers": ["kf"],
         "controller": LQR,
         "axes": {"command_loss": [0.2], "command_std": [0.1]},
     },
@@ -105,16 +105,16 @@ def test_the_engine_equals_the_definition(case, engine):
         for label, slow in defined.items():
             quick = made[label]
             assert quick.keys() == slow.keys()
-            size = np.max(slow["peak"], initial=0.0, where=np.isfinite(slow["peak"]))
+            size = np.max(slow["max_abs_error"], initial=0.0, where=np.isfinite(slow["max_abs_error"]))
             for name, value in slow.items():
                 scale = size**2 if "mse" in name and "rmse" not in name else max(size, 1.0)
                 np.testing.assert_allclose(quick[name], value, atol=WITHIN * scale, err_msg=f"{label} {name}")
 
 
 def test_grid_points_of_one_shape_are_one_call_over_periods_delays_and_drifts():
-    axes = {"sampling_period": [0.1, 0.2], "delay": [0.1, 0.3], "drift": [0.0, 0.2]}
-    short = {"base": "cart/white", "name": "short", "horizon": 1.0, "tail": 0.5}
-    study = {"name": "stacked", "scenario": short, "observers": ["dkf", "kfbo"], "seeds": 3, "axes": axes}
+    axes = {"sampling_period": [0.1, 0.2], "delay": [0.1, 0.3], "parameter_drift": [0.0, 0.2]}
+    short = {"base": "cart/white", "name": "short", "duration": 1.0, "steady_start": 0.5}
+    study = {"name": "stacked", "scenario": short, "observers": ["kf", "kfbo"], "seeds": 3, "axes": axes}
     with process.float64():
         plans = padding.fit(list(planning.drafts(all_observers.grid_of(study, {}, []).cells)))
         (layout,) = {p.layout for p in plans}
@@ -127,5 +127,5 @@ def test_grid_points_of_one_shape_are_one_call_over_periods_delays_and_drifts():
             alone = simulate(problem)
             for one, of_all in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
                 np.testing.assert_allclose(of_all[i], one, rtol=1e-11, atol=1e-11)
-        final = np.asarray(together.final["dkf"])
+        final = np.asarray(together.final["kf"])
     assert len(final) == len({x.tobytes() for x in final}) == 8  # each has an influence

@@ -40,7 +40,7 @@ def planned(scenario, observers):
     study = read.study_of(scenario, {"observers": list(observers)}, [])
     cell = cells.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
-    cell = cell.having(horizon=horizon, tail=tail)
+    cell = cell.having(duration=horizon, steady_start=tail)
     (p,) = padding.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
@@ -62,14 +62,14 @@ def test_they_are_the_metrics_of_the_tables(scenario):
 def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
     """Whatever is left of the last chunk; every error differs from all others."""
     case = Case(ODD, 7, 12, ticks=ticks, h=0.02, noise_std=0.3, seed=4)
-    layout, p = problem(case, {"open-loop": {}, "pccebo": {}})
+    layout, p = problem(case, {"model-only": {}, "pccebo": {}})
     with process.float64():
         run = recorder()(layout, p, np.asarray(0), np.asarray(case.seed))
         found = METRICS(layout._replace(width=1), p, ticks, tail, 0, np.array([case.seed]))
     for label, got in found.items():
         e = np.asarray(run.x - run.estimates[label])[:ticks]
-        for prefix, part in (("", e), ("tail_", e[tail:])):
-            want = {"mae": np.abs(part).mean(0), "mse": (part**2).mean(0), "peak": np.abs(part).max(0)}
+        for prefix, part in (("", e), ("steady_", e[tail:])):
+            want = {"mae": np.abs(part).mean(0), "mse": (part**2).mean(0), "max_abs_error": np.abs(part).max(0)}
             for name, values in (want | {"rmse": np.sqrt(want["mse"])}).items():
                 np.testing.assert_allclose(
                     got[prefix + name][:, 0], values, rtol=1e-11, err_msg=f"{label} {prefix}{name}"
@@ -77,14 +77,14 @@ def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
 
 
 SLOPES = {
-    "pccebo": ("cart/gaussian", {"L": [[0.4], [0.1]]}, "tail_rmse"),
+    "pccebo": ("cart/gaussian", {"L": [[0.4], [0.1]]}, "steady_rmse"),
     "kfbo": ("cart/gaussian", {"R": 0.5}, "mae"),
-    "dkf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "tail_pooled_rmse"),
+    "kf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "steady_pooled_rmse"),
     "pco": ("cart/variable", {"Kp": -30.0}, "mse"),
     "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),
-    "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "tail_mse"),
-    "no-delay": ("csth/10s-noise", {"pole": 0.3}, "peak"),
-    "equal-delay": ("csth/10s-noise", {"pole": 0.3, "variant": "theorem1"}, "tail_mae"),
+    "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "steady_mse"),
+    "no-delay": ("csth/10s-noise", {"pole": 0.3}, "max_abs_error"),
+    "equal-delay": ("csth/10s-noise", {"pole": 0.3, "variant": "theorem1"}, "steady_mae"),
 }
 IN_A_CLOSED_LOOP = {"high-gain"}
 

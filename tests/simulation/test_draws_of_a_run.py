@@ -30,11 +30,11 @@ def drawn(draw, stream, channel, index, *shape):
 @pytest.fixture(scope="module")
 def run():
     """One run with all of it, and its inputs; measuring began before tick 0."""
-    layout, p = problem(CASE, {"open-loop": {}})
+    layout, p = problem(CASE, {"model-only": {}})
     found = shared.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
     plan = shared.pad_slots(shared.schedule(found, CASE.ticks, 2), SLOTS)
     p = p._replace(schedule=plan, process_std=STD, spread0=ROOT, scatter=SCATTER)
-    layout = layout._replace(random_start=True, scattered=True)
+    layout = layout._replace(random_initial_state=True, scattered=True)
     with process.float64():
         return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(SEED))), p
 
@@ -48,7 +48,7 @@ def test_the_start_is_its_mean_and_a_root_of_its_covariance_times_the_draws(run)
 def test_what_is_believed_of_the_start_lies_in_a_box_about_it(run):
     got, p = run
     u = drawn(jax.random.uniform, INITIAL, 0, 0, 3)
-    np.testing.assert_allclose(got.estimates["open-loop"][0], p.xhat0 + SCATTER * (2 * u - 1), rtol=1e-14)
+    np.testing.assert_allclose(got.estimates["model-only"][0], p.xhat0 + SCATTER * (2 * u - 1), rtol=1e-14)
 
 
 def test_every_tick_adds_its_own_process_noise(run):

@@ -63,8 +63,14 @@ def digested(digest, numbers):
 
 def account(gains, memory, now, arrival):
     """Count and sum what arrives on each channel, and digest all that is said of it."""
-    came = arrival.fresh * 1.0
-    said = (now.tick * 1.0, arrival.age * 1.0, arrival.index * 1.0, arrival.note[0], arrival.since * 1.0)
+    came = arrival.mask * 1.0
+    said = (
+        now.tick * 1.0,
+        arrival.age * 1.0,
+        arrival.index * 1.0,
+        arrival.snapshot[0],
+        arrival.ticks_since_arrival * 1.0,
+    )
     return {
         "tick": memory["tick"],
         "told": memory["told"],
@@ -72,14 +78,14 @@ def account(gains, memory, now, arrival):
         "ages": memory["ages"] + came * arrival.age,
         "indices": memory["indices"] + came * arrival.index,
         "values": memory["values"] + came * (arrival.index + 1) * arrival.value,
-        "digest": jnp.where(arrival.fresh, digested(memory["digest"], said), memory["digest"]),
+        "digest": jnp.where(arrival.mask, digested(memory["digest"], said), memory["digest"]),
         "order": digested(memory["order"], [came @ jnp.array([1.0, 2.0, 4.0])]),
     }
 
 
-def told(gains, memory, now, fresh):
+def told(gains, memory, now, mask):
     """Digest which channels are sampled at which tick."""
-    return memory | {"told": digested(memory["told"], [now.tick * 1.0, (fresh * 1.0) @ jnp.array([1.0, 2.0, 4.0])])}
+    return memory | {"told": digested(memory["told"], [now.tick * 1.0, (mask * 1.0) @ jnp.array([1.0, 2.0, 4.0])])}
 
 
 ACCOUNTS = ("count", "ages", "indices", "digest", "values")
@@ -87,10 +93,10 @@ SPY = Observer(
     init=lambda gains, xhat0: (
         {k: jnp.zeros(3) for k in ACCOUNTS} | {k: jnp.zeros(()) for k in ("told", "order", "tick")}
     ),
-    note=lambda gains, memory, now: memory["tick"][None] + 0.25,
+    snapshot=lambda gains, memory, now: memory["tick"][None] + 0.25,
     jump=account,
     flow=lambda gains, memory, now: memory | {"tick": memory["tick"] + 1.0},
-    sampled=told,
+    on_sample=told,
     estimate=lambda gains, memory: jnp.concatenate(
         [memory["told"][None], memory["order"][None], *(memory[k] for k in ACCOUNTS)]
     ),
@@ -100,7 +106,7 @@ CLOCKWORK = Plant(step=lambda params, now, x: x, output=lambda params, now, x: n
 NOISE = np.array([0.3, 0.5, 0.7])
 PAIRS = {  # channels 0 and 2 are one clock's
     "nothing random but losses": [Clock((0, 2), 7, 4, loss=0.3), Clock((1,), 5, None, "sine", loss=0.5)],
-    "jitter": [Clock((0, 2), 9, None, "uniform", 2), Clock((1,), 6, 3, (5, 8, 6), 2)],
+    "sampling_jitter": [Clock((0, 2), 9, None, "uniform", 2), Clock((1,), 6, 3, (5, 8, 6), 2)],
     "disorder and loss": [Clock((0, 2), 5, 2, "uniform", 1, 25, 0.2), Clock((1,), 4, None, "periodic", 1, 30, 0.4)],
     "together": [Clock((0, 2), 6, 4, loss=0.3), Clock((1,), 3, 4, spread=3, loss=0.2)],
     "always": [Clock((0, 2), 1, 3, "periodic", 0, 2), Clock((1,), 1, 0, "periodic", 0, 2)],
@@ -116,15 +122,15 @@ def expected(clocks, ticks, error, seed):
     """What the accounts of one run must say at tick N - 1, from its samples."""
     found = samples_of(clocks, ticks, 3, seed)
     noise = np.asarray(noise_of(seed))
-    came, sampled = {}, {}
+    came, on_sample = {}, {}
     for s in found:
         if s.taken < ticks:
-            sampled.setdefault(s.taken, []).append(s.channel)
+            on_sample.setdefault(s.taken, []).append(s.channel)
         if s.arrives < ticks:
             came.setdefault((s.arrives, s.taken), []).append(s)
     count, ages, indices, digest, values = np.zeros((len(ACCOUNTS), 3))
     order, last, told = 0.0, (0, 0), 0.0
-    for taken, channels in sorted(sampled.items()):
+    for taken, channels in sorted(on_sample.items()):
         told = digested(told, [taken, sum(2**j for j in channels)])
     for (arrives, taken), packet in sorted(came.items()):
         last = last if arrives == last[1] else (last[1], arrives)
@@ -174,13 +180,13 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
 
 CASE = Case(CART, 30, 30, ticks=300, noise_std=0.3, x0=[5.0, 10.0], xhat0=[1.0, 0.0])
 CLOCKS = {
-    "jitter": Clock((0,), 30, None, "uniform", 5),
+    "sampling_jitter": Clock((0,), 30, None, "uniform", 5),
     "loss": Clock((0,), 30, 25, "sine", loss=0.4),
     "disorder": Clock((0,), 30, 20, "periodic", 5, 45, 0.2),
 }
-OPTIONS = {"pccebo": {}, "pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}, "dkf": {}}  # open-loop never jumps
-RUN = ("pccebo", "pi-pco", "dkf")  # pco is pi-pco with other numbers: the same program
-PROGRAMS = {2: ("pi-pco", "dkf"), 1: ("pccebo", "pi-pco")}  # devices: who runs there; both run pi-pco
+OPTIONS = {"pccebo": {}, "pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}, "kf": {}}  # model-only never jumps
+RUN = ("pccebo", "pi-pco", "kf")  # pco is pi-pco with other numbers: the same program
+PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs there; both run pi-pco
 
 
 @cache
@@ -275,7 +281,7 @@ def test_every_run_has_the_numbers_of_the_reference(block, clock):
         want = {
             "pccebo": reference.pccebo(model, u, samples, xhat0, g["pccebo"].L),
             "pi-pco": reference.pco(model, u, samples, xhat0, g["pi-pco"].T, g["pi-pco"].Kp, g["pi-pco"].Ki),
-            "dkf": reference.dkf(model, u, samples, xhat0, setting(CASE).P0, g["dkf"].R),
+            "kf": reference.kf(model, u, samples, xhat0, setting(CASE).P0, g["kf"].R),
         }
         for name, xhat in want.items():
             e, (stream, final) = (x - xhat)[:-1], lanes(block[clock][name], seed)

@@ -10,7 +10,7 @@ from pcbench import protocols
 from pcbench.engine import interpreter, jaxpr_compat, lane_array, packing
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.errors import UserError
-from pcbench.protocols import together
+from pcbench.protocols import vmap_as_unit
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -62,12 +62,12 @@ FUNCTIONS = {
             lax.scan(lambda c, r: (c * r[0] + 1, c[0]), x, A)[1],
         ]
     ),
-    "in one piece": lambda x, A: together(lambda y: jnp.linalg.solve(A + 9 * jnp.eye(3), y) + x[0])(x) + A[1],
-    "in one piece, many rows": lambda x, A: together(lambda y: y[:40] * A[0, 0])(
-        together(lambda x: jnp.outer(jnp.arange(50.0), x) + 2 * A[:1])(x)
+    "in one piece": lambda x, A: vmap_as_unit(lambda y: jnp.linalg.solve(A + 9 * jnp.eye(3), y) + x[0])(x) + A[1],
+    "in one piece, many rows": lambda x, A: vmap_as_unit(lambda y: y[:40] * A[0, 0])(
+        vmap_as_unit(lambda x: jnp.outer(jnp.arange(50.0), x) + 2 * A[:1])(x)
     )[7:9],
-    "in one piece, many numbers": lambda x, A: together(lambda y: jnp.cumsum(y) * A[1, 2])(
-        together(lambda x: jnp.arange(40.0) * x[1])(x)
+    "in one piece, many numbers": lambda x, A: vmap_as_unit(lambda y: jnp.cumsum(y) * A[1, 2])(
+        vmap_as_unit(lambda x: jnp.arange(40.0) * x[1])(x)
     )[7:9],
     "transposed": lambda x, A: A.T @ x - jnp.trace(A),
 }
@@ -238,7 +238,7 @@ def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
 
 
 def test_in_one_piece_what_is_the_same_in_all_lanes_stays_so_and_many_rows_lie_together():
-    f = together(lambda x, k: (jnp.outer(jnp.arange(50.0), x), k + 1, x + k))
+    f = vmap_as_unit(lambda x, k: (jnp.outer(jnp.arange(50.0), x), k + 1, x + k))
     found = vmap_entrywise(f)(lane_array.split(jnp.ones((3, L))), jnp.asarray(4))
     assert [lane_array.is_lanes(each) for each in found] == [True, False, True]
     assert (found[0].rows, found[0].parts.shape) == (50, (3,))
@@ -258,4 +258,4 @@ def test_a_function_of_a_user_called_together_is_one_like_any_other(monkeypatch)
     monkeypatch.setattr(interpreter, "_together", refused)
     np.testing.assert_array_equal(lane_array.join(vmap_entrywise(together)(x)), 2 * np.ones((3, L)))
     with pytest.raises(AssertionError):
-        vmap_entrywise(protocols.together(lambda x: x * 2.0))(x)
+        vmap_entrywise(protocols.vmap_as_unit(lambda x: x * 2.0))(x)

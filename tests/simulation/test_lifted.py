@@ -20,8 +20,8 @@ from pcbench.simulation import metrics
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-STEPPED = {"chain", "equal-delay", "no-delay", "kf-horizon"}  # with schedules of their own in memory
-LIFTED = sorted({"dkf", "ekf", "kfbo", "pccebo", "pco", "kf-larsen", "kf-now", "oosm-lag", "open-loop"})
+STEPPED = {"chain", "equal-delay", "no-delay", "kf-delayed-horizon"}  # with schedules of their own in memory
+LIFTED = sorted({"kf", "ekf", "kfbo", "pccebo", "pco", "kf-larsen", "kf-ignore-delay", "oosm-lag", "model-only"})
 CASE = Case(ODD, 37, 74, ticks=400, h=0.01, noise_std=0.4, seed=3, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)
 ROOM, WIDTH, N = 64, 4, CASE.ticks
 BAND, FAR = np.array([1.0, 0.5, 0.8]), np.full(3, 1e9)
@@ -32,7 +32,7 @@ def outcome(observers, lifted, bound=FAR, jumps=(), spread=1.0):
     """What runs of CASE leave, by its own start or by random ones."""
     layout, p = problem(CASE, {o: {} for o in observers})
     p = p._replace(band=BAND, bound=bound, jumps=np.array(jumps, int), spread0=np.eye(3) * spread)
-    layout = layout._replace(lifted=lifted, width=WIDTH, random_start=spread > 0)
+    layout = layout._replace(lifted=lifted, width=WIDTH, random_initial_state=spread > 0)
     job = runner.Job(p, 0, np.arange(WIDTH) + CASE.seed)
     with process.float64():
         made = runner.program(layout, job)
@@ -44,9 +44,9 @@ def read(left, label):
 
 
 def agree(a, b):
-    largest = np.nanmax(a["peak"], -1, keepdims=True)
+    largest = np.nanmax(a["max_abs_error"], -1, keepdims=True)
     for name in a:
-        if name in ("settling_time", "recovery_time", "unsettled", "diverged", "first_bad_time"):
+        if name in ("settling_time", "recovery_time", "unsettled", "diverged", "divergence_time"):
             np.testing.assert_array_equal(a[name], b[name], err_msg=name)
         else:
             size = largest**2 if name.endswith("mse") and not name.endswith("rmse") else largest
@@ -64,11 +64,11 @@ def both(observers, **given):
 
 
 def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick():
-    ways, left = both(["dkf"], jumps=(210, 300))
-    peaks = np.asarray(left.streams["dkf"].peak).max(0)[2]
-    _, left = both(["dkf"], bound=np.array([1e9, 1e9, np.median(peaks)]))
-    bad = np.asarray(left.watches["dkf"].first_bad)
-    assert ways == {"dkf": "lifted"}
+    ways, left = both(["kf"], jumps=(210, 300))
+    peaks = np.asarray(left.streams["kf"].peak).max(0)[2]
+    _, left = both(["kf"], bound=np.array([1e9, 1e9, np.median(peaks)]))
+    bad = np.asarray(left.watches["kf"].first_bad)
+    assert ways == {"kf": "lifted"}
     assert (bad > 0).any()
     assert (bad < 0).any()
 
@@ -78,35 +78,37 @@ def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick
 @pytest.mark.parametrize("bound", [4.0, 1e9], ids=["some leave", "none leaves"])
 @pytest.mark.parametrize("jumps", [(), (210, 300)])
 def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound, jumps):
-    ways, _ = both([*LIFTED, "chain", "kf-horizon"], jumps=jumps, spread=spread, bound=np.full(3, bound))
-    assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-horizon"}
+    ways, _ = both([*LIFTED, "chain", "kf-delayed-horizon"], jumps=jumps, spread=spread, bound=np.full(3, bound))
+    assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-delayed-horizon"}
 
 
 @pytest.mark.parametrize("jumps", [(), (210, 300)])
 def test_sums_are_those_of_the_errors_of_a_recorded_run(jumps):
-    layout, p = problem(CASE, {"dkf": {}})
+    layout, p = problem(CASE, {"kf": {}})
     with process.float64():
-        run = recorder()(layout._replace(random_start=True), p, np.asarray(0), np.asarray(CASE.seed))
-    e = np.abs(np.asarray(run.x) - np.asarray(run.estimates["dkf"]))[:N]
-    _, left = outcome(["dkf"], ROOM, jumps=jumps)
-    found = read(left, "dkf")
-    expected = {"mae": e.mean(0), "mse": (e**2).mean(0), "peak": e.max(0), "tail_mae": e[N // 2 :].mean(0)}
+        run = recorder()(layout._replace(random_initial_state=True), p, np.asarray(0), np.asarray(CASE.seed))
+    e = np.abs(np.asarray(run.x) - np.asarray(run.estimates["kf"]))[:N]
+    _, left = outcome(["kf"], ROOM, jumps=jumps)
+    found = read(left, "kf")
+    expected = {"mae": e.mean(0), "mse": (e**2).mean(0), "max_abs_error": e.max(0), "steady_mae": e[N // 2 :].mean(0)}
     for name, value in expected.items():
         np.testing.assert_allclose(found[name][:, 0], value, 1e-10, err_msg=name)
     last = np.array([np.flatnonzero(e[:, i] > BAND[i])[-1] + 1 for i in range(3)])
     np.testing.assert_array_equal(found["settling_time"][:, 0], last * CASE.h)
 
 
-def ways(observer=None, label="dkf", case=CASE):
-    """How an observer goes, by its shapes alone; one's own takes the gains of `dkf`."""
+def ways(observer=None, label="kf", case=CASE):
+    """How an observer goes, by its shapes alone; one's own takes the gains of `kf`."""
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
     with process.float64():
-        found = jax.eval_shape(partial(every_map, layout._replace(observers=each, lifted=ROOM, random_start=True)), p)
+        found = jax.eval_shape(
+            partial(every_map, layout._replace(observers=each, lifted=ROOM, random_initial_state=True)), p
+        )
         return "lifted" if label in found else "stepped"
 
 
-@pytest.mark.parametrize("label", ["dkf", "kfbo", "chain", "kf-horizon"])
+@pytest.mark.parametrize("label", ["kf", "kfbo", "chain", "kf-delayed-horizon"])
 def test_who_keeps_a_schedule_of_its_own_is_stepped(label):
     assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")
 
@@ -120,7 +122,7 @@ def test_who_goes_by_products(label):
 def own(flow):
     return Observer(
         init=lambda gains, xhat0: (xhat0, jnp.asarray(0)),
-        note=lambda gains, memory, now: jnp.zeros(0),
+        snapshot=lambda gains, memory, now: jnp.zeros(0),
         jump=lambda gains, memory, now, arrival: (memory[0] + 0.1 * arrival.value[0], memory[1]),
         flow=flow,
         estimate=lambda gains, memory: memory[0],
@@ -144,7 +146,7 @@ def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
 
 
 def test_a_plant_that_bends_lifts_nobody():
-    layout, p = problem(CASE, {"dkf": {}})
+    layout, p = problem(CASE, {"kf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
     with process.float64():
         assert jax.eval_shape(partial(every_map, layout._replace(plant=bent, lifted=ROOM)), p) == {}
@@ -168,7 +170,7 @@ def test_reach_looks_into_loops_and_branches():
 
 def test_chunks_are_of_every_tick_once_and_of_no_two_events(monkeypatch):
     monkeypatch.setattr(blocks, "FEWEST", 0)
-    _, p = problem(CASE, {"dkf": {}})
+    _, p = problem(CASE, {"kf": {}})
     event = np.asarray(p.schedule.event)
     with process.float64():
         each = jax.tree.map(np.asarray, jax.jit(partial(blocks.chunks, room=ROOM))(p))
@@ -199,7 +201,7 @@ def test_products_are_those_of_matrices_whether_written_out_or_not(own):
 
 
 def test_maps_are_made_once_for_the_calls_of_a_cell_and_anew_for_the_next():
-    _, p = problem(CASE, {"dkf": {}})
+    _, p = problem(CASE, {"kf": {}})
     calls, other = [], p._replace(noise_std=p.noise_std * 2)
     maps = runner.MapsOfCell(lambda p: calls.append(p) or {"made": len(calls)})
     found = [maps(q)["made"] for q in (p, p, other, other, p)]
@@ -209,8 +211,8 @@ def test_maps_are_made_once_for_the_calls_of_a_cell_and_anew_for_the_next():
 
 @pytest.mark.nightly
 def test_a_call_leaves_the_same_with_maps_that_it_makes_itself():
-    layout, p = problem(CASE, {o: {} for o in ("pccebo", "dkf")})
-    layout, p = layout._replace(lifted=ROOM, width=WIDTH, random_start=True), jax.tree.map(np.asarray, p)
+    layout, p = problem(CASE, {o: {} for o in ("pccebo", "kf")})
+    layout, p = layout._replace(lifted=ROOM, width=WIDTH, random_initial_state=True), jax.tree.map(np.asarray, p)
     job = runner.Job(p, 0, np.arange(WIDTH))
     with process.float64():
         made = next(runner.serial(runner.program(layout, job), [job]))[1]

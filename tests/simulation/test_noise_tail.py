@@ -12,11 +12,11 @@ from pcbench.errors import UserError
 from pcbench.simulation import sample_noise
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
+PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 
 
 def tailed(degrees, **given):
-    return PLAIN | {"lti": PLAIN["lti"] | {"noise_tail": degrees} | given}
+    return PLAIN | {"lti": PLAIN["lti"] | {"student_t_dof": degrees} | given}
 
 
 @pytest.mark.parametrize("n", [2.5, 3.0, 7.0, 40.0])
@@ -32,7 +32,7 @@ def test_it_is_students_distribution_and_of_variance_one(n):
 
 
 def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
-    without, found = pcbench.trace(PLAIN, "dkf", seed=4), pcbench.trace(tailed(3.0), "dkf", seed=4)
+    without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(tailed(3.0), "kf", seed=4)
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])
     ticks = np.arange(3, 61, 5)
     apart = (found["y1"] - without["y1"]).to_numpy()[ticks]
@@ -46,8 +46,8 @@ def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
 
 @pytest.mark.nightly
 def test_of_it_there_is_no_bound_and_no_exact_answer():
-    assert "efficiency" not in set(pcbench.run(tailed(3.0), seeds=2).stats.metric)
-    (why,) = set(pcbench.exact(tailed(3.0)).stats.reason.dropna())
+    assert "rms_efficiency" not in set(pcbench.run(tailed(3.0), seeds=2).stats.metric)
+    (why,) = set(pcbench.exact_moments(tailed(3.0)).stats.reason.dropna())
     assert "noise is Student's t with 3 degrees, which is not normal; take runs for it" in why
 
 
@@ -67,5 +67,5 @@ def test_what_cannot_be_is_one_sentence(study, sentence):
 
 
 def test_an_axis_of_it_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got noise_tail = 3\.0 in arm/sine, which measures continuously"):
-        pcbench.run("arm/sine", axes={"noise_tail": [3.0]}, seeds=1)
+    with pytest.raises(UserError, match=r"got student_t_dof = 3\.0 in arm/sine, which measures continuously"):
+        pcbench.run("arm/sine", axes={"student_t_dof": [3.0]}, seeds=1)

@@ -9,7 +9,7 @@ import pcbench
 from pcbench.errors import UserError
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
+PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 
 
 def odd(**given):
@@ -18,7 +18,7 @@ def odd(**given):
 
 def test_outliers_are_the_samples_that_the_address_says_and_all_else_is_as_without():
     """Every 5 ticks a sample, 3 ticks late; the plant's own noise, start and samples are those of the study without."""
-    without, found = pcbench.trace(PLAIN, "dkf", seed=4), pcbench.trace(odd(), "dkf", seed=4)
+    without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(odd(), "kf", seed=4)
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])
     ticks = np.arange(3, 61, 5)
     apart = (found["y1"] - without["y1"]).to_numpy()[ticks]
@@ -33,8 +33,8 @@ def test_a_run_among_others_on_a_schedule_of_its_own_is_the_run_alone():
     study = odd(loss=0.2, delay_jitter=0.4)
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])
     for seed in range(3):
-        trace = pcbench.trace(study, "dkf", seed=seed)
-        assert runs.loc[(seed, "a"), "final"] == pytest.approx((trace["a"] - trace["dkf.a"])[59], rel=1e-9)
+        trace = pcbench.simulate(study, "kf", seed=seed)
+        assert runs.loc[(seed, "a"), "final_error"] == pytest.approx((trace["a"] - trace["kf.a"])[59], rel=1e-9)
 
 
 def test_outliers_of_the_usual_size_are_none():
@@ -45,9 +45,9 @@ def test_outliers_of_the_usual_size_are_none():
 
 def test_of_what_is_not_normal_there_is_no_bound_and_no_exact_answer():
     result = pcbench.run(odd(), seeds=2)
-    assert "efficiency" not in set(result.stats.metric)
-    assert "efficiency" in set(pcbench.run(PLAIN, seeds=2).stats.metric)
-    (why,) = set(pcbench.exact(odd()).stats.reason.dropna())
+    assert "rms_efficiency" not in set(result.stats.metric)
+    assert "rms_efficiency" in set(pcbench.run(PLAIN, seeds=2).stats.metric)
+    (why,) = set(pcbench.exact_moments(odd()).stats.reason.dropna())
     assert "30 % are outliers, whose noise is not normal; take runs for it" in why
 
 
@@ -77,5 +77,5 @@ def test_as_an_axis_it_has_a_column_and_else_none():
     stats = pcbench.run(PLAIN, seeds=2, axes=axes).stats
     assert sorted(set(stats.outlier_probability)) == [0.0, 0.1]
     assert "outlier_scale" not in stats
-    mean = stats[(stats.metric == "tail_rmse") & (stats.signal == "a")].set_index("outlier_probability")["mean"]
+    mean = stats[(stats.metric == "steady_rmse") & (stats.signal == "a")].set_index("outlier_probability")["mean"]
     assert mean[0.1] != mean[0.0]

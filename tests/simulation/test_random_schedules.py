@@ -217,22 +217,22 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
         here = {s.channel: s.number for s in found if s.taken == k}
         assert plan.sense[k] == (instants.index(k) if here else -1)
         assert {j: plan.sample[k, j] for j in np.flatnonzero(plan.sample[k] >= 0)} == here
-        noted = [int(packet) for packet in (plan.note[k], *plan.also[k]) if packet >= 0]
+        noted = [int(packet) for packet in (plan.snapshot[k], *plan.also[k]) if packet >= 0]
         assert noted == sorted({instants.index(s.taken) for s in found if s.taken - error + s.ahead == k})
         oldest_first = sorted(taken for tick, taken in coming if tick == k)
         for slot in range(slots):
             if slot >= len(oldest_first):
                 assert plan.arrive[k, slot] == -1
-                assert not plan.fresh[k, slot].any()
+                assert not plan.mask[k, slot].any()
                 continue
             taken = oldest_first[slot]
             assert plan.arrive[k, slot] == instants.index(taken)
             (late,) = {s.ahead for s in found if s.taken == taken}
             assert plan.believed[k, slot] == max(taken - error + late, 0)
-            assert plan.since[k, slot] == k - last
-            seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.fresh[k, slot])]
+            assert plan.ticks_since_arrival[k, slot] == k - last
+            seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.mask[k, slot])]
         last = k if oldest_first else last
-        assert plan.event[k] == bool(here or oldest_first or plan.note[k] >= 0)
+        assert plan.event[k] == bool(here or oldest_first or plan.snapshot[k] >= 0)
         later = [t for t in range(k + 1, ticks + 1) if plan.event[t]]
         assert plan.next_event[k] == (later[0] if later else ticks + 1)
     assert sorted(seen) == sorted((s.arrives, s.taken, s.channel, s.number) for s in found if s.arrives <= ticks)
@@ -401,7 +401,10 @@ def test_an_older_packet_whose_stamp_is_later_needs_room_while_the_newer_one_tra
 def loses_a_packet(plan, size):
     values, notes = {}, {}
     for k in range(len(plan.sense)):
-        for ring, number in ((values, plan.sense[k]), *((notes, packet) for packet in (plan.note[k], *plan.also[k]))):
+        for ring, number in (
+            (values, plan.sense[k]),
+            *((notes, packet) for packet in (plan.snapshot[k], *plan.also[k])),
+        ):
             if number >= 0:
                 ring[number % size] = number
         for number in plan.arrive[k][plan.arrive[k] >= 0]:
@@ -447,7 +450,7 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
             last, slot = (last, slot + 1) if arrives == previous else ((last[1], arrives), 0)
             previous = arrives
             assert plan.arrives[i, lane] == arrives
-            assert (plan.which[i, lane], plan.slot[i, lane], plan.since[i, lane]) == (
+            assert (plan.which[i, lane], plan.slot[i, lane], plan.ticks_since_arrival[i, lane]) == (
                 first[at],
                 slot,
                 arrives - last[0],
@@ -547,7 +550,7 @@ def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_ar
 
 def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon():
     """Due at 5, 10.001 and 10.011 s: with a jitter of 1 s the last two may be swapped before the end at 10 s."""
-    scenario = SCENARIOS["cart/variable"].having(profile=(5.0, 5.001, 0.01), jitter=1.0)
+    scenario = SCENARIOS["cart/variable"].having(sampling_pattern=(5.0, 5.001, 0.01), sampling_jitter=1.0)
     with pytest.raises(UserError, match=r"intervals down to 0\.01 s"):
         fits.fits(scenario, "here")
-    fits.fits(scenario.having(jitter=0.004), "here")
+    fits.fits(scenario.having(sampling_jitter=0.004), "here")

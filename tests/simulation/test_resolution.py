@@ -12,17 +12,17 @@ from pcbench.errors import UserError
 from pcbench.simulation import sample_noise
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
+PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 TICKS = np.arange(3, 61, 5)  # a sample every 5 ticks, 3 ticks late
 
 
 def rounded(step, dither=0.0, **given):
-    return PLAIN | {"lti": PLAIN["lti"] | {"resolution": step, "dither": dither} | given}
+    return PLAIN | {"lti": PLAIN["lti"] | {"quantization_step": step, "dither": dither} | given}
 
 
 @pytest.mark.parametrize("dither", [0.0, 1.0])
 def test_samples_are_whole_steps_of_what_they_were_and_all_else_is_as_without(dither):
-    without, found = (pcbench.trace(s, "dkf", seed=4) for s in (PLAIN, rounded([0.25], dither)))
+    without, found = (pcbench.simulate(s, "kf", seed=4) for s in (PLAIN, rounded([0.25], dither)))
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])
     y, got = (trace["y1"].to_numpy()[TICKS] for trace in (without, found))
     u = np.array([threefry.uniform(0, 4, "dither", 0, i, 1)[0] for i in range(len(TICKS))])
@@ -65,7 +65,7 @@ def test_a_step_of_0_is_none():
 def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wrong_it_is():
     """D^2/12 beside the noise's own: with the scale that says so its nis is near 1; told nothing it is over-confident."""
     axes = {"assumed_noise_scale": [1.0, float(np.sqrt(1 + 1.5**2 / 12 / 0.3**2))]}
-    study = rounded([1.5], 1.0) | {"options": {"scenario": {"random_start": True, "consistency": True}}}
+    study = rounded([1.5], 1.0) | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
     found = pcbench.run(study, axes=axes, seeds=256).stats
     unaware, told = found[found.metric == "nis"].sort_values("assumed_noise_scale")["mean"]
     assert unaware > 2.0
@@ -77,10 +77,10 @@ def test_of_it_there_is_no_bound_and_no_exact_answer_and_a_run_among_others_is_t
     study = rounded([0.5], 1.0, loss=0.2, delay_jitter=0.4)
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])
     for seed in range(3):
-        trace = pcbench.trace(study, "dkf", seed=seed)
-        assert runs.loc[(seed, "a"), "final"] == pytest.approx((trace["a"] - trace["dkf.a"])[59], rel=1e-9)
-    assert "efficiency" not in set(pcbench.run(rounded([0.5]), seeds=2).stats.metric)
-    (why,) = set(pcbench.exact(rounded([0.5])).stats.reason.dropna())
+        trace = pcbench.simulate(study, "kf", seed=seed)
+        assert runs.loc[(seed, "a"), "final_error"] == pytest.approx((trace["a"] - trace["kf.a"])[59], rel=1e-9)
+    assert "rms_efficiency" not in set(pcbench.run(rounded([0.5]), seeds=2).stats.metric)
+    (why,) = set(pcbench.exact_moments(rounded([0.5])).stats.reason.dropna())
     assert "has samples that are rounded, which is not affine in what is measured; take runs for it" in why
 
 
@@ -101,5 +101,5 @@ def test_what_cannot_be_is_one_sentence(study, sentence):
 
 
 def test_an_axis_of_it_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got resolution = 0\.1 in arm/sine, which measures continuously"):
-        pcbench.run("arm/sine", axes={"resolution": [0.1]}, seeds=1)
+    with pytest.raises(UserError, match=r"got quantization_step = 0\.1 in arm/sine, which measures continuously"):
+        pcbench.run("arm/sine", axes={"quantization_step": [0.1]}, seeds=1)

@@ -23,8 +23,8 @@ def arrivals(plan):
         for tick in range(len(plan.sense))
         for slot in range(plan.arrive.shape[1])
         if plan.arrive[tick, slot] >= 0
-        for j in range(plan.fresh.shape[2])
-        if plan.fresh[tick, slot, j]
+        for j in range(plan.mask.shape[2])
+        if plan.mask[tick, slot, j]
     ]
 
 
@@ -83,7 +83,7 @@ def test_next_event_and_since_count_from_the_definition():
     events = [k for k in range(41) if k % 7 == 0 or (k >= 10 and (k - 10) % 7 == 0)]
     assert np.flatnonzero(plan.event).tolist() == events
     assert plan.next_event.tolist() == [next((e for e in events if e > k), 41) for k in range(41)]
-    assert [int(plan.since[k, 0]) for k in (10, 17, 24)] == [10, 7, 7]
+    assert [int(plan.ticks_since_arrival[k, 0]) for k in (10, 17, 24)] == [10, 7, 7]
 
 
 @settings(max_examples=60, deadline=None)
@@ -103,7 +103,7 @@ def test_samples_are_believed_and_noted_so_much_earlier_but_never_before_tick_0(
     inside = [s for s in samples if s.taken <= ticks]
     assert believed == {(s.arrives, packets[s.taken]): max(s.taken - error, 0) for s in inside if s.arrives <= ticks}
     noted = {s.taken - error: packets[s.taken] for s in inside if 0 <= s.taken - error <= ticks}
-    assert {k: int(plan.note[k]) for k in range(ticks + 1) if plan.note[k] >= 0} == noted
+    assert {k: int(plan.snapshot[k]) for k in range(ticks + 1) if plan.snapshot[k] >= 0} == noted
     sensed = {s.taken: packets[s.taken] for s in inside if s.taken >= 0}
     assert {k: int(plan.sense[k]) for k in range(ticks + 1) if plan.sense[k] >= 0} == sensed
     assert plan.early.ravel().tolist() == [s.number for s in inside if s.taken < 0]

@@ -50,8 +50,8 @@ CONTROLLER = Controller(
 )
 OBSERVER = Observer(
     init=lambda gains, xhat0: xhat0,
-    note=lambda gains, memory, now: jnp.zeros(0),
-    jump=lambda gains, memory, now, arrival: memory + gains @ jnp.where(arrival.fresh, arrival.value - C @ memory, 0.0),
+    snapshot=lambda gains, memory, now: jnp.zeros(0),
+    jump=lambda gains, memory, now, arrival: memory + gains @ jnp.where(arrival.mask, arrival.value - C @ memory, 0.0),
     flow=lambda gains, memory, now: A @ memory + B @ now.u,
     estimate=lambda gains, memory: memory,
 )
@@ -141,9 +141,9 @@ def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
     for run, (e, off, lost) in enumerate(runs):
         for name, values in (
             ("rmse", e),
-            ("tail_rmse", e[TAIL:]),
+            ("steady_rmse", e[TAIL:]),
             ("tracking_rmse", off),
-            ("tail_tracking_rmse", off[TAIL:]),
+            ("steady_tracking_rmse", off[TAIL:]),
         ):
             want = np.full(values.shape[1], np.nan) if lost >= 0 else np.sqrt((values**2).mean(0))
             np.testing.assert_allclose(out[name][:, run], want, rtol=1e-12, err_msg=name)
@@ -151,4 +151,4 @@ def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
         if lost < 0:
             np.testing.assert_allclose(out["settling_time"][:, run], np.array(last) * DT, rtol=1e-12)
             np.testing.assert_array_equal(out["unsettled"][:, run], np.array(last) > TAIL)
-        assert out["first_bad_time"][run] == pytest.approx(lost * DT if lost >= 0 else np.nan, nan_ok=True)
+        assert out["divergence_time"][run] == pytest.approx(lost * DT if lost >= 0 else np.nan, nan_ok=True)

@@ -21,7 +21,7 @@ def output(p, now, x):
     return x[:1]
 
 
-duffing: Any = pcbench.plant(
+duffing: Any = pcbench.make_plant(
     field=field,
     output=output,
     states=["position [m]", "velocity [m/s]"],

@@ -19,7 +19,16 @@ import pcbench
 
 HERE = Path(__file__).parent
 DUFFING = HERE / "duffing.py"
-EXPORTED = ("dkf", "pccebo", "kfbo", "kf-now", "kf-rewind", "kf-cloning", "ekf", "ukf")  # of cart/white, in C
+EXPORTED = (
+    "kf",
+    "pccebo",
+    "kfbo",
+    "kf-ignore-delay",
+    "kf-reprocess",
+    "kf-cloning",
+    "ekf",
+    "ukf",
+)  # of cart/white, in C
 VARIABLE = ("pco", "pi-pco")  # of cart/variable
 
 
@@ -45,8 +54,8 @@ def test_package_is_the_installed_one():
 def test_quick_study_runs_reports_and_verifies(tmp_path):
     pcbench_command("run", "quick", "--seeds", "8", "--out", "quick", cwd=tmp_path)
     stats = pd.read_parquet(tmp_path / "quick" / "stats.parquet")
-    rms = stats.query("metric == 'tail_rmse' and signal == 'position'").set_index(["scenario", "observer"])["mean"]
-    assert (rms["cart/white", "dkf"] < rms["cart/white"].drop("dkf")).all()
+    rms = stats.query("metric == 'steady_rmse' and signal == 'position'").set_index(["scenario", "observer"])["mean"]
+    assert (rms["cart/white", "kf"] < rms["cart/white"].drop("kf")).all()
     pcbench_command("verify", "quick", "--sample", "2", cwd=tmp_path)
     pcbench_command("report", "quick", cwd=tmp_path)
     assert "<svg" in (tmp_path / "quick" / "report.html").read_text()
@@ -55,7 +64,7 @@ def test_quick_study_runs_reports_and_verifies(tmp_path):
 LOOP = """
 name = "loop"
 seeds = 256
-observers = ["dkf"]
+observers = ["kf"]
 
 [controller]
 use = "lqr"
@@ -73,17 +82,17 @@ noise_std = 0.01
 process_std = [0, 0.02]
 x0 = [0, 0]
 prior_std = [0.1, 0.1]
-horizon = 4.0
+duration = 4.0
 """
 
 
 def test_exact_cost_of_a_loop_agrees_with_its_runs(tmp_path):
     (tmp_path / "loop.toml").write_text(LOOP)
     pcbench_command("run", "loop.toml", "--out", "runs", cwd=tmp_path)
-    pcbench_command("run", "loop.toml", "--exact", "--out", "exact", cwd=tmp_path)
+    pcbench_command("run", "loop.toml", "--evaluation", "exact", "--out", "exact", cwd=tmp_path)
     pcbench_command("verify", "runs", "--exact", cwd=tmp_path)
     (runs,), (exact,) = (
-        pd.read_parquet(tmp_path / name / "stats.parquet").query("metric == 'cost'").to_dict("records")
+        pd.read_parquet(tmp_path / name / "stats.parquet").query("metric == 'lq_cost'").to_dict("records")
         for name in ("runs", "exact")
     )
     assert abs(runs["mean"] - exact["mean"]) < 4 * runs["se"]
@@ -119,7 +128,7 @@ observers = ["ekf"]
 [scenario]
 plant = "duffing.py:duffing"
 dt = 0.005
-horizon = 2.0
+duration = 2.0
 x0 = [1.2, 0.3]
 sampling_period = 0.2
 delay = 0.2
@@ -140,8 +149,8 @@ def test_dask_computes_the_bits_of_a_plain_run_with_your_own_plant(tmp_path):
 
 
 def test_replay_of_a_recorded_run_gives_its_estimates(tmp_path):
-    pcbench_command("trace", "cart/white", "--observer", "dkf", "--out", "run.parquet", "--log", "log", cwd=tmp_path)
-    pcbench_command("replay", "log", "--plant", "cart/white", "--observers", "dkf", "--out", "replay", cwd=tmp_path)
+    pcbench_command("simulate", "cart/white", "--observer", "kf", "--out", "run.parquet", "--log", "log", cwd=tmp_path)
+    pcbench_command("replay", "log", "--plant", "cart/white", "--observers", "kf", "--out", "replay", cwd=tmp_path)
     trajectory = pd.read_parquet(tmp_path / "run.parquet")
     estimates = pd.read_parquet(tmp_path / "replay" / "estimates.parquet")
     rows = min(len(trajectory), len(estimates))
@@ -152,18 +161,29 @@ def test_replay_of_a_recorded_run_gives_its_estimates(tmp_path):
 
 
 def test_largest_sampling_period_is_found(tmp_path):
-    words = ["--below", "0.15", "--over", "sampling_period", "--observers", "dkf", "--seeds", "16", "--max-seeds", "64"]
-    pcbench_command("suffices", "cart/white", *words, "--within", "0.2", "--out", "limit", cwd=tmp_path)
+    words = [
+        "--threshold",
+        "0.15",
+        "--axis",
+        "sampling_period",
+        "--observers",
+        "kf",
+        "--seeds",
+        "16",
+        "--max-seeds",
+        "64",
+    ]
+    pcbench_command("find-limit", "cart/white", *words, "--tol", "0.2", "--out", "limit", cwd=tmp_path)
 
 
 def test_gains_are_designed_and_tuned(tmp_path):
     printed = json.loads(pcbench_command("design", "cart/white", "pccebo", "--json", cwd=tmp_path))
     assert printed
-    words = ["--budget", "3", "--train", "1000:1008", "--judge", "2000:2008", "--out", "tuned"]
+    words = ["--budget", "3", "--training-seeds", "1000:1008", "--validation-seeds", "2000:2008", "--out", "tuned"]
     pcbench_command("tune", "cart/white", "kfbo", *words, cwd=tmp_path)
 
 
 def test_public_functions_run_in_a_program_of_your_own():
     pcbench.setup()
-    result = pcbench.run("cart/white", observers=["dkf", "pccebo"], seeds=8, axes={"delay": [0.1, 0.2]})
-    assert set(result.stats.observer) == {"dkf", "pccebo"}
+    result = pcbench.run("cart/white", observers=["kf", "pccebo"], seeds=8, axes={"delay": [0.1, 0.2]})
+    assert set(result.stats.observer) == {"kf", "pccebo"}

@@ -8,20 +8,20 @@ from hypothesis import strategies as st
 from pcbench import statistics
 
 SIZES = (1.0, 5.0)
-CONSISTENT = {"nees": 1, "nees_states": 1, "nis": 1, "nis_degrees": 1, "signal_nees": 2}
+CONSISTENT = {"nees": 1, "nees_dof": 1, "nis": 1, "nis_dof": 1, "signal_nees": 2}
 
 
 def runs(rng, n, metrics):
     """What one observer's runs leave: some of the metrics of two signals, NaN in one of them, a signed one."""
     out = {m: rng.gamma(2.0, size=(many, n)) for m, many in metrics.items()}
-    out["final"] = rng.standard_normal((2, n))
+    out["final_error"] = rng.standard_normal((2, n))
     out["settling_time"][1] = np.nan
     return out | {"diverged": np.zeros(n, bool), "unsettled": rng.random((2, n)) < 0.3}
 
 
 def cells(seed, many, n, told):
     rng = np.random.default_rng(seed)
-    metrics = dict.fromkeys(("mae", "rmse", "mse", "peak", "settling_time", "tail_mae", "tail_mse"), 2)
+    metrics = dict.fromkeys(("mae", "rmse", "mse", "max_abs_error", "settling_time", "steady_mae", "steady_mse"), 2)
     each = {"a": metrics | (CONSISTENT if told else {}), "b": metrics, "c": metrics}
     return [{o: runs(rng, n, mine) for o, mine in each.items()} for _ in range(many)]
 

@@ -71,14 +71,14 @@ def test_shares_within_one_two_and_three_sigma_are_the_normal_ones():
 STUDY = {
     "name": "honest",
     "scenarios": ["cart/gaussian"],
-    "observers": ["dkf", "dkf-bold", "kf-now", "open-loop"],
+    "observers": ["kf", "kf-bold", "kf-ignore-delay", "model-only"],
     "seeds": 192,
-    "options": {"scenario": {"random_start": True, "consistency": True}},
+    "options": {"scenario": {"random_initial_state": True, "consistency": True}},
 }
 
 
 def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_over_confident():
-    options = STUDY["options"] | {"dkf-bold": {"R": 0.25}}
+    options = STUDY["options"] | {"kf-bold": {"R": 0.25}}
     axes = {"noise_std": [1.0], "delay": [0.3]}
     result = pcbench.run(STUDY | {"options": options}, axes=axes)
     wide = result.stats.set_index(["signal", "metric", "observer"])[["mean", "ci_low", "ci_high"]]
@@ -87,9 +87,9 @@ def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_
         within = wide.loc["position", "nees_band", observer]
         return verdict(wide.loc["position", "nees", observer]["mean"], Band(within.ci_low, within.ci_high))
 
-    assert [word(o) for o in ("dkf", "dkf-bold", "kf-now")] == ["consistent", "over-confident", "over-confident"]
-    assert wide.loc["position", INSIDE[0], "dkf"]["mean"] == pytest.approx(0.683, abs=0.1)
-    assert ("position", "nees", "open-loop") not in wide.index, "it has no covariance"
+    assert [word(o) for o in ("kf", "kf-bold", "kf-ignore-delay")] == ["consistent", "over-confident", "over-confident"]
+    assert wide.loc["position", INSIDE[0], "kf"]["mean"] == pytest.approx(0.683, abs=0.1)
+    assert ("position", "nees", "model-only") not in wide.index, "it has no covariance"
     assert "nees" not in set(result.pairs.metric), "neither a large nor a small one is better"
 
 
@@ -103,35 +103,35 @@ def share_called(runs, metric, degrees, word):
 @pytest.mark.nightly
 def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_quarter_of_the_noise_nearly_all():
     """256 studies of 64 runs; three standard errors of that share are .041."""
-    runs = pcbench.run(HONEST | {"observers": ["dkf", "dkf-bold", "ekf", "kf-cloning"]}, seeds=64 * 256).runs
+    runs = pcbench.run(HONEST | {"observers": ["kf", "kf-bold", "ekf", "kf-cloning"]}, seeds=64 * 256).runs
     runs = runs[runs.signal == "a"].sort_values("seed")
-    for metric, degrees in (("nees", "nees_states"), ("nis", "nis_degrees"), ("signal_nees", None)):
-        for observer in ("dkf", "ekf", "kf-cloning"):
+    for metric, degrees in (("nees", "nees_dof"), ("nis", "nis_dof"), ("signal_nees", None)):
+        for observer in ("kf", "ekf", "kf-cloning"):
             mine = runs[runs.observer == observer]
             assert 1 - share_called(mine, metric, degrees, "consistent") == pytest.approx(0.05, abs=0.041), metric
-        assert share_called(runs[runs.observer == "dkf-bold"], metric, degrees, "over-confident") > 0.97
+        assert share_called(runs[runs.observer == "kf-bold"], metric, degrees, "over-confident") > 0.97
 
 
 @pytest.mark.parametrize(
-    "names", [("dkf",), pytest.param(("dkf", "kf-cloning", "open-loop"), marks=pytest.mark.nightly)]
+    "names", [("kf",), pytest.param(("kf", "kf-cloning", "model-only"), marks=pytest.mark.nightly)]
 )
 def test_samples_are_judged_on_schedules_of_each_runs_own(names):
     """Lost, late and overtaking samples: of a true model nis is 1, over all that arrive, in which runs differ."""
     lossy = {"lti": HONEST["lti"] | {"loss": 0.2, "delay_jitter": 0.8}}
     result = pcbench.run(HONEST | lossy | {"observers": list(names)}, seeds=64)
     runs = result.runs[result.runs.signal == "a"].set_index(["observer", "seed"])
-    counts = runs.nis_degrees
-    assert counts["dkf"].nunique() > 1
+    counts = runs.nis_dof
+    assert counts["kf"].nunique() > 1
     if "kf-cloning" in names:
-        assert counts["kf-cloning"].equals(counts["dkf"]), "both judge every measurement that arrives"
-        assert runs.nis["open-loop"].isna().all()
+        assert counts["kf-cloning"].equals(counts["kf"]), "both judge every measurement that arrives"
+        assert runs.nis["model-only"].isna().all()
     wide = result.stats[result.stats.signal == "a"].set_index(["observer", "metric"])
     for observer in names[:2]:
         row, degrees = wide.loc[(observer, "nis_band")], 64 * counts[observer].mean()
         assert (row.ci_low, row.ci_high) == pytest.approx(band(degrees))
         assert row.ci_low < wide.loc[(observer, "nis"), "mean"] < row.ci_high
         mine = runs.loc[observer]
-        check_over_all(wide.loc[(observer, "nis")], mine.nis * mine.nis_degrees, mine.nis_degrees)
+        check_over_all(wide.loc[(observer, "nis")], mine.nis * mine.nis_dof, mine.nis_dof)
 
 
 def check_over_all(row, squares, degrees):
@@ -146,29 +146,29 @@ def check_over_all(row, squares, degrees):
 def test_a_run_without_a_judged_sample_adds_nothing_to_the_mean_nis():
     """Nearly all samples are lost: some runs have none, and their own nis is unknown."""
     lossy = {"lti": HONEST["lti"] | {"loss": 0.93}}
-    result = pcbench.run(HONEST | lossy | {"observers": ["dkf"]}, seeds=64)
-    runs = result.runs[(result.runs.signal == "a") & (result.runs.observer == "dkf")]
+    result = pcbench.run(HONEST | lossy | {"observers": ["kf"]}, seeds=64)
+    runs = result.runs[(result.runs.signal == "a") & (result.runs.observer == "kf")]
     assert 0 < runs.nis.isna().sum() < 64
-    assert ((runs.nis_degrees == 0) == runs.nis.isna()).all()
+    assert ((runs.nis_dof == 0) == runs.nis.isna()).all()
     wide = result.stats[result.stats.signal == "a"].set_index(["observer", "metric"])
-    check_over_all(wide.loc[("dkf", "nis")], (runs.nis * runs.nis_degrees).fillna(0.0), runs.nis_degrees)
-    within = wide.loc[("dkf", "nis_band")]
-    assert (within.ci_low, within.ci_high) == pytest.approx(band(runs.nis_degrees.sum()))
+    check_over_all(wide.loc[("kf", "nis")], (runs.nis * runs.nis_dof).fillna(0.0), runs.nis_dof)
+    within = wide.loc[("kf", "nis_band")]
+    assert (within.ci_low, within.ci_high) == pytest.approx(band(runs.nis_dof.sum()))
 
 
 def test_consistency_needs_starts_that_are_drawn():
-    with pytest.raises(UserError, match="write random_start = true"):
-        pcbench.run(STUDY | {"observers": ["dkf"], "options": {"scenario": {"consistency": True}}})
+    with pytest.raises(UserError, match="write random_initial_state = true"):
+        pcbench.run(STUDY | {"observers": ["kf"], "options": {"scenario": {"consistency": True}}})
 
 
 def test_a_trace_has_the_standard_deviation_that_is_believed():
     """Before anything has arrived no less than the prior's, then less."""
     study = {"name": "t", "scenarios": ["cart/gaussian"], "options": STUDY["options"]}
-    found = pcbench.trace(study, ["dkf", "open-loop"])
-    sigma = found["dkf.position.sigma"]
+    found = pcbench.simulate(study, ["kf", "model-only"])
+    sigma = found["kf.position.sigma"]
     prior = SCENARIOS["cart/gaussian"].belief.prior_std[0]
     waits = found["y1"].isna().to_numpy()
     assert 0 < waits.sum() < len(waits) / 4
     assert (sigma[waits] >= prior).all()
     assert (sigma[~waits] < prior).all()
-    assert "open-loop.position.sigma" not in found
+    assert "model-only.position.sigma" not in found

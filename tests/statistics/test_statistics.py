@@ -133,7 +133,7 @@ def test_diverged_runs_lose_and_are_never_averaged():
     assert len(rows) == len(PLAIN) + 4
     for row in rows:
         assert row["diverged"] == 6
-        assert row["n"] == (60 if row["metric"] == "divergence" else 54)
+        assert row["n"] == (60 if row["metric"] == "divergence_rate" else 54)
         assert np.isfinite(row["mean"])
 
 
@@ -208,7 +208,7 @@ def test_rounding_of_zero_is_no_difference():
 
 
 SIGNALS, SIZES = ["position", "velocity"], (1.0, 0.01)
-TRACKED = ("tracking_rmse", "tail_tracking_rmse", *statistics.OF_RUN)
+TRACKED = ("tracking_rmse", "steady_tracking_rmse", *statistics.OF_RUN)
 
 
 def cell(seed, n, observers, divergence, kind):
@@ -217,14 +217,14 @@ def cell(seed, n, observers, divergence, kind):
     draw = {
         "smooth": lambda shape: rng.gamma(2.0, size=shape),
         "ties": lambda shape: rng.integers(0, 4, shape) / 4.0,
-        "horizon": lambda shape: np.minimum(rng.gamma(2.0, size=shape), 1.5),
+        "duration": lambda shape: np.minimum(rng.gamma(2.0, size=shape), 1.5),
         "constant": lambda shape: np.full(shape, 0.1),
     }[kind]
     for k in range(observers):
         many = 1 if k == observers - 1 and k > 0 else 2
         bad = rng.random(n) < divergence
         metrics = {m: draw((1 if m in TRACKED else many, n)) for m in PLAIN if m != "recovery_time"}
-        metrics["final"] = metrics["final"] - 1.0
+        metrics["final_error"] = metrics["final_error"] - 1.0
         unsettled = (rng.random((many, n)) < 0.2) & ~bad
         out[f"observer-{k}"] = {m: np.where(bad, np.nan, v) for m, v in metrics.items()} | {
             "diverged": bad,
@@ -263,7 +263,7 @@ def assert_rows_agree(got, want):
     n=st.one_of(st.integers(1, 12), st.integers(13, 160)),
     observers=st.integers(1, 3),
     divergence=st.sampled_from([0.0, 0.1, 0.6, 1.0]),
-    kind=st.sampled_from(["smooth", "ties", "horizon", "constant"]),
+    kind=st.sampled_from(["smooth", "ties", "duration", "constant"]),
     size=st.integers(1, 170),
     held=st.sampled_from([0, 5, 4096]),
     splitters=st.integers(1, 40),
@@ -355,7 +355,7 @@ def test_many_runs_are_read_twice_and_few_once():
 
 
 @pytest.mark.parametrize(
-    ("metric", "zero"), [("mae", 1e-13), ("tail_peak", 1e-13), ("mse", 1e-15), ("tail_mse", 1e-15)]
+    ("metric", "zero"), [("mae", 1e-13), ("steady_max_abs_error", 1e-13), ("mse", 1e-15), ("steady_mse", 1e-15)]
 )
 def test_zero_is_a_part_of_the_signals_size_squared_for_squares(metric, zero):
     """Of velocity, of size 0.01: what differs by less than 1e-11 of it is a tie, and what differs by more is not."""

@@ -26,11 +26,11 @@ def works_on(observer, scenario, where):
         ("delay", 0.0, -0.001),
         ("delay", 10.0, 10.001),
         ("delay", 0.037, 0.0375),
-        ("jitter", 0.0, -0.001),
+        ("sampling_jitter", 0.0, -0.001),
         ("assumed_delay_error", -0.1, -10.001),
         ("noise_std", 1e12, 1.1e12),
         ("noise_std", 1e-12, 1e-13),
-        ("drift", -1.0, float("nan")),
+        ("parameter_drift", -1.0, float("nan")),
         ("plant.lam", -3.0, float("inf")),
         ("loss", 0.5, True),
     ],
@@ -53,7 +53,9 @@ def test_a_value_for_each_channel_is_as_many_as_there_are_channels():
 
 def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():
     assert times.clocks(TANK) == [Clock((j,), 1, d) for j, d in enumerate((2, 5, 7))]
-    mixed = TANK.having(delay=(20.0, 50.0, 20.0), jitter=10.0, delay_jitter=30.0, loss=0.2, profile=(10.0, 30.0))
+    mixed = TANK.having(
+        delay=(20.0, 50.0, 20.0), sampling_jitter=10.0, delay_jitter=30.0, loss=0.2, sampling_pattern=(10.0, 30.0)
+    )
     rest = ((1, 3), 1, 3, 0.2)
     assert times.clocks(mixed) == [Clock((0, 2), 1, 2, *rest), Clock((1,), 1, 5, *rest)]
     (clock,) = times.clocks(LOOP)
@@ -82,12 +84,12 @@ def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
 @pytest.mark.parametrize(
     ("observer", "takes", "refuses"),
     [
-        ("kfbo", {"loss": 0.1, "jitter": 0.01}, {"delay_jitter": 0.01}),
-        ("kfbo", {"delay": (INTERVAL,)}, {"delay": (INTERVAL,), "profile": "sine"}),
-        ("kfbo", {"profile": "sine"}, {"delay": (INTERVAL,), "jitter": 0.01}),
+        ("kfbo", {"loss": 0.1, "sampling_jitter": 0.01}, {"delay_jitter": 0.01}),
+        ("kfbo", {"delay": (INTERVAL,)}, {"delay": (INTERVAL,), "sampling_pattern": "sine"}),
+        ("kfbo", {"sampling_pattern": "sine"}, {"delay": (INTERVAL,), "sampling_jitter": 0.01}),
         ("chain", {"loss": 0.1}, {"delay_jitter": 0.2}),
-        ("chain", {}, {"jitter": 0.01}),
-        ("chain", {}, {"profile": (0.2, 0.4)}),
+        ("chain", {}, {"sampling_jitter": 0.01}),
+        ("chain", {}, {"sampling_pattern": (0.2, 0.4)}),
     ],
 )
 def test_an_observer_is_given_the_schedules_that_it_takes_and_no_other(observer, takes, refuses):
@@ -99,8 +101,8 @@ def test_an_observer_is_given_the_schedules_that_it_takes_and_no_other(observer,
 def test_a_nonlinear_plant_is_given_to_observers_that_need_no_linear_model():
     for observer in ("ekf", "high-gain"):
         works_on(observer, LOOP, "test")
-    with pytest.raises(UserError, match=r"dkf in helicopter/varying got a nonlinear plant.*take one of high-gain, ekf"):
-        works_on("dkf", LOOP, "test")
+    with pytest.raises(UserError, match=r"kf in helicopter/varying got a nonlinear plant.*take one of high-gain, ekf"):
+        works_on("kf", LOOP, "test")
 
 
 def test_one_clock_is_one_period_and_one_delay():
@@ -108,7 +110,7 @@ def test_one_clock_is_one_period_and_one_delay():
         with pytest.raises(UserError, match="pccebo in csth/10s got channels with periods"):
             works_on("pccebo", TANK.having(**changes), "test")
     works_on("pccebo", TANK.having(delay=(20.0,) * 3), "test")
-    works_on("dkf", TANK, "test")
+    works_on("kf", TANK, "test")
 
 
 def test_what_measures_at_every_stage_has_no_schedule_and_no_noise():

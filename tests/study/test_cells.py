@@ -38,7 +38,7 @@ def test_cells_stand_in_the_order_of_the_axes_as_written():
 
 
 def test_a_cell_is_the_same_wherever_it_stands():
-    long = cells(study(axes={"noise_std": [0.5, 0.1], "drift": [0.0, 1.0]}), "cart/white")
+    long = cells(study(axes={"noise_std": [0.5, 0.1], "parameter_drift": [0.0, 1.0]}), "cart/white")
     short = cells(study(axes={"noise_std": [0.1]}), "cart/white")
     assert [c.digest for c in long].index(short[0].digest) == 2
     assert len({c.digest for c in long}) == 4
@@ -47,9 +47,9 @@ def test_a_cell_is_the_same_wherever_it_stands():
 def test_a_cell_is_another_with_another_root_seed_choice_or_parameter():
     (plain,) = cells(study(), "cart/white")
     others = [
-        cells(study(options={"scenario": {"random_start": True}}), "cart/white")[0],
+        cells(study(options={"scenario": {"random_initial_state": True}}), "cart/white")[0],
         cells(study(axes={"plant.lam": [110.0]}), "cart/white")[0],
-        cells(study(axes={"jitter": [0.01]}), "cart/white")[0],
+        cells(study(axes={"sampling_jitter": [0.01]}), "cart/white")[0],
         cells(study(root_seed=1), "cart/white")[0],
     ]
     assert len({c.digest for c in (plain, *others)}) == 5
@@ -92,7 +92,7 @@ def test_a_run_builds_each_cell_once(monkeypatch, tmp_path):
         "--seeds",
         "2",
         "--observers",
-        "dkf,open-loop",
+        "kf,model-only",
         "--out",
         str(tmp_path / "out"),
         "--quiet",
@@ -108,15 +108,15 @@ def test_an_axis_wins_over_the_scenarios_own_parameter():
 
 
 def test_a_study_is_written_with_all_that_decides_its_numbers():
-    written = tomllib.loads(text(study("cart/variable", options={"dkf": {"R": 2.0}})))
+    written = tomllib.loads(text(study("cart/variable", options={"kf": {"R": 2.0}})))
     resolved = written["resolved"]
     assert resolved["scenarios"]["cart/variable"]["delay"] == ["interval"]
-    assert resolved["options"]["cart/variable"]["dkf"]["R"] == 2.0
+    assert resolved["options"]["cart/variable"]["kf"]["R"] == 2.0
     assert resolved["options"]["cart/variable"]["pi-pco"] == {"Kp": -61.0, "Ki": 12.2, "decay": 0.0}
-    assert resolved["observers"]["cart/variable"] == ["pco", "pi-pco", "pccebo", "dkf", "dkf-bias", "open-loop"]
+    assert resolved["observers"]["cart/variable"] == ["pco", "pi-pco", "pccebo", "kf", "kf-bias", "model-only"]
 
 
-@pytest.mark.parametrize("changes", [{"seeds": 3}, {"root_seed": 1}, {"axes": {"loss": [0.1]}}, {"observers": ["dkf"]}])
+@pytest.mark.parametrize("changes", [{"seeds": 3}, {"root_seed": 1}, {"axes": {"loss": [0.1]}}, {"observers": ["kf"]}])
 def test_the_digest_of_a_study_changes_with_whatever_changes_its_numbers(changes):
     assert hashed(study()) == hashed(study())
     assert hashed(study(**changes)) != hashed(study())

@@ -99,16 +99,16 @@ def test_a_published_plant_in_a_loop_of_ones_own_is_regulated(scenario):
     """Its tables have the input and the cost; the axes of commands are columns; the same study open has neither."""
     Q = {"cart/white": (10.0, 1e-3), "csth/10s-noise": ([1e4, 1e-8, 1.0], 1e-3), "arm/sampled": (1.0, 1e-2)}[scenario]
     controller = {"use": "lqr", "Q1": Q[0], "Q2": Q[1]}
-    raw = {"name": "t", "scenarios": [scenario], "observers": ["dkf"], "seeds": 4, "controller": controller}
+    raw = {"name": "t", "scenarios": [scenario], "observers": ["kf"], "seeds": 4, "controller": controller}
     found = pcbench.run(raw)
     stats = found.stats.set_index(["metric", "signal"])
-    assert np.isfinite(stats.loc["tail_cost", "mean"]).all()
+    assert np.isfinite(stats.loc["steady_lq_cost", "mean"]).all()
     assert {"command_loss", "command_jitter", "command_std"} <= set(found.runs)
     assert not found.runs.diverged.any()
     assert stats.loc["input_rms", "unit"].item() == "unit of the input"
     still = controller | {"use": "state-feedback", "K": (0 * np.ones(SHAPES[scenario])).tolist()}
     idle = pcbench.run(raw | {"controller": still}).stats.set_index(["metric", "signal"])
-    assert stats.loc["cost", "mean"].item() < idle.loc["cost", "mean"].item()
+    assert stats.loc["lq_cost", "mean"].item() < idle.loc["lq_cost", "mean"].item()
 
 
 SHAPES = {"cart/white": (1, 2), "csth/10s-noise": (2, 3), "arm/sampled": (1, 4)}
@@ -124,5 +124,5 @@ def test_a_loop_is_extended_verified_and_reported(tmp_path):
     assert not said
     done = pcbench.run(raw, out=tmp_path / "out", seeds=4)
     again = pcbench.run(raw, seeds=4)
-    np.testing.assert_array_equal(done.runs.cost, again.runs.cost)
-    assert done.runs.cost.notna().sum() == 8
+    np.testing.assert_array_equal(done.runs.lq_cost, again.runs.lq_cost)
+    assert done.runs.lq_cost.notna().sum() == 8

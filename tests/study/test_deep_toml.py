@@ -28,7 +28,7 @@ def test_text_that_is_deep_enough_for_any_study_is_read():
 
 
 @pytest.mark.parametrize("what", DEEP)
-@pytest.mark.parametrize("command", ["log", "show", "status", "check", "run", "compare"])
+@pytest.mark.parametrize("command", ["info", "show", "status", "check", "run", "compare"])
 def test_every_command_that_reads_it_says_one_sentence(command, what, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ds").mkdir()

@@ -46,7 +46,7 @@ def of_the_log(taken, late, ticks):
 @pytest.mark.parametrize("horizon", [0.5, 1.5, 6.0], ids=["a part", "most", "again and again"])
 def test_samples_are_those_of_the_log(tmp_path, horizon):
     taken, late = recorded(tmp_path / "flight")
-    _, cell = read.one_cell(study(tmp_path / "flight", horizon=horizon), ["dkf"], [])
+    _, cell = read.one_cell(study(tmp_path / "flight", duration=horizon), ["kf"], [])
     found = [s for s in samples_of(cell) if s.taken <= cell.times.ticks]
     got = [(s.taken, None if s.arrives > NEVER else s.arrives) for s in found]
     assert got == of_the_log(taken, late, round(horizon / TICK))
@@ -55,7 +55,7 @@ def test_samples_are_those_of_the_log(tmp_path, horizon):
 
 def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
     taken, late = recorded(tmp_path / "flight")
-    _, cell = read.one_cell(study(tmp_path / "flight"), ["dkf"], [])
+    _, cell = read.one_cell(study(tmp_path / "flight"), ["kf"], [])
     each = [(t, a) for t, a in of_the_log(taken, late, cell.times.ticks) if a is not None]
     most = max(sum(newer > t and sooner < a for newer, sooner in each) for t, a in each)
     assert setting(cell).overtaking == most > 1
@@ -67,24 +67,24 @@ def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sam
     resolved = read.study_of(study(tmp_path / "flight", **two), {}, []).lti
     assert "in-turn:" not in str(resolved)
     assert resolved.delay == pytest.approx(np.nanmin(late[:-1]) * TICK)
-    assert [v == "lost" for v in resolved.delay_turns] == np.isnan(late[: len(resolved.delay_turns)]).tolist()
-    assert resolved.profile == pytest.approx(np.diff(taken) * TICK)
+    assert [v == "lost" for v in resolved.delay_sequence] == np.isnan(late[: len(resolved.delay_sequence)]).tolist()
+    assert resolved.sampling_pattern == pytest.approx(np.diff(taken) * TICK)
 
 
 def test_several_logs_are_several_scenarios(tmp_path):
     for name, seed in (("lab", 1), ("field", 2)):
         recorded(tmp_path / name, seed=seed)
     tables = {name: {"base": "cart/gaussian", "delay": f"in-turn:{tmp_path / name}"} for name in ("lab", "field")}
-    grid = read.grid({"name": "two", "scenarios": tables, "observers": ["dkf"]}, "two", read.FROM_HERE)
+    grid = read.grid({"name": "two", "scenarios": tables, "observers": ["kf"]}, "two", read.FROM_HERE)
     lab, field = (cell.times.clocks[0] for cell in grid.cells)
     assert lab.turns != field.turns
     assert lab.profile != field.profile
 
 
 def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
-    axes = {"axes": {"delay_turns": [[0.0, 0.05, "lost"], [0.0]]}}
-    grid = read.grid(MOTOR | {"observers": ["dkf"]} | axes, "motor", read.FROM_HERE)
-    assert [cell.values["delay_turns"] for cell in grid.cells] == ["0, 0.05, lost", "0"]
+    axes = {"axes": {"delay_sequence": [[0.0, 0.05, "lost"], [0.0]]}}
+    grid = read.grid(MOTOR | {"observers": ["kf"]} | axes, "motor", read.FROM_HERE)
+    assert [cell.values["delay_sequence"] for cell in grid.cells] == ["0, 0.05, lost", "0"]
     late = [s.arrives - s.taken for s in samples_of(grid.cells[0])][:4]
     assert [v if v < NEVER else None for v in late] == [10, 15, None, 10]
 
@@ -93,20 +93,20 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
     ("more", "sentence"),
     [
         ({"sampling_period": 0.05}, "lti.sampling_period: got 0.05 beside the delays of a log, expected one"),
-        ({"delay_turns": [0.1]}, "lti.delay_turns: got [0.1] beside the delays of a log"),
+        ({"delay_sequence": [0.1]}, "lti.delay_sequence: got [0.1] beside the delays of a log"),
         ({"loss": 0.1}, "lti.loss: got 0.1 beside the delays of a log"),
         ({"delay": "in-turn:none"}, "no such file or folder"),
         (
-            {"delay_turns": [math.inf], "delay": 0.1, "sampling_period": 0.1},
-            "delay_turns[0]: got inf, expected a finite number or 'lost'",
+            {"delay_sequence": [math.inf], "delay": 0.1, "sampling_period": 0.1},
+            "delay_sequence[0]: got inf, expected a finite number or 'lost'",
         ),
-        ({"stamp_jitter": 0.01}, "got stamp_jitter beside delay_turns in lti, expected one of them"),
+        ({"timestamp_jitter": 0.01}, "got timestamp_jitter beside delay_sequence in lti, expected one of them"),
     ],
 )
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     recorded(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
-        read.grid(study(tmp_path / "flight", **more) | {"observers": ["dkf"]}, "motor", read.FROM_HERE)
+        read.grid(study(tmp_path / "flight", **more) | {"observers": ["kf"]}, "motor", read.FROM_HERE)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -130,10 +130,10 @@ def test_a_log_that_cannot_be_replayed_is_one_sentence(tmp_path, measured, sente
 
 
 def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
-    assert recorded_delays.horizon_of({"base": "mine.py:late_camera"}) == np.inf
-    assert recorded_delays.horizon_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].horizon != 10.0
-    assert recorded_delays.horizon_of({"base": "reactor/batch", "horizon": 3.0}) == 3.0
-    assert recorded_delays.horizon_of({}) == 10.0
+    assert recorded_delays.duration_of({"base": "mine.py:late_camera"}) == np.inf
+    assert recorded_delays.duration_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].duration != 10.0
+    assert recorded_delays.duration_of({"base": "reactor/batch", "duration": 3.0}) == 3.0
+    assert recorded_delays.duration_of({}) == 10.0
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
 def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
     with pytest.raises(UserError) as caught:
         read.grid(
-            MOTOR | {"observers": ["dkf"], "axes": {"delay_turns": [value] if isinstance(value, list) else value}},
+            MOTOR | {"observers": ["kf"], "axes": {"delay_sequence": [value] if isinstance(value, list) else value}},
             "m",
             read.FROM_HERE,
         )
@@ -158,4 +158,4 @@ def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
 
 def test_a_log_as_a_value_of_an_axis_is_told_where_it_belongs():
     with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no log among"):
-        read.grid(MOTOR | {"observers": ["dkf"], "axes": {"delay": ["in-turn:flight"]}}, "m", read.FROM_HERE)
+        read.grid(MOTOR | {"observers": ["kf"], "axes": {"delay": ["in-turn:flight"]}}, "m", read.FROM_HERE)

@@ -123,7 +123,7 @@ def tables_hold_numbers(path):
         except UserError as error:
             one_sentence(str(error))
             return
-    some = stats[(stats["n"] > 0) & (stats["metric"] != "efficiency")]  # of no error at all there is no efficiency
+    some = stats[(stats["n"] > 0) & (stats["metric"] != "rms_efficiency")]  # of no error at all there is no efficiency
     assert np.isfinite(some["mean"]).all(), some[~np.isfinite(some["mean"])]
     assert (stats["n"] + stats["diverged"] > 0).all()
 

@@ -12,7 +12,7 @@ A = [[0.0, 1.0, 0.0], [0.0, -0.1, 2.0], [0.0, -0.5, -20.0]]
 B = [[0.0], [0.0], [10.0]]
 C = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 D = [[0.0], [0.5]]
-SENSED = {"sampling_period": 0.05, "delay": 0.1, "noise_std": 0.0, "horizon": 0.5}
+SENSED = {"sampling_period": 0.05, "delay": 0.1, "noise_std": 0.0, "duration": 0.5}
 SYSTEMS = {
     "scipy continuous": lambda: signal.StateSpace(A, B, C, D),
     "scipy discrete": lambda: signal.StateSpace(A, B, C, D).to_discrete(0.01),
@@ -48,8 +48,8 @@ def test_a_transfer_function_becomes_a_state_space_system():
 
 
 def test_both_sides_move_alike():
-    study = pcbench.lti(SYSTEMS["control discrete"](), **SENSED, x0=[1.0, -1.0, 0.5], observers=["open-loop"])
-    d = pcbench.trace(study, "open-loop")
+    study = pcbench.lti(SYSTEMS["control discrete"](), **SENSED, x0=[1.0, -1.0, 0.5], observers=["model-only"])
+    d = pcbench.simulate(study, "model-only")
     system = pcbench.to_control(study)
     answer = control.forced_response(system, d["t"], d["u1"], [1.0, -1.0, 0.5], return_x=True)
     x = d[["x1", "x2", "x3"]].to_numpy()
@@ -76,7 +76,7 @@ def test_both_sides_move_alike():
         (lambda: pcbench.lti(SYSTEMS["scipy continuous"](), sampling_perod=1.0), "did you mean 'sampling_period'"),
         (lambda: pcbench.lti(SYSTEMS["scipy continuous"](), delay=0.1), "sampling_period is missing"),
         (
-            lambda: pcbench.to_scipy(pcbench.run("cart/nominal", observers="open-loop", seeds=1).study),
+            lambda: pcbench.to_scipy(pcbench.run("cart/nominal", observers="model-only", seeds=1).study),
             "no plant of its own",
         ),
     ],

@@ -17,7 +17,7 @@ MOTOR = {
     "sampling_period": [0.04, 0.01],
     "delay": [0.06, 0.01],
     "noise_std": [0.01, 0.05],
-    "horizon": 0.6,
+    "duration": 0.6,
     "x0": [1.0, -2.0, 0.5],
 }
 RNG = np.random.default_rng(5)
@@ -30,7 +30,7 @@ DIRECT = {  # three states, two inputs, two outputs with feedthrough, no symmetr
     "sampling_period": 0.05,
     "delay": 0.07,
     "noise_std": [0.1, 0.3],
-    "horizon": 0.6,
+    "duration": 0.6,
     "x0": [1.0, -2.0, 0.5],
 }
 SAMPLED = signal.cont2discrete(
@@ -39,9 +39,9 @@ SAMPLED = signal.cont2discrete(
 DISCRETE = DIRECT | {"A": SAMPLED[0].tolist(), "B": SAMPLED[1].tolist(), "dt": 0.01}
 PLANTS = {"motor": MOTOR, "direct": DIRECT, "discrete": DISCRETE}
 FEW = ["motor", pytest.param("direct", marks=pytest.mark.nightly), pytest.param("discrete", marks=pytest.mark.nightly)]
-ONE_CLOCK = ["pccebo", "pccebo-riccati", "pco", "pi-pco", "dkf", "dkf-bias", "open-loop"]
-TWO_CLOCKS = ["dkf", "dkf-bias", "open-loop"]
-OPTIONS = {"pccebo-riccati": {"gain": "riccati"}, "dkf-bias": {"bias_variance": 0.5}}
+ONE_CLOCK = ["pccebo", "pccebo-riccati", "pco", "pi-pco", "kf", "kf-bias", "model-only"]
+TWO_CLOCKS = ["kf", "kf-bias", "model-only"]
+OPTIONS = {"pccebo-riccati": {"gain": "riccati"}, "kf-bias": {"bias_variance": 0.5}}
 
 
 def study(plant, observers, **changes):
@@ -64,7 +64,7 @@ def traced(request):
     """Plant, its tick matrices, and one run of every observer that takes its samples, started at the truth without noise."""
     plant = request.param
     observers = TWO_CLOCKS if plant == "motor" else ONE_CLOCK
-    d = pcbench.trace(study(plant, observers, noise_std=0.0, xhat0=PLANTS[plant]["x0"]), observers)
+    d = pcbench.simulate(study(plant, observers, noise_std=0.0, xhat0=PLANTS[plant]["x0"]), observers)
     return plant, observers, d
 
 
@@ -113,7 +113,7 @@ def noisy(request):
     """Plant, one run of every observer, and what the reference needs: model, input, samples, D."""
     plant, own = request.param, PLANTS[request.param]
     observers = TWO_CLOCKS if plant == "motor" else ONE_CLOCK
-    d = pcbench.trace(study(plant, observers), observers)
+    d = pcbench.simulate(study(plant, observers), observers)
     _, G, C, D, dt = discretised(plant)
     u, y = columns(d, "u", range(1, G.shape[1] + 1)), columns(d, "y", (1, 2))
     samples = []
@@ -136,10 +136,10 @@ def test_observers_equal_the_reference_with_two_clocks_or_feedthrough(noisy):
 def reference(plant, observer, model, u, samples, D):
     own, start = PLANTS[plant], np.zeros(3)
     gains = pcbench.design(study(plant, [observer]), observer).gains
-    if observer.startswith("dkf"):
+    if observer.startswith("kf"):
         P0, R = np.diag(np.square(own["x0"])), np.square(np.broadcast_to(own["noise_std"], 2))
-        bias = 0.5 if observer == "dkf-bias" else None
-        return irregular.dkf(model, u, samples, start, P0, R, None, bias, D)
+        bias = 0.5 if observer == "kf-bias" else None
+        return irregular.kf(model, u, samples, start, P0, R, None, bias, D)
     elif observer.startswith("pccebo"):
         return irregular.pccebo(model, u, samples, start, gains.L, D)
     Ki = gains.Ki if observer == "pi-pco" else None
@@ -151,7 +151,7 @@ def reference(plant, observer, model, u, samples, D):
 def test_kfbo_equals_the_reference_on_a_plant_of_ones_own_with_feedthrough(noisy):
     plant, _, model, u, samples, D = noisy
     own = study(plant, ["kfbo"])
-    got = columns(pcbench.trace(own, "kfbo"), "kfbo.", names(plant))
+    got = columns(pcbench.simulate(own, "kfbo"), "kfbo.", names(plant))
     known = [s._replace(value=s.value - D[s.channel] @ u[s.taken]) for s in samples]
     K = pcbench.design(own, "kfbo").certificate.numbers["K"]
     want = linear.kfbo(model, u, known, np.zeros(3), K, 50, 70)
@@ -176,7 +176,7 @@ BAD = {
     "names": ({"states": ["a", "b"]}, "got 2 names, expected 3"),
     "twice": ({"states": ["a", "b", "a"]}, "got 'a' twice"),
     "no name": ({"states": ["a", "b", "3 c"]}, "expected a name with a unit"),
-    "tail": ({"tail": 9.0}, "expected less than the horizon"),
+    "steady_start": ({"steady_start": 9.0}, "expected less than the duration"),
     "input": ({"input": "cosine"}, "'cosine' is no input"),
     "inputs": ({"input": "sine, sine"}, "got 2 signals"),
 }
@@ -186,14 +186,14 @@ BAD = {
 def test_what_does_not_fit_is_named_in_one_sentence(what):
     changes, sentence = BAD[what]
     with pytest.raises(UserError, match=sentence) as error:
-        pcbench.run(study("motor", ["dkf"], **changes), seeds=1)
+        pcbench.run(study("motor", ["kf"], **changes), seeds=1)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("C", "observer", "sentence"),
     [
-        ([[0.0, 0.0, 1.0]], "dkf", "mode 0 is undetectable"),  # the angle integrates and is not seen
+        ([[0.0, 0.0, 1.0]], "kf", "mode 0 is undetectable"),  # the angle integrates and is not seen
         ([[0.0, 1.0, 0.0]], "pco", "mode 0 is unobservable"),
         ([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]], "pco", "expected independent outputs"),
     ],
@@ -215,6 +215,6 @@ def test_the_table_in_a_file_runs(tmp_path):
 
     path = tmp_path / "motor.toml"
     path.write_text(tomli_w.dumps({"lti": MOTOR, "seeds": 4}))
-    d = pcbench.trace(path, "dkf")
+    d = pcbench.simulate(path, "kf")
     assert list(d.columns[:4]) == ["t", "angle", "speed", "current"]
-    assert Lti(**MOTOR).observers == ["dkf", "open-loop"]
+    assert Lti(**MOTOR).observers == ["kf", "model-only"]

@@ -23,16 +23,16 @@ PLANT = {
     "delay": 0.02,
     "noise_std": 0.1,
     "tick": TICK,
-    "horizon": TICK * TICKS,
+    "duration": TICK * TICKS,
 }
 
 
 def study(**changes):
-    return {"name": "own", "lti": PLANT | changes, "observers": ["dkf"]}
+    return {"name": "own", "lti": PLANT | changes, "observers": ["kf"]}
 
 
 def driven(given):
-    return pcbench.trace(study(input=given), ["dkf"])[["u1", "u2"]].to_numpy()
+    return pcbench.simulate(study(input=given), ["kf"])[["u1", "u2"]].to_numpy()
 
 
 SINE = {"signal": "sine", "amplitude": 2.0, "frequency": 1.5, "offset": 1.0, "phase": 0.7}
@@ -62,7 +62,7 @@ def test_a_file_stands_beside_the_study_and_its_rows_in_what_is_left(tmp_path, m
     (tmp_path / "a" / "volts.csv").write_text("t,u1,u2\n" + "\n".join(", ".join(map(str, row)) for row in rows) + "\n")
     path = tmp_path / "a" / "own.toml"
     path.write_text(tomli_w.dumps(study(input="volts.csv") | {"seeds": 4}))
-    d = pcbench.trace(path, ["dkf"])
+    d = pcbench.simulate(path, ["kf"])
     np.testing.assert_array_equal(d[["u1", "u2"]].to_numpy(), driven(rows))
     pcbench.run(path, out=tmp_path / "out")
     (tmp_path / "a" / "volts.csv").unlink()
@@ -87,7 +87,7 @@ def test_a_changed_file_is_another_study(tmp_path):
 def test_an_unknown_input_is_said_likewise_and_its_unit_is_the_signals():
     given = {"signal": "square", "frequency": 2.0, "amplitude": 0.5, "unit": "m/s^2"}
     pushed = study(E=[[0.0], [1.0]], unknown_input=given)
-    d = pcbench.trace(pushed, ["dkf"])
+    d = pcbench.simulate(pushed, ["kf"])
     np.testing.assert_array_equal(d["input"], [0.5 if k // 25 % 2 == 0 else -0.5 for k in range(101)])
     stats = pcbench.run(pushed, seeds=4).stats
     assert set(stats[(stats.signal == "input") & (stats.metric == "mae")].unit) == {"m/s^2"}
@@ -97,11 +97,11 @@ def test_an_unknown_input_is_said_likewise_and_its_unit_is_the_signals():
 def test_a_trace_says_the_unit_of_the_input_and_whether_gains_are_certified(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(tomli_w.dumps(study(input=[SINE | {"unit": "V"}, "sine"])))
-    call("trace", str(path), "--observer", "dkf", "--out", str(tmp_path / "t.parquet"))
+    call("simulate", str(path), "--observer", "kf", "--out", str(tmp_path / "t.parquet"))
     schema = pq.read_schema(tmp_path / "t.parquet")
     said = [schema.field(name).metadata[b"unit"].decode() for name in ("u1", "u2")]
     assert said == ["V", "unit of the input"]
-    proven = [field.metadata.get(b"certified") for field in schema if field.name.startswith("dkf.")]
+    proven = [field.metadata.get(b"certified") for field in schema if field.name.startswith("kf.")]
     assert set(proven) == {b"true"}
 
 

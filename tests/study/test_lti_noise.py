@@ -23,7 +23,7 @@ PLANT = {  # three states, two inputs, two outputs of two clocks, no symmetry; n
     "delay": [0.06, 0.01],
     "noise_std": [0.1, 0.3],
     "tick": TICK,
-    "horizon": TICK * TICKS,
+    "duration": TICK * TICKS,
     "x0": [1.0, -2.0, 0.5],
 }
 G = [[1.0, 0.0], [0.5, 0.2], [0.0, -1.0]]
@@ -35,7 +35,7 @@ SLOW = np.eye(3) + TICK * MODEL.A  # of a discrete plant
 
 
 def study(given=FULL, **changes):
-    return {"name": "own", "lti": given | changes, "observers": ["dkf", "ekf"]}
+    return {"name": "own", "lti": given | changes, "observers": ["kf", "ekf"]}
 
 
 def the_cell(**asked):
@@ -64,7 +64,7 @@ def drawn(seed):
     ids=["G and QN", "process_std", "discrete"],
 )
 def test_the_plant_is_pushed_by_the_root_of_the_covariance_of_a_tick(given, root):
-    d = pcbench.trace(study(given), ["dkf"], seed=2)
+    d = pcbench.simulate(study(given), ["kf"], seed=2)
     x, u = d[["x1", "x2", "x3"]].to_numpy(), d[["u1", "u2"]].to_numpy()
     Phi, Gamma = linear.discretise(MODEL.A, MODEL.B, TICK)
     if "dt" in given:
@@ -76,15 +76,15 @@ def test_the_plant_is_pushed_by_the_root_of_the_covariance_of_a_tick(given, root
 
 
 def test_filters_equal_the_reference_that_knows_the_intensity():
-    d = pcbench.trace(study(), ["dkf", "ekf"], seed=2)
+    d = pcbench.simulate(study(), ["kf", "ekf"], seed=2)
     u, y = d[["u1", "u2"]].to_numpy(), d[["y1", "y2"]].to_numpy()
     samples = []
     for j, (te, late) in enumerate(((4, 6), (3, 1))):
         for i, taken in enumerate(range(0, len(u) - late, te)):
             samples.append(linear.Sample(taken + late, taken, j, i, y[taken + late, j]))
     P0, R = np.diag([1.0, 4.0, 0.25]), np.array([0.01, 0.09])
-    want = irregular.dkf(MODEL, u, samples, np.zeros(3), P0, R, W)
-    for observer in ("dkf", "ekf"):
+    want = irregular.kf(MODEL, u, samples, np.zeros(3), P0, R, W)
+    for observer in ("kf", "ekf"):
         got = d[[f"{observer}.x{i}" for i in (1, 2, 3)]].to_numpy()
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max(), err_msg=observer)
 
@@ -119,12 +119,12 @@ def test_it_is_an_axis_of_which_designers_are_told():
 @pytest.mark.nightly
 def test_the_tables_say_the_noise_of_every_cell_and_a_filter_attains_the_bound():
     """256 runs from the prior: efficiency 1 within four of its standard errors; none at all where the model is wrong."""
-    asked = study(PLANT, horizon=2.0, tail=0.5) | {
-        "observers": ["dkf"],
-        "options": {"scenario": {"random_start": True}},
+    asked = study(PLANT, duration=2.0, steady_start=0.5) | {
+        "observers": ["kf"],
+        "options": {"scenario": {"random_initial_state": True}},
     }
     stats = pcbench.run(asked, axes={"process_std": [0.05, [0.1, 0.0, 0.2]]}, seeds=256).stats
-    rows = stats[stats.metric == "efficiency"]
+    rows = stats[stats.metric == "rms_efficiency"]
     assert {tuple(v) for v in rows.process_std} == {(0.05,) * 3, (0.1, 0.0, 0.2)}
     assert len(rows) == 6
     assert (np.abs(rows["mean"] - 1) < 4 * rows.se).all()

@@ -28,7 +28,7 @@ PLANT = {  # a mass on a spring with an actuator: two named numbers in three mat
     "delay": 0.03,
     "noise_std": 0.1,
     "tick": TICK,
-    "horizon": TICK * TICKS,
+    "duration": TICK * TICKS,
     "x0": [1.0, -2.0, 0.5],
 }
 
@@ -43,12 +43,12 @@ def matrices(k, c):
 
 
 def study(lti=PLANT, **asked):
-    return {"name": "own", "lti": lti, "observers": ["dkf"]} | asked
+    return {"name": "own", "lti": lti, "observers": ["kf"]} | asked
 
 
 def moved(asked):
     """The states and inputs of a run."""
-    d = pcbench.trace(asked, ["dkf"])
+    d = pcbench.simulate(asked, ["kf"])
     return d[["x1", "x2", "x3"]].to_numpy(), d[["u1", "u2"]].to_numpy()
 
 
@@ -63,12 +63,12 @@ def loop(A, B, u):
 DIFFERS = {  # what the study says besides, k and c of the plant, and what of its A and B is not by these
     "an axis": ({"axes": {"plant.k": [3.5]}}, {}, (3.5, 0.5), {}),
     "a named number": ({}, {"k": 3.5, "c": 0.1}, (3.5, 0.1), {}),
-    "half of it": ({"axes": {"drift": [0.5]}}, {"k": 3.5, "c": 0.1}, (2.75, 0.3), {}),
-    "none of it": ({"axes": {"drift": [0.0]}}, {"k": 3.5}, (2.0, 0.5), {}),
+    "half of it": ({"axes": {"parameter_drift": [0.5]}}, {"k": 3.5, "c": 0.1}, (2.75, 0.3), {}),
+    "none of it": ({"axes": {"parameter_drift": [0.0]}}, {"k": 3.5}, (2.0, 0.5), {}),
     "an axis over it": ({"axes": {"plant.k": [5.0]}}, {"k": 3.5, "c": 0.1}, (5.0, 0.1), {}),
     "matrices": ({}, {"A": (-np.eye(3)).tolist(), "B": [[1, 0], [0, 2], [3, 0]]}, (2.0, 0.5),
                  {"A": -np.eye(3), "B": np.array([[1.0, 0], [0, 2], [3, 0]])}),
-    "a quarter of a matrix": ({"axes": {"drift": [0.25]}}, {"A": (-np.eye(3)).tolist()}, (2.0, 0.5),
+    "a quarter of a matrix": ({"axes": {"parameter_drift": [0.25]}}, {"A": (-np.eye(3)).tolist()}, (2.0, 0.5),
                               {"A": 0.75 * matrices(2.0, 0.5)[0] - 0.25 * np.eye(3)}),
     "a matrix of an axis": ({"axes": {"plant.k": [4.0]}}, {"A": [[0, 1, 0], ["-2*k", 0, 0], [0, 0, -1]]}, (4.0, 0.5),
                             {"A": np.array([[0.0, 1, 0], [-8, 0, 0], [0, 0, -1]])}),
@@ -94,7 +94,7 @@ def test_outputs_are_the_plants_too():
     (p,) = planning.plan(read.parse(study(PLANT | {"plant": {"C": C, "D": D}}), "own"))
     np.testing.assert_array_equal(p.problem.params.C, C)
     np.testing.assert_array_equal(p.problem.params.D, D)
-    np.testing.assert_allclose(p.problem.gains["dkf"].C, matrices(2.0, 0.5)[2], rtol=1e-15)
+    np.testing.assert_allclose(p.problem.gains["kf"].C, matrices(2.0, 0.5)[2], rtol=1e-15)
 
 
 def test_there_is_no_bound_where_the_plant_is_not_the_model_and_one_where_it_is():
@@ -117,7 +117,7 @@ def test_a_study_with_named_numbers_is_written_and_run_again(tmp_path):
     pcbench.run(asked, out=tmp_path / "out")
     again = pcbench.run(str(tmp_path / "out" / "study.toml"), out=tmp_path / "out")
     assert again.cost.runs == 0
-    assert set(pcbench.opened(tmp_path / "out").stats.observer) == {"dkf"}
+    assert set(pcbench.open_result(tmp_path / "out").stats.observer) == {"kf"}
 
 
 BAD = {
@@ -138,7 +138,10 @@ BAD = {
         r"lti\.C\[0\]\[0\]: got '1/\(k - 2\)', expected a finite number at k = 2",
     ),
     "unused": ({"parameters": {"k": 1.0, "c": 2.0, "m": 3.0}}, "got m, which enters no matrix, expected one that does"),
-    "a taken name": ({"parameters": {"k": 1.0, "c": 2.0, "drift": 3.0}}, "got a parameter called 'drift'"),
+    "a taken name": (
+        {"parameters": {"k": 1.0, "c": 2.0, "drift": 3.0}},
+        "got a parameter called 'drift'",
+    ),
     "no name": ({"parameters": {"k": 1.0, "c": 2.0, "a b": 3.0}}, "got a parameter called 'a b'"),
     "a text": ({"parameters": {"k": "2", "c": 1.0}}, r"lti\.parameters\.k: got '2', expected a valid number"),
     "nothing": ({"plant": {}}, r"lti\.plant: got an empty table"),
@@ -164,7 +167,7 @@ def test_what_does_not_fit_is_named_in_one_sentence_and_nothing_is_written(what,
 
 
 AXES = {
-    "drift of a true model": ({"drift": [0.0, 1.0]}, r"axes\.drift: got \[0\.0, 1\.0\] for lti, where it has no effect"),
+    "drift of a true model": ({"parameter_drift": [0.0, 1.0]}, r"parameter_drift: got \[0\.0, 1\.0\] for lti, where"),
     "no such": ({"plant.m": [1.0]}, r"'plant\.m' is no axis of lti; .*plant\.k"),
     "no value": ({"plant.c": [-0.1, 0.0]}, r"got a plant with k = 2, c = 0, where a formula of a matrix has no finite value"),
 }  # fmt: skip
@@ -181,9 +184,9 @@ def test_an_axis_without_an_effect_or_a_value_is_refused_in_one_sentence(what, t
 
 
 def test_drift_is_refused_on_the_tank_where_nothing_drifts_and_0_is_what_it_is():
-    with pytest.raises(UserError, match=r"axes\.drift: got \[0\.5\] for csth/10s, where it has no effect"):
-        read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"drift": [0.5]}}, "tank")
-    read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"drift": [0.0]}}, "tank")
+    with pytest.raises(UserError, match=r"axes\.parameter_drift: got \[0\.5\] for csth/10s, where it has no effect"):
+        read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.5]}}, "tank")
+    read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.0]}}, "tank")
 
 
 def test_named_numbers_are_put_in_where_matrices_are_given_back():

@@ -25,10 +25,10 @@ def scenario(**changes):
 
 def test_what_is_left_out_is_what_the_table_says():
     s = scenario()
-    assert (s.dt, s.horizon, s.scoring.tail, s.scoring.bound) == (1e-3, 10.0, 3.0, 1e6)
+    assert (s.dt, s.duration, s.scoring.steady_start, s.scoring.divergence_threshold) == (1e-3, 10.0, 3.0, 1e6)
     assert (s.truth.x0, s.belief.xhat0, s.belief.prior_std) == ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))
     assert s.scoring.settle_band == pytest.approx((0.05, 0.05))
-    assert (s.loop.input, s.observers) == ("sine", ("dkf", "open-loop"))
+    assert (s.loop.input, s.observers) == ("sine", ("kf", "model-only"))
     assert (s.sampling.sampling_period, s.sampling.delay, s.sampling.noise_std) == ((0.1,), (0.2,), (0.3,))
 
 
@@ -44,9 +44,9 @@ def test_the_prior_is_how_far_apart_the_starts_are_and_the_band_a_twentieth_of_i
 
 
 def test_the_tail_and_the_horizon_are_whole_ticks():
-    s = scenario(horizon=2.0, tick=0.01, sampling_period=0.1)
-    assert (s.horizon, s.scoring.tail) == pytest.approx((2.0, 0.6))
-    assert scenario(horizon=2.0, tail=1.5).scoring.tail == 1.5
+    s = scenario(duration=2.0, tick=0.01, sampling_period=0.1)
+    assert (s.duration, s.scoring.steady_start) == pytest.approx((2.0, 0.6))
+    assert scenario(duration=2.0, steady_start=1.5).scoring.steady_start == 1.5
 
 
 def test_states_have_their_names_and_units():
@@ -57,7 +57,7 @@ def test_states_have_their_names_and_units():
 
 
 def test_a_discrete_plant_moves_by_its_own_tick():
-    s = scenario(dt=0.05, horizon=1.0)
+    s = scenario(dt=0.05, duration=1.0)
     assert (s.dt, s.belief.model["discrete"]) == (0.05, True)
     assert s.belief.model["A"] == PLANT["A"]
 
@@ -67,9 +67,9 @@ def test_a_plant_may_grow_by_so_much_over_its_horizon_and_no_more():
     scenario(A=[[6.9, 0.0], [0.0, -100.0]])
     with pytest.raises(UserError, match="got a plant that grows by 1e3"):
         scenario(A=[[7.0, 0.0], [0.0, -100.0]])
-    scenario(A=[[1.4, 0.0], [0.0, 0.1]], dt=0.05, horizon=10.0)
+    scenario(A=[[1.4, 0.0], [0.0, 0.1]], dt=0.05, duration=10.0)
     with pytest.raises(UserError, match="grows by 1e35"):
-        scenario(A=[[0.1, 0.0], [0.0, 1.5]], dt=0.05, horizon=10.0)
+        scenario(A=[[0.1, 0.0], [0.0, 1.5]], dt=0.05, duration=10.0)
 
 
 LONE = {
@@ -93,7 +93,7 @@ def test_a_plant_settles_alone_where_nothing_but_its_input_pushes_it(what):
 @pytest.mark.nightly
 def test_the_closing_table_says_where_the_model_alone_wins(tmp_path):
     path = tmp_path / "own.toml"
-    path.write_text(tomli_w.dumps({"lti": PLANT | {"horizon": 1.0}, "seeds": 4}))
+    path.write_text(tomli_w.dumps({"lti": PLANT | {"duration": 1.0}, "seeds": 4}))
     said = "lti: the plant decays by itself, is what its model says, and has no process noise."
     assert said in " ".join(call("run", str(path), "--out", str(tmp_path / "a")).stdout.split())
     axes = ("--set", "axes.process_std=[0.0, 0.1]")

@@ -19,7 +19,7 @@ LTI = {
     "sampling_period": "0.1",
     "delay": "0.1",
     "noise_std": "0.1",
-    "horizon": "1.0",
+    "duration": "1.0",
 }
 DEEP, LONG, HEXADECIMAL = "[" * 5000, "1" + "0" * 5000, "0x" + "f" * 5000
 MANY = [i / 1000 for i in range(1, 1001)]
@@ -51,11 +51,17 @@ REFUSED = {
         CART + f"name = '{'x' * 300}'",
         "name: got 'x.*expected a string .* at most 100 char",
     ),
-    "a label of two lines": (CART + '[options."dkf-a\\nb"]\nR = 1.0', r"'dkf-a\\nb' is no observer with options"),
-    "observers of a plant": (lti(observers="['dfk']"), r"lti\.observers: 'dfk' is no observer; did you mean 'dkf'\?"),
-    "an observer twice": (lti(observers="['dkf', 'dkf']"), r"lti\.observers: got 'dkf' twice"),
-    "a number for an observer's file": (CART + "use.mine = 0", r"use\.mine: got 0, expected a valid string"),
-    "a list for an observer's file": (CART + "use.mine = []", r"use\.mine: got \[\], expected a valid string"),
+    "a label of two lines": (CART + '[options."kf-a\\nb"]\nR = 1.0', r"'kf-a\\nb' is no observer with options"),
+    "observers of a plant": (lti(observers="['dfk']"), r"lti\.observers: 'dfk' is no observer; did you mean 'kf'\?"),
+    "an observer twice": (lti(observers="['kf', 'kf']"), r"lti\.observers: got 'kf' twice"),
+    "a number for an observer's file": (
+        CART + "custom_observers.mine = 0",
+        r"custom_observers\.mine: got 0, expected a valid string",
+    ),
+    "a list for an observer's file": (
+        CART + "custom_observers.mine = []",
+        r"custom_observers\.mine: got \[\], expected a valid string",
+    ),
     # the same thing said twice
     "an option twice": (CART + "[options.kfbo]\nlag-aware = true\nlag_aware = false", "kfbo: got lag-aware twice"),
     "an axis twice": (CART + "[axes]\n'plant.lam' = [1.0]\nplant.lam = [2.0]", r"axes: got plant\.lam twice"),
@@ -72,14 +78,14 @@ REFUSED = {
     ),
     "true in a matrix": (lti(B="[[0.0], [true]]"), r"lti\.B\[1\]\[0\]: got True, expected a valid number"),
     # sizes
-    "a huge option": (CART + "[options.dkf]\nR = 1e308", r"options\.dkf\.R: got 1e\+308, expected 0 or a number of"),
+    "a huge option": (CART + "[options.kf]\nR = 1e308", r"options\.kf\.R: got 1e\+308, expected 0 or a number of"),
     "a huge option in a list": (
         CART + "[options.pco]\nKp = [[1e200]]",
         r"options\.pco\.Kp: got 1e\+200, expected 0 or",
     ),
     "an endless start": (
-        CART + "[options.scenario]\nstart-spread = inf",
-        "start-spread: got inf, expected 0 or a number",
+        CART + "[options.scenario]\ninitial-spread = inf",
+        "initial-spread: got inf, expected 0 or a number",
     ),
     "a huge start": (
         lti(x0="[1e300, 1.0]"),
@@ -103,31 +109,31 @@ REFUSED = {
     "ticks of 1e-300 s": (lti(tick="1e-300"), r"lti\.tick: got 1e-300, expected 0 or a number of at least"),
     "a billion ticks": (
         lti(tick="1e-9", sampling_period="1e-9"),
-        "got a horizon of 1 s at a tick of 1e-09 s, expected at most",
+        "got a duration of 1 s at a tick of 1e-09 s, expected at most",
     ),
     "an age of the world": (
-        lti(horizon="1e12"),
-        r"got a horizon of 1e\+12 s at a tick of 0\.001 s, expected at most 1,000,000",
+        lti(duration="1e12"),
+        r"got a duration of 1e\+12 s at a tick of 0\.001 s, expected at most 1,000,000",
     ),
     "a horizon within a tick": (
-        lti(horizon="1e-5"),
-        "got a horizon of 1e-05 s at a tick of 0.001 s, expected at least two",
+        lti(duration="1e-5"),
+        "got a duration of 1e-05 s at a tick of 0.001 s, expected at least two",
     ),
     "a period of 1e-300 s": (
         lti(sampling_period="1e-300"),
         r"lti\.sampling_period: got 1e-300, expected 0 or a number",
     ),
-    "a delay of years": (lti(delay="1e9"), r"lti\.delay: got 1e\+09 s, expected at most the horizon"),
+    "a delay of years": (lti(delay="1e9"), r"lti\.delay: got 1e\+09 s, expected at most the duration"),
     "a sample every tick": (
-        lti(horizon="1e3", sampling_period="1e-3"),
+        lti(duration="1e3", sampling_period="1e-3"),
         r"got a sample every 0\.001 s over 1000 s, expected at most 100,000 .* of at least 0\.01\.",
     ),
     "samples on their way": (
-        lti(horizon="100.0", sampling_period="1e-3", delay="50.0"),
+        lti(duration="100.0", sampling_period="1e-3", delay="50.0"),
         r"got samples up to 50 s late and only 0\.001 s apart, expected at most 10,000 of a channel",
     ),
     "samples out of order": (
-        lti(horizon="9.0", sampling_period="1e-3", delay_jitter="5.0"),
+        lti(duration="9.0", sampling_period="1e-3", delay_jitter="5.0"),
         "got samples that up to 4,999 newer ones may overtake, expected at most 1,000",
     ),
     "a million cells": (
@@ -135,7 +141,7 @@ REFUSED = {
         "axes: got 1,000,000 cells of 10,000 ticks, expected at most 10,000",
     ),
     "cells of many ticks": (
-        f"scenarios = ['arm/sampled']\naxes.noise_std = {MANY}\naxes.drift = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]",
+        f"scenarios = ['arm/sampled']\naxes.noise_std = {MANY}\naxes.parameter_drift = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]",
         "axes: got 6,000 cells of 20,001 ticks, expected at most 4,999",
     ),
 }
@@ -185,7 +191,7 @@ def planned(text, tmp_path):
 def test_the_limits_leave_room_for_what_is_published(tmp_path):
     for name in SCENARIOS:
         read.load(name)
-    (cell,) = planned(lti(horizon="100.0", sampling_period="0.1"), tmp_path)
+    (cell,) = planned(lti(duration="100.0", sampling_period="0.1"), tmp_path)
     assert cell.cell.times.ticks == 100_000 < limits.TICKS
 
 
@@ -205,5 +211,5 @@ def test_the_noise_over_a_tick_in_which_a_fast_mode_dies():
 
 
 def test_a_plant_with_a_fast_mode_is_planned(tmp_path):
-    (cell,) = planned(lti(A="[[-1e9, 1.0], [-4.0, -0.5]]", observers="['dkf']\n[options.dkf]\nq = 0.1"), tmp_path)
-    assert cell.certificates["dkf"].margin > 0
+    (cell,) = planned(lti(A="[[-1e9, 1.0], [-4.0, -0.5]]", observers="['kf']\n[options.kf]\nq = 0.1"), tmp_path)
+    assert cell.certificates["kf"].margin > 0

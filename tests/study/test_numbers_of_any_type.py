@@ -19,9 +19,9 @@ LTI = {
     "sampling_period": 0.1,
     "delay": 0.1,
     "noise_std": 0.1,
-    "horizon": 1.0,
+    "duration": 1.0,
 }
-STUDY = {"name": "p", "seeds": 8, "observers": ["dkf"], "lti": LTI}
+STUDY = {"name": "p", "seeds": 8, "observers": ["kf"], "lti": LTI}
 AXES = {
     "array": np.array([0.1, 0.2]),
     "linspace": np.linspace(0.1, 0.2, 2),
@@ -54,11 +54,11 @@ def test_seeds_observers_and_options_accept_other_types():
         "seeds": np.int64(4),
         "first_seed": np.int32(2),
         "root_seed": np.uint8(3),
-        "observers": np.array(["dkf", "kfbo"]),
+        "observers": np.array(["kf", "kfbo"]),
         "options": {"kfbo": {"R": np.float64(0.25)}},
     }
     study = all_observers.grid_of(STUDY, changes, []).study
-    assert (study.seeds, study.first_seed, study.root_seed, study.observers) == (4, 2, 3, ["dkf", "kfbo"])
+    assert (study.seeds, study.first_seed, study.root_seed, study.observers) == (4, 2, 3, ["kf", "kfbo"])
     assert study.options == {"kfbo": {"R": 0.25}}
     assert all(type(n) is int for n in (study.seeds, study.first_seed, study.root_seed))
     matrices = {key: np.array(LTI[key]) for key in "ABC"}
@@ -68,12 +68,12 @@ def test_seeds_observers_and_options_accept_other_types():
 def test_a_run_accepts_other_types():
     plain = pcbench.run(STUDY, seeds=2, axes={"delay": [0.1, 0.2]}).stats
     for axis in AXES.values():
-        other = pcbench.run(STUDY, seeds=np.int64(2), observers=np.array(["dkf"]), axes={"delay": axis}).stats
+        other = pcbench.run(STUDY, seeds=np.int64(2), observers=np.array(["kf"]), axes={"delay": axis}).stats
         pd.testing.assert_frame_equal(other, plain)
 
 
 def test_functions_of_the_package_accept_other_types():
-    costs = [pcbench.costs(STUDY, observers=given) for given in (["dkf", "kfbo"], ("dkf", "kfbo"))]
+    costs = [pcbench.operation_counts(STUDY, observers=given) for given in (["kf", "kfbo"], ("kf", "kfbo"))]
     pd.testing.assert_frame_equal(*costs)
 
 
@@ -86,7 +86,7 @@ def test_text_is_no_number_of_seeds():
 def test_one_number_of_a_scenario_holds_for_all(key):
     base = "helicopter/constant" if "unknown" in key else "csth/10s-noise"
     many = len(scenarios_of(read.parse({"name": "q", "scenarios": [base]}, "q"))[base].value(key))
-    sizes = {"assumed_noise_std": 2, "assumed_process_std": 3, "process_std": 3, "start_box": 3, "unknown0": 2}
+    sizes = {"assumed_noise_std": 2, "assumed_process_std": 3, "process_std": 3, "initial_box": 3, "unknown0": 2}
     many = many or sizes[key]
     table = {"base": base}
     one, each = (

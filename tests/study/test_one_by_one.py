@@ -19,8 +19,8 @@ from pcbench.study import STUDIES, as_toml, read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 AXES = {"outlier_probability": [0.0, 0.1, 0.2], "noise_std": [0.3], "loss": [0.0, 0.5]}
-EACH = STUDY | {"observers": ["dkf", "open-loop"], "options": {}, "seeds": 4, "axes": AXES, "vary": "each"}
-LABELS = ("dkf", "dkf-gate", "dkf-huber", "pccebo")
+EACH = STUDY | {"observers": ["kf", "model-only"], "options": {}, "seeds": 4, "axes": AXES, "vary": "one-at-a-time"}
+LABELS = ("kf", "kf-gate", "kf-huber", "pccebo")
 
 
 def test_each_axis_leaves_its_first_value_while_the_others_stand_at_theirs():
@@ -30,13 +30,13 @@ def test_each_axis_leaves_its_first_value_while_the_others_stand_at_theirs():
 
 
 def test_a_file_says_so_only_where_it_is_so():
-    each, every = (read.grid_of(EACH | {"vary": how}, {}, []).study for how in ("each", "all"))
-    assert as_toml.as_dict(each)["vary"] == "each"
+    each, every = (read.grid_of(EACH | {"vary": how}, {}, []).study for how in ("one-at-a-time", "all"))
+    assert as_toml.as_dict(each)["vary"] == "one-at-a-time"
     assert "vary" not in as_toml.as_dict(every)
 
 
 def test_it_is_all_or_each():
-    with pytest.raises(UserError, match=r"vary: got 'one'.*'all' or 'each'") as caught:
+    with pytest.raises(UserError, match=r"vary: got 'one'.*'all' or 'one-at-a-time'") as caught:
         read.grid_of(EACH | {"vary": "one"}, {}, [])
     assert "\n" not in str(caught.value)
 
@@ -66,12 +66,12 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
 def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
     axes = {"noise_std": [0.3, 0.6, 0.9], "process_std": [[0.02, 0.1]], "assumed_noise_scale": [1.0, 2.0]}
     result = pcbench.run(EACH | {"axes": axes})
-    parts = faults_borne.part_of_alone(result, "lti", "a", "tail_rmse")
-    stats = result.stats[(result.stats.signal == "a") & (result.stats.metric == "tail_rmse")].set_index(
+    parts = faults_borne.part_of_alone(result, "lti", "a", "steady_rmse")
+    stats = result.stats[(result.stats.signal == "a") & (result.stats.metric == "steady_rmse")].set_index(
         ["observer", "cell"]
     )["mean"]
     np.testing.assert_allclose(
-        parts.part, [stats["dkf", c] / stats["open-loop", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
+        parts.part, [stats["kf", c] / stats["model-only", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
     )
     assert len(plots.bearing(result).axes) == 2
     where = pictures.Place(result, "lti", 0, None, None, pictures.SHOWN)
@@ -86,12 +86,12 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
 
 
 def test_losses_in_a_row_are_no_fault_that_stands_alone():
-    """Which is why `burst` is not among those of `faults`."""
-    axes = {**STUDIES["faults"].axes, "burst": [0.0, 5.0]}
+    """Which is why `mean_burst_length` is not among those of `measurement-errors`."""
+    axes = {**STUDIES["measurement-errors"].axes, "mean_burst_length": [0.0, 5.0]}
     with pytest.raises(
-        UserError, match="got burst = 5 in cart/gaussian with a loss of 0, expected a loss between 0 and 1"
+        UserError, match="got mean_burst_length = 5 in cart/gaussian with a loss of 0, expected a loss between 0 and 1"
     ):
-        read.grid_of("faults", {"axes": axes}, [])
+        read.grid_of("measurement-errors", {"axes": axes}, [])
 
 
 @pytest.mark.nightly
@@ -99,20 +99,20 @@ def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
     section = PAGES["outliers.md"].split("## Losses in a row")[1]
     study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
     stats = pcbench.run(study).stats
-    mean = stats[stats.signal == "position"].set_index(["observer", "metric", "burst"])["mean"]
+    mean = stats[stats.signal == "position"].set_index(["observer", "metric", "mean_burst_length"])["mean"]
     rows = re.findall(r"^\| (\d+) \| (.*) \|$", section, re.M)
-    assert [float(burst) for burst, _ in rows] == study["axes"]["burst"]
+    assert [float(burst) for burst, _ in rows] == study["axes"]["mean_burst_length"]
     for burst, said in rows:
         *errors, nees = map(float, said.split(" | "))
-        np.testing.assert_allclose([mean[o, "tail_rmse", float(burst)] for o in LABELS], errors, rtol=0.01)
-        assert mean["dkf", "nees", float(burst)] == pytest.approx(nees, rel=0.01)
-        assert mean["open-loop", "tail_rmse", float(burst)] == pytest.approx(4.16, rel=0.01)
+        np.testing.assert_allclose([mean[o, "steady_rmse", float(burst)] for o in LABELS], errors, rtol=0.01)
+        assert mean["kf", "nees", float(burst)] == pytest.approx(nees, rel=0.01)
+        assert mean["model-only", "steady_rmse", float(burst)] == pytest.approx(4.16, rel=0.01)
 
 
 @pytest.mark.nightly
 def test_the_guides_figures_of_faults_are_what_comes_out():
     """One run of the whole study: three tables."""
-    result, page = pcbench.run("faults"), PAGES["outliers.md"]
+    result, page = pcbench.run("measurement-errors"), PAGES["outliers.md"]
     stats = result.stats[result.stats.signal == "position"]
     mean = stats.set_index(["observer", "metric", "cell"])["mean"]
     cells = stats.drop_duplicates("cell").set_index("cell")
@@ -127,7 +127,7 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
     assert len(rows) == 5
     for name, option, said in rows:
         label, (*errors, nees) = f"{name}-{option}" if option else name, said.split(" |")
-        found = [mean[label, "tail_rmse", at("outlier_probability", p)] for p in (0.0, 0.01, 0.05, 0.2)]
+        found = [mean[label, "steady_rmse", at("outlier_probability", p)] for p in (0.0, 0.01, 0.05, 0.2)]
         np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
         if nees.strip():
             assert mean[label, "nees", at("outlier_probability", 0.05)] == pytest.approx(float(nees), rel=0.01)
@@ -137,9 +137,9 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
     for name, said in rows:
         cell = at(*((n, float(v)) for n, v in [name.split(" = ")]).__next__()) if "=" in name else 0
         *errors, nees = map(float, said.split(" | "))
-        np.testing.assert_allclose([mean[o, "tail_rmse", cell] for o in LABELS], errors, rtol=0.01)
-        assert mean["dkf", "nees", cell] == pytest.approx(nees, rel=0.01)
-    found = faults_borne.borne(faults_borne.part_of_alone(result, "cart/gaussian", "position", "tail_rmse"))
+        np.testing.assert_allclose([mean[o, "steady_rmse", cell] for o in LABELS], errors, rtol=0.01)
+        assert mean["kf", "nees", cell] == pytest.approx(nees, rel=0.01)
+    found = faults_borne.borne(faults_borne.part_of_alone(result, "cart/gaussian", "position", "steady_rmse"))
     bounded = found[np.isfinite(found.most)].set_index(["axis", "observer"]).most
     rows = re.findall(r"^\| `(\w+)` \[\w+\] \| (.*) \|$", page, re.M)
     told = {

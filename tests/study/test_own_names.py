@@ -10,7 +10,7 @@ import pytest
 
 import pcbench
 from pcbench.cli import catalogue
-from pcbench.controllers.parts.told import Told
+from pcbench.controllers.parts.told import ControllerContext
 from pcbench.dataset import pickled
 from pcbench.dynamics.linear import Model
 from pcbench.planning import plan
@@ -19,7 +19,7 @@ from pcbench.study import loops, own_controllers, own_entries, read
 
 SOURCE = Path(__file__).parents[1] / "support" / "own_loop.py"
 TABLE = {"plant": "mine.py:pendulum", "x0": [0.2, 0.0], "prior_std": [0.1, 0.1], "sampling_period": 0.05, "delay": 0.1,
-         "noise_std": 1e-3, "dt": 0.01, "horizon": 0.5, "observers": ["dkf"]}  # fmt: skip
+         "noise_std": 1e-3, "dt": 0.01, "duration": 0.5, "observers": ["kf"]}  # fmt: skip
 STUDY = {"name": "mine", "seeds": 4, "scenario": TABLE}
 LAW = {"use": "mine.py:law", "kp": 3.0}
 
@@ -67,7 +67,7 @@ def test_a_scenario_is_read_as_data_with_the_objects_of_its_module(here):
         found = cell(raw)
         assert (found.scenario.name, found.scenario.belief.prior_std) == ("late", (0.1, 0.1))
         assert entry_of(found.scenario) is sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"].pendulum
-    study = read.study_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["dkf"]}, {}, [])
+    study = read.study_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, [])
     assert study.tables["late"].plant == "mine.py:pendulum"
     again = read.study_of(study, {}, [])
     assert again.model_dump() == study.model_dump(), "it is a study of data: read twice, it is the same"
@@ -75,8 +75,8 @@ def test_a_scenario_is_read_as_data_with_the_objects_of_its_module(here):
 
 def test_an_observer_is_named_beside_them(here):
     shutil.copy(SOURCE.with_name("own_observer.py"), here / "other.py")
-    raw = STUDY | {"scenario": TABLE | {"observers": ["other.py:nudge", "dkf"]}}
-    assert list(cell(raw).options) == ["nudge", "dkf"]
+    raw = STUDY | {"scenario": TABLE | {"observers": ["other.py:nudge", "kf"]}}
+    assert list(cell(raw).options) == ["nudge", "kf"]
 
 
 PROJECT = """[build-system]
@@ -120,7 +120,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
         assert catalogue.found(kind)[name]["summary"] == "of the package swing-observers"
     read.grid_of(STUDY, {}, [])
     assert "swing_package" not in sys.modules, "nothing is imported that is not named"
-    raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "dkf"]}, "controller": {"use": "push"}}
+    raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "kf"]}, "controller": {"use": "push"}}
     found = cell(STUDY | raw)
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
     assert found.entry("gentle").observer is sys.modules["swing_package.observer"].nudge
@@ -148,7 +148,9 @@ def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     law = own_entries.load("controller", "mine.py:law", "here")
     n, m = 2, 1
     model = Model(A=np.zeros((n, n)), B=np.ones((n, m)), C=np.eye(1, n))
-    told = Told(model=model, dt=0.1, ticks=1, rows=1, ahead=0, late=0, states=("a", "b"), delay=lambda t: t)
+    told = ControllerContext(
+        model=model, dt=0.1, ticks=1, rows=1, ahead=0, late=0, states=("a", "b"), delay=lambda t: t
+    )
     found = law.entry.linear(law.entry.options(kp=2.0, ki=0.5), told)
     for got, want in zip(found, ([[1.0]], [[0.05, 0.0]], [[-1.0]], [[-2.05, 0.0]]), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-15)
@@ -176,7 +178,11 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
 WRONG = {
     "no file": ({"plant": "mien.py:pendulum"}, {}, "mine: plant: 'mien.py' is no file; did you mean 'mine.py'?"),
     "no such name": ({"plant": "mine.py:pendulun"}, {}, "'pendulun' is no plant there; did you mean 'pendulum'?"),
-    "a law for a plant": ({"plant": "mine.py:law"}, {}, "plant: got a controller, expected what pcbench.plant returns"),
+    "a law for a plant": (
+        {"plant": "mine.py:law"},
+        {},
+        "plant: got a controller, expected what pcbench.make_plant returns",
+    ),
     "a plant for a law": ({}, {"use": "mine.py:pendulum"}, "controller: got a plant, expected a pcbench.Controller"),
     "a function": ({}, {"use": "mine.py:command"}, "controller: got a function, expected a pcbench.Controller"),
     "no plant of pcbench's": ({"plant": "pendulum"}, {}, "'pendulum' is no plant (or MODULE:NAME)"),

@@ -35,9 +35,9 @@ def study(**changes):
 
 
 def test_a_name_in_a_list_has_its_last_word_as_label(here):
-    asked, (cell,) = study(observers=["mine.py:nudge", "dkf"])
-    assert asked.observers == ["nudge", "dkf"]
-    assert list(cell.options) == ["nudge", "dkf"]
+    asked, (cell,) = study(observers=["mine.py:nudge", "kf"])
+    assert asked.observers == ["nudge", "kf"]
+    assert list(cell.options) == ["nudge", "kf"]
     assert cell.options["nudge"].share == 0.1
     assert cell.entry("nudge").observer is sys.modules[f"mine_{asked._own['nudge'].code.digest}"].nudge
 
@@ -52,12 +52,12 @@ def test_an_option_made_by_tunable_may_be_tuned_and_no_other(here):
 
 def test_two_labels_may_use_one_observer_each_with_its_options(here):
     tables = {
-        "dkf": {},
+        "kf": {},
         "soft": {"use": "mine.py:nudge", "share": 0.05},
         "hard": {"use": "mine.py:nudge", "share": 0.5},
     }
     asked, (cell,) = study(observers=tables)
-    assert asked.observers == ["dkf", "soft", "hard"]
+    assert asked.observers == ["kf", "soft", "hard"]
     assert [cell.options[o].share for o in ("soft", "hard")] == [0.05, 0.5]
     assert cell.entry("soft").observer is cell.entry("hard").observer
     assert cell.told["soft"] != cell.told["hard"]
@@ -71,11 +71,11 @@ def test_a_variant_of_a_label_has_the_options_of_both(here):
 def test_a_path_is_relative_to_the_study_file(here, tmp_path, monkeypatch):
     (tmp_path / "deep").mkdir()
     (tmp_path / "deep" / "s.toml").write_text(
-        'scenarios = ["cart/white"]\n[observers.near]\nuse = "../mine.py:nudge"\n[observers.dkf]\n'
+        'scenarios = ["cart/white"]\n[observers.near]\nuse = "../mine.py:nudge"\n[observers.kf]\n'
     )
     monkeypatch.chdir("/")
     asked = read.study_of(str(tmp_path / "deep" / "s.toml"), {}, [])
-    assert asked.observers == ["near", "dkf"]
+    assert asked.observers == ["near", "kf"]
     assert asked._own["near"].code.module == "mine.py"
 
 
@@ -102,23 +102,23 @@ def test_an_installed_package_offers_observers_by_plain_names(here, monkeypatch)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: gentle\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[pcbench.observers]\ngentle = gentle_package:nudge\n")
     monkeypatch.syspath_prepend(str(here / "site"))
-    read.grid_of(BASE | {"observers": ["dkf"]}, {}, [])
+    read.grid_of(BASE | {"observers": ["kf"]}, {}, [])
     assert "gentle_package" not in sys.modules, "nothing is imported that is not named"
-    asked, (cell,) = study(observers=["gentle", "dkf"])
-    assert asked.use == {"gentle": "gentle_package:nudge"}
+    asked, (cell,) = study(observers=["gentle", "kf"])
+    assert asked.custom_observers == {"gentle": "gentle_package:nudge"}
     assert cell.entry("gentle").observer is sys.modules["gentle_package"].nudge
 
 
 @pytest.mark.nightly
 def test_it_is_the_program_of_the_same_observer_built_in(here):
     """Not merely as fast: compiled to the same text, for a copy of pcbench's own file."""
-    shutil.copy(Path(pcbench.__file__).parent / "observers" / "open_loop.py", here / "copied.py")
+    shutil.copy(Path(pcbench.__file__).parent / "observers" / "model_only.py", here / "copied.py")
     programs = []
-    for name in ("open-loop", "copied.py:OBSERVER"):
+    for name in ("model-only", "copied.py:OBSERVER"):
         (p,) = plan(read.study_of(BASE | {"observers": [name]}, {}, []))
         job = runner.Job(p.problem, 0, range(4))
         programs.append(runner.program(p.layout._replace(width=4), job).compiled.as_text())
-    plain = [strip_metadata(text).replace("OBSERVER", "open-loop") for text in programs]
+    plain = [strip_metadata(text).replace("OBSERVER", "model-only") for text in programs]
     assert plain[0] == plain[1]
 
 
@@ -150,13 +150,13 @@ WRONG = {
     "no observer": (["mine.py:design"], "got a function, expected a pcbench.Observer"),
     "no name": (["mine.py:"], "expected MODULE:NAME such as mine.py:nudge"),
     "two labels alike": (["mine.py:nudge", "mine:nudge"], "expected a label for each; write [observers.LABEL]"),
-    "a label of pcbench's": ({"dkf": {"use": "mine.py:nudge"}}, "which is pcbench's own name"),
+    "a label of pcbench's": ({"kf": {"use": "mine.py:nudge"}}, "which is pcbench's own name"),
     "a label that is none": ({"a b": {"use": "mine.py:nudge"}}, "got the label 'a b', expected letters"),
     "options unknown": ({"own": {"use": "mine.py:nudge", "shore": 1.0}}, "did you mean 'share'?"),
     "an option of another kind": ({"own": {"use": "mine.py:nudge", "share": "much"}}, "options.own: share: got 'much'"),
     "no table": ({"own": "mine.py:nudge"}, "expected a table with `use` and options"),
     "no reference": ({"own": {"use": 3}}, "expected MODULE:NAME"),
-    "an observer of pcbench's, otherwise": ({"own": {"use": "dkf"}}, "write [observers.dkf-own]"),
+    "an observer of pcbench's, otherwise": ({"own": {"use": "kf"}}, "write [observers.kf-own]"),
     "no module": (["no_such_module:nudge"], "there is no module 'no_such_module' here"),
 }
 
@@ -232,9 +232,9 @@ def test_what_pcbench_itself_does_wrong_is_no_mistake_of_a_users():
     def broken(setting, options):
         raise TypeError
 
-    broken.__module__ = "pcbench.observers.dkf"
+    broken.__module__ = "pcbench.observers.kf"
     with pytest.raises(TypeError):
-        planning.designed("dkf", OBSERVERS["dkf"]._replace(design=broken), None, None)
+        planning.designed("kf", OBSERVERS["kf"]._replace(design=broken), None, None)
 
 
 def test_two_contents_of_one_file_stand_side_by_side(here):

@@ -24,12 +24,12 @@ def recorded(folder, many=4000):
 
 
 def study(log):
-    return MOTOR | {"lti": MOTOR["lti"] | {"delay": f"from:{log}", "horizon": 50.0}}
+    return MOTOR | {"lti": MOTOR["lti"] | {"delay": f"from:{log}", "duration": 50.0}}
 
 
 def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
     late = recorded(tmp_path / "flight")
-    _, cell = read.one_cell(study(tmp_path / "flight"), ["dkf"], [])
+    _, cell = read.one_cell(study(tmp_path / "flight"), ["kf"], [])
     found = [s for seed in range(12) for s in per_lane.realised(cell.times.clocks, cell.times.ticks, 1, 0, seed)]
     lost = np.array([s.arrives >= 2**29 for s in found])
     ages = np.array([s.arrives - s.taken for s in found])[~lost]
@@ -43,7 +43,7 @@ def test_the_resolved_study_needs_no_log(tmp_path):
     recorded(tmp_path / "flight")
     found = read.study_of(study(tmp_path / "flight"), {}, []).lti
     assert found.delay == 0.03
-    assert max(found.delay_steps) == pytest.approx(0.09)
+    assert max(found.delay_values) == pytest.approx(0.09)
     assert 0.08 < found.loss < 0.12
     assert "from:" not in str(found)
 
@@ -66,28 +66,28 @@ def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
         read.study_of(study(tmp_path / log) | {"lti": study(tmp_path / log)["lti"] | more}, {}, []).lti
         for log, more in (("flight", {}), ("both", outputs))
     )
-    assert found.delay_stay == alone.delay_stay
-    assert (found.delay_steps, found.loss) == (alone.delay_steps, alone.loss)
+    assert found.delay_self_transition == alone.delay_self_transition
+    assert (found.delay_values, found.loss) == (alone.delay_values, alone.loss)
 
 
 def test_the_first_of_a_channel_follows_none_of_another():
     found = recorded_delays.drawn(np.array([3.0, 9.0, 9.0, 3.0]), np.array([0, 0, 1, 1]), TICK)
-    assert found == {"delay": 0.03, "delay_steps": [0.0, 0.06], "delay_stay": [0.0, 0.0]}
+    assert found == {"delay": 0.03, "delay_values": [0.0, 0.06], "delay_self_transition": [0.0, 0.0]}
 
 
 def test_delays_that_are_all_alike_are_one_delay(tmp_path):
     t = np.arange(20) * 0.05
     rows(tmp_path / "flight", {"channel": ["y1"] * 20, "sampled": t, "arrived": t + 0.07, "value": t})
     found = read.study_of(study(tmp_path / "flight"), {}, []).lti
-    assert (found.delay, found.delay_steps, found.loss) == (0.07, [], 0.0)
+    assert (found.delay, found.delay_values, found.loss) == (0.07, [], 0.0)
 
 
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
         ({"loss": 0.1}, "lti.loss: got 0.1 beside the delays of a log"),
-        ({"delay_gamma": 0.1}, "lti.delay_gamma: got 0.1 beside the delays of a log"),
-        ({"delay_share": [1.0, 2.0]}, "lti.delay_share: got [1.0, 2.0] beside the delays of a log"),
+        ({"delay_gamma_mean": 0.1}, "lti.delay_gamma_mean: got 0.1 beside the delays of a log"),
+        ({"delay_weights": [1.0, 2.0]}, "lti.delay_weights: got [1.0, 2.0] beside the delays of a log"),
         ({"delay": "from:none"}, "no such file or folder"),
     ],
 )

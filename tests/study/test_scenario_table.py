@@ -25,10 +25,10 @@ def made(table, **study):
 
 def test_what_is_left_out_is_filled_in():
     s = made(CART)
-    assert (s.name, s.plant, s.dt, s.horizon, s.observers) == ("mine", "cart", 1e-3, 10.0, ("dkf", "open-loop"))
+    assert (s.name, s.plant, s.dt, s.duration, s.observers) == ("mine", "cart", 1e-3, 10.0, ("kf", "model-only"))
     assert (s.truth.x0, s.belief.xhat0, s.belief.prior_std) == ((2.0, -1.0), (0.0, 0.0), (2.0, 1.0))
     assert s.scoring.settle_band == pytest.approx((0.1, 0.05))
-    assert (s.scoring.tail, s.scoring.bound, s.loop.input) == (3.0, 1e6, "sine")
+    assert (s.scoring.steady_start, s.scoring.divergence_threshold, s.loop.input) == (3.0, 1e6, "sine")
     assert (s.sampling.sampling_period, s.sampling.delay, s.sampling.noise_std) == ((0.1,), (0.05,), (0.2,))
     unknown = CART | {"plant": "helicopter", "x0": [0.5, 0.4, 0.2, 0.0]}
     s = made(unknown | {"unknown_std": [2.0, 4.0], "input": "step"})
@@ -38,10 +38,13 @@ def test_what_is_left_out_is_filled_in():
 
 
 def test_a_base_has_only_what_is_said_changed():
-    base, s = SCENARIOS["cart/variable"], made({"base": "cart/variable", "noise-std": 0.1, "x0": [1, 2], "bound": 50})
+    base, s = (
+        SCENARIOS["cart/variable"],
+        made({"base": "cart/variable", "noise-std": 0.1, "x0": [1, 2], "divergence_threshold": 50}),
+    )
     different = {key for key, value in s.flat().items() if value != base.value(key)}
-    assert different == {"name", "summary", "source", "noise_std", "x0", "bound"}
-    assert (s.sampling.noise_std, s.truth.x0, s.scoring.bound) == ((0.1,), (1.0, 2.0), 50.0)
+    assert different == {"name", "summary", "source", "noise_std", "x0", "divergence_threshold"}
+    assert (s.sampling.noise_std, s.truth.x0, s.scoring.divergence_threshold) == ((0.1,), (1.0, 2.0), 50.0)
     assert s.summary == "cart/variable, changed"
     assert made({"base": "helicopter/constant", "input": "step"}).loop.controller == "", "an input opens the loop"
 
@@ -73,14 +76,17 @@ def test_its_name_is_the_studys_unless_it_has_one():
             WHITE | {"assumed_noise_std": [0.1, 0.1]},
             "assumed_noise_std: got 2 numbers, expected 1, one for each output",
         ),
-        (WHITE | {"bound": [1.0]}, "scenario.bound: got 1 numbers, expected one, or 2"),
+        (WHITE | {"divergence_threshold": [1.0]}, "scenario.divergence_threshold: got 1 numbers, expected one, or 2"),
         (WHITE | {"delay": [0.1, 0.2]}, "scenario.delay: got 2 values, expected one or 1"),
         (WHITE | {"delay": 0.0505}, "scenario.delay: got 0.0505 s, expected a whole number of ticks"),
         (WHITE | {"dt": 0.003}, "scenario.sampling_period: got 0.2 s, expected a whole number of ticks of 0.003 s"),
-        (WHITE | {"horizon": 0.1, "tail": 0.05}, "sampling_period: got 0.2 s, expected at most the horizon of mine"),
-        (WHITE | {"tail": 10.0}, "scenario.tail: got 10 s, expected less than the horizon of 10 s"),
+        (
+            WHITE | {"duration": 0.1, "steady_start": 0.05},
+            "sampling_period: got 0.2 s, expected at most the duration of mine",
+        ),
+        (WHITE | {"steady_start": 10.0}, "scenario.steady_start: got 10 s, expected less than the duration of 10 s"),
         (WHITE | {"loss": 1.5}, "scenario.loss: got 1.5, expected a probability"),
-        (WHITE | {"early": 1}, "scenario.early: got 1, expected a valid boolean"),
+        (WHITE | {"prefilled": 1}, "scenario.prefilled: got 1, expected a valid boolean"),
         (WHITE | {"input": "sin"}, "scenario.input: 'sin' is no input; did you mean 'sine'"),
         (WHITE | {"input": "sine, step"}, r"scenario.input: got 2 signals, expected one, or one for each input \(1\)"),
         (WHITE | {"input": ""}, "scenario: got neither an input nor a controller, expected one"),
@@ -110,8 +116,8 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"signals": ["a [m]", "2b"]}, "scenario.signals: got '2b', expected a name with a unit"),
         (WHITE | {"signals": ["a [m]", "a"]}, "scenario.signals: got 'a' twice"),
         (WHITE | {"headline": ["speed"]}, "scenario.headline: 'speed' is no signal; .*valid: position, velocity"),
-        (WHITE | {"observers": ["dfk"]}, "scenario.observers: 'dfk' is no observer; did you mean 'dkf'"),
-        (WHITE | {"options": {"dkf": {"r": 1.0}}}, "scenario.options.dkf: 'r' is no key here; did you mean 'R'"),
+        (WHITE | {"observers": ["dfk"]}, "scenario.observers: 'dfk' is no observer; did you mean 'kf'"),
+        (WHITE | {"options": {"kf": {"r": 1.0}}}, "scenario.options.kf: 'r' is no key here; did you mean 'R'"),
         (WHITE | {"name": "cart/slow"}, "scenario.name: got 'cart/slow', expected a name that no other scenario has"),
         (WHITE | {"continuous": True}, "which measures continuously and without noise, expected no such axis"),
         (
@@ -127,9 +133,11 @@ def test_what_does_not_fit_is_one_sentence(table, sentence):
 
 
 def test_its_fields_can_be_set_and_are_axes_like_any_others():
-    study = read.study_of({"name": "mine", "scenario": WHITE}, {}, ["scenario.jitter=0.01", "axes.delay=[0.1, 0.3]"])
+    study = read.study_of(
+        {"name": "mine", "scenario": WHITE}, {}, ["scenario.sampling_jitter=0.01", "axes.delay=[0.1, 0.3]"]
+    )
     first, second = cells.cells_of(study)
-    assert (first.scenario.sampling.jitter, first.scenario.sampling.delay, second.scenario.sampling.delay) == (
+    assert (first.scenario.sampling.sampling_jitter, first.scenario.sampling.delay, second.scenario.sampling.delay) == (
         0.01,
         (0.1,),
         (0.3,),
@@ -139,15 +147,15 @@ def test_its_fields_can_be_set_and_are_axes_like_any_others():
 def test_a_result_says_its_scenario_and_goes_on_with_it(tmp_path):
     table = {
         "base": "cart/slow",
-        "horizon": 4.0,
+        "duration": 4.0,
         "noise_std": 0.1,
-        "observers": ["dkf"],
-        "options": {"dkf": {"R": 0.02}},
+        "observers": ["kf"],
+        "options": {"kf": {"R": 0.02}},
     }
     out = tmp_path / "mine"
     asked = {"name": "mine", "scenario": table}
     first = pcbench.run(asked, seeds=4, out=str(out))
-    again = pcbench.opened(str(out))
+    again = pcbench.open_result(str(out))
     assert again.study.scenario.model_dump(exclude_none=True) == table
     pd.testing.assert_frame_equal(first.stats, again.stats)
     more = pcbench.run(str(out / "study.toml"), seeds=6, out=str(out))

@@ -46,7 +46,7 @@ class Numbers(NamedTuple):
 
 @cache
 def own_plant(states=("angle [rad]", "rate [rad/s]"), unit="1/s"):
-    return pcbench.plant(
+    return pcbench.make_plant(
         field=lambda p, now, x: jnp.stack([x[1], now.u[0] - p.friction * x[1]]),
         output=lambda p, now, x: x[:1],
         states=list(states),

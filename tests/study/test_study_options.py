@@ -16,28 +16,31 @@ def options(made, observer):
 
 
 def test_the_studys_options_win_over_the_scenarios_and_the_labels_over_its_names():
-    made = study(options={"dkf": {"R": 2.0, "q": 0.5}, "dkf-bias": {"R": 3.0}, "pco": {"Kp": -5.0}})
-    assert options(made, "dkf") == {"R": 2.0, "q": 0.5}
-    assert options(made, "dkf-bias") == {"R": 3.0, "q": 0.5, "bias_variance": 1.0}
+    made = study(options={"kf": {"R": 2.0, "q": 0.5}, "kf-bias": {"R": 3.0}, "pco": {"Kp": -5.0}})
+    assert options(made, "kf") == {"R": 2.0, "q": 0.5}
+    assert options(made, "kf-bias") == {"R": 3.0, "q": 0.5, "bias_variance": 1.0}
     assert options(made, "pco") == {"Kp": -5.0}
     assert options(made, "pi-pco") == {"Kp": -61.0, "Ki": 12.2}, "the scenario's own"
-    assert options_of(made, scenarios_of(made)["cart/variable"], "dkf-bias").R == 3.0
+    assert options_of(made, scenarios_of(made)["cart/variable"], "kf-bias").R == 3.0
 
 
 def test_an_option_is_known_with_either_dash():
-    made = study("cart/white", options={"kfbo": {"lag-aware": True}, "scenario": {"start-spread": 0.5}})
+    made = study("cart/white", options={"kfbo": {"lag-aware": True}, "scenario": {"initial-spread": 0.5}})
     assert options(made, "kfbo") == {"R": 0.004, "lag_aware": True}
-    assert choices_of(made).start_spread == 0.5
+    assert choices_of(made).initial_spread == 0.5
 
 
 def test_a_studys_observers_run_and_without_any_the_scenarios():
-    assert observers_of(study(observers=["dkf"]), "cart/variable") == ["dkf"]
+    assert observers_of(study(observers=["kf"]), "cart/variable") == ["kf"]
     assert observers_of(study(), "cart/variable")[:2] == ["pco", "pi-pco"]
 
 
-def test_a_random_start_is_drawn_in_one_way():
-    for both in ({"random_start": True, "start_spread": 0.1}, {"random_start": True, "start_spread": 2.0}):
-        with pytest.raises(UserError, match="got random_start and start_spread, expected one of them"):
+def test_a_random_initial_state_is_drawn_in_one_way():
+    for both in (
+        {"random_initial_state": True, "initial_spread": 0.1},
+        {"random_initial_state": True, "initial_spread": 2.0},
+    ):
+        with pytest.raises(UserError, match="got random_initial_state and initial_spread, expected one of them"):
             study(options={"scenario": both})
 
 
@@ -50,9 +53,9 @@ def test_changes_and_overrides_are_both_put_in():
 
 def test_one_cell_is_one_cell():
     with pytest.raises(UserError, match="got 2 cells, expected one"):
-        read.one_cell("cart/white", ["dkf"], ["axes.noise_std=[0.1, 0.5]"])
-    made, cell = read.one_cell("cart/white", ["dkf"], ["axes.noise_std=0.5"])
-    assert (made.observers, cell.values["noise_std"]) == (["dkf"], 0.5)
+        read.one_cell("cart/white", ["kf"], ["axes.noise_std=[0.1, 0.5]"])
+    made, cell = read.one_cell("cart/white", ["kf"], ["axes.noise_std=0.5"])
+    assert (made.observers, cell.values["noise_std"]) == (["kf"], 0.5)
 
 
 def test_a_plants_parameters_may_stand_as_a_table_of_their_own():
@@ -65,8 +68,8 @@ def test_a_plants_parameters_may_stand_as_a_table_of_their_own():
 
 def test_a_label_without_its_options_or_its_dash_is_answered_with_how_it_is_written():
     for changes, answer in (
-        ({"observers": ["dkf-gate"]}, r"observers: got 'dkf-gate' without options, .* write \[options\.dkf-gate\]"),
-        ({"options": {"dkf2": {"R": 2.0}}}, r"options\.dkf2: got no observer, .* write \[options\.dkf-2\]"),
+        ({"observers": ["kf-gate"]}, r"observers: got 'kf-gate' without options, .* write \[options\.kf-gate\]"),
+        ({"options": {"kf2": {"R": 2.0}}}, r"options\.kf2: got no observer, .* write \[options\.kf-2\]"),
     ):
         with pytest.raises(UserError, match=answer):
             study("cart/white", **changes)

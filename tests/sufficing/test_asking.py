@@ -22,8 +22,8 @@ from pcbench.sufficing.axis import axis_of, scale_of
 from pcbench.sufficing.question import notes, question
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-ASKED = {"over": "noise_std", "below": 0.2, "metric": "tail_rmse", "seeds": 16, "observers": ["dkf", "open-loop"]}
-BETWEEN = {"between": (0.05, 3.2), "within": 0.2, "max_seeds": 64}
+ASKED = {"axis": "noise_std", "threshold": 0.2, "metric": "steady_rmse", "seeds": 16, "observers": ["kf", "model-only"]}
+BETWEEN = {"between": (0.05, 3.2), "tol": 0.2, "max_seeds": 64}
 TWO_CLOCKS = """
 [lti]
 A = [[0.0, 1.0], [-1.0, -0.4]]
@@ -34,8 +34,8 @@ delay = [0.06, 0.02]
 noise_std = [0.05, 0.1]
 process_std = [0.0, 0.02]
 tick = 0.02
-horizon = 2.0
-observers = ["dkf"]
+duration = 2.0
+observers = ["kf"]
 """
 
 
@@ -46,16 +46,16 @@ def refusals():
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory):
     out = tmp_path_factory.mktemp("suffices") / "out"
-    return pcbench.suffices("cart/slow", out=out, **ASKED, **BETWEEN), out
+    return pcbench.find_limit("cart/slow", out=out, **ASKED, **BETWEEN), out
 
 
 def test_the_answer_is_what_the_tables_say(asked):
     """By NumPy, from the runs themselves: the mean over seeds, and Student's interval of its logarithm."""
     table, out = asked
-    row = table.set_index("observer").loc["dkf"]
+    row = table.set_index("observer").loc["kf"]
     assert row.answer == "up to"
-    runs = pcbench.opened(out).runs
-    values = runs.tail_rmse[(runs.observer == "dkf") & (runs.signal == "position") & (runs.noise_std == row.largest)]
+    runs = pcbench.open_result(out).runs
+    values = runs.steady_rmse[(runs.observer == "kf") & (runs.signal == "position") & (runs.noise_std == row.largest)]
     n, mean, t = len(values), values.mean(), {16: 2.131449545559323, 64: 1.998340542520746}
     if n in t:
         part = t[n] * values.std(ddof=1) / np.sqrt(n) / mean
@@ -63,7 +63,9 @@ def test_the_answer_is_what_the_tables_say(asked):
     assert row["mean"] == pytest.approx(mean, rel=1e-12)
     assert row.ci_high < 0.2 < row.exceeds_ci_low
     assert row.largest < row.exceeds
-    stats = pcbench.opened(out).stats.query("metric == 'tail_rmse' and signal == 'position' and observer == 'dkf'")
+    stats = pcbench.open_result(out).stats.query(
+        "metric == 'steady_rmse' and signal == 'position' and observer == 'kf'"
+    )
     sure = stats[(stats.ci_high < 0.2) & (stats.diverged == 0)].noise_std
     assert row.largest == sure.max()
     assert row["values"] == len(stats)
@@ -81,10 +83,10 @@ def test_what_is_left_is_a_study_like_any_other(asked):
 def test_asked_again_it_runs_nothing_and_of_another_limit_only_what_is_new(asked):
     table, out = asked
     before = {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}
-    again = pcbench.suffices("cart/slow", out=out, **ASKED, **BETWEEN)
+    again = pcbench.find_limit("cart/slow", out=out, **ASKED, **BETWEEN)
     assert again.equals(table)
     assert {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")} == before
-    other = pcbench.suffices("cart/slow", out=out, **ASKED | {"below": 0.5}, **BETWEEN)
+    other = pcbench.find_limit("cart/slow", out=out, **ASKED | {"threshold": 0.5}, **BETWEEN)
     assert other.largest[0] > table.largest[0]
     assert before.items() <= {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}.items()
 
@@ -97,9 +99,9 @@ def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
 
     progress = pcbench.machine.progress.Progress(step=stop)
     with pytest.raises(KeyboardInterrupt):
-        pcbench.suffices("cart/slow", out=tmp_path / "out", progress=progress, **ASKED, **BETWEEN)
+        pcbench.find_limit("cart/slow", out=tmp_path / "out", progress=progress, **ASKED, **BETWEEN)
     assert list((tmp_path / "out").rglob("cell-*.parquet")), "what is finished stands"
-    done = pcbench.suffices("cart/slow", out=tmp_path / "out", **ASKED, **BETWEEN)
+    done = pcbench.find_limit("cart/slow", out=tmp_path / "out", **ASKED, **BETWEEN)
     assert done.equals(table)
 
 
@@ -107,21 +109,21 @@ def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, mo
     real = once.designed
 
     def picky(observer, entry, known, given):
-        if observer == "dkf" and known.noise_std[0] > 1:
-            raise DesignError("cart/slow: dkf has no gains there.")
+        if observer == "kf" and known.noise_std[0] > 1:
+            raise DesignError("cart/slow: kf has no gains there.")
         return real(observer, entry, known, given)
 
     monkeypatch.setattr(once, "designed", picky)
-    how = {"between": (0.5, 2.0), "within": 1.0, "max_seeds": 4, "seeds": 4, "over": "noise_std", "below": 1e3}
-    table = pcbench.suffices("cart/slow", observers=["dkf", "open-loop"], out=tmp_path / "out", **how)
-    row = table.set_index("observer").loc["dkf"]
+    how = {"between": (0.5, 2.0), "tol": 1.0, "max_seeds": 4, "seeds": 4, "axis": "noise_std", "threshold": 1e3}
+    table = pcbench.find_limit("cart/slow", observers=["kf", "model-only"], out=tmp_path / "out", **how)
+    row = table.set_index("observer").loc["kf"]
     assert row.largest == 1.0
     assert "no gains there" in row.said
-    assert table.set_index("observer").answer["open-loop"] == "every value"
+    assert table.set_index("observer").answer["model-only"] == "every value"
     assert verify.verify(tmp_path / "out", None, 0).differing == []
     monkeypatch.setattr(growing, "_without_gains", lambda cell, o: "nothing works.")
     with pytest.raises(UserError, match="nothing works"):
-        pcbench.suffices("cart/slow", observers=["dkf"], **how | {"between": (1.5, 2.0)})
+        pcbench.find_limit("cart/slow", observers=["kf"], **how | {"between": (1.5, 2.0)})
 
 
 def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_path, monkeypatch):
@@ -133,15 +135,15 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
         folders.append(folder)
 
         def point(value):
-            verdict = SUFFICES if value * period < q.below else EXCEEDS
+            verdict = SUFFICES if value * period < q.threshold else EXCEEDS
             return Point(value, verdict, value * period, value * period, value * period, 4)
 
-        return lambda values, seeds: {"dkf": [point(v) for v in sorted(values)]}
+        return lambda values, seeds: {"kf": [point(v) for v in sorted(values)]}
 
     monkeypatch.setattr(growing, "looking", looking)
-    how = {"below": 0.3, "within": 0.01, "observers": ["dkf"], "out": tmp_path / "out"}
+    how = {"threshold": 0.3, "tol": 0.01, "observers": ["kf"], "out": tmp_path / "out"}
     study = {"name": "f", "scenarios": ["cart/slow"], "axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 1.7]}}
-    table = pcbench.suffices(study, over=["sampling_period", "noise_std"], **how)
+    table = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], **how)
     assert list(table.columns[:2]) == ["sampling_period", "observer"]
     assert list(table.sampling_period) == [0.5, 1.0]
     np.testing.assert_allclose(table.largest, [0.6, 0.3], atol=0.01)
@@ -149,10 +151,10 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
     assert table.attrs["over"] == ["sampling_period", "noise_std"]
     assert table.attrs["between"] == [(0.5, 1.0), (0.1, 1.7)]
     assert folders == [f"{tmp_path}/out/sampling_period={v}" for v in ("0.5", "1")]
-    ranges = pcbench.suffices(study, over=["sampling_period", "noise_std"], between=[(0.4, 2.0), (0.05, 0.4)], **how)
+    ranges = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], between=[(0.4, 2.0), (0.05, 0.4)], **how)
     assert list(ranges.sampling_period) == [0.4, 0.5, 0.6, 0.9, 1.0, 1.3, 2.0], "five of the range, and the study's two"
     assert list(ranges.answer[:1]) == ["every value"]
-    second = pcbench.suffices(study, over=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
+    second = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
     assert second.attrs["between"] == [(0.5, 1.0), (0.05, 0.4)]
     screen = Console(file=io.StringIO(), width=100)
     sufficing.frontier(table, screen)
@@ -160,43 +162,43 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("over", "words"),
+    ("axis", "words"),
     [
         (["delay", "loss", "noise_std"], "got 3 axes, expected one or two"),
         (["delay", "delay[0]"], "got delay twice"),
         (["delay", "nothing"], "nothing"),
     ],
 )
-def test_a_frontier_of_other_than_two_axes_is_one_sentence(over, words):
+def test_a_frontier_of_other_than_two_axes_is_one_sentence(axis, words):
     with pytest.raises(UserError, match=words):
-        pcbench.suffices("cart/slow", over=over, below=1.0)
+        pcbench.find_limit("cart/slow", axis=axis, threshold=1.0)
 
 
 @pytest.mark.parametrize("between", [(0.1, 0.2, 0.3), (0.1, None), [(0.1, 0.2)], [(0.1, 0.2, 0.3), None], 0.1])
 def test_a_frontier_of_a_malformed_range_is_one_sentence(between):
     with pytest.raises(UserError, match=r"^between: got .*, expected the two ends of a range for one axis"):
-        pcbench.suffices("cart/slow", over=["sampling_period", "noise_std"], between=between, below=1.0)
+        pcbench.find_limit("cart/slow", axis=["sampling_period", "noise_std"], between=between, threshold=1.0)
 
 
-def asked_of(study, over):
+def asked_of(study, axis):
     raw = raw_of(study, [], FROM_HERE)
-    return question(described(raw, "x", FROM_HERE), "x", over, "rmse", None, 0.1)
+    return question(described(raw, "x", FROM_HERE), "x", axis, "rmse", None, 0.1)
 
 
 def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
     q, why = (
-        asked_of({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "dkf"]}, "delay_jitter"),
+        asked_of({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "kf"]}, "delay_jitter"),
         refusals(),
     )
     grid = growing._grid(q, [0.0, 0.2], why)
-    assert [list(cell.options) for cell in grid.cells] == [["dkf"], ["dkf"]]
-    assert grid.study.observers == ["dkf"]
+    assert [list(cell.options) for cell in grid.cells] == [["kf"], ["kf"]]
+    assert grid.study.observers == ["kf"]
     assert "expected one constant delay" in why.observers["kfbo"]
 
 
 def test_a_value_at_which_the_scenario_does_not_fit_together_is_left_out():
-    q, why = asked_of("cart/slow", "jitter"), refusals()
-    assert [cell.scenario.sampling.jitter for cell in growing._grid(q, [0.1, 0.6], why).cells] == [0.1]
+    q, why = asked_of("cart/slow", "sampling_jitter"), refusals()
+    assert [cell.scenario.sampling.sampling_jitter for cell in growing._grid(q, [0.1, 0.6], why).cells] == [0.1]
     assert "half the shortest interval" in why.values[0.6]
     with pytest.raises(UserError, match="half the shortest interval"):
         growing._grid(q, [0.6], why)
@@ -214,44 +216,44 @@ def test_one_of_several_channels_is_varied_and_the_others_stay(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("over", "ends"),
+    ("name", "ends"),
     [
         ("sampling_period", (0.001, 1.75)),
         ("delay", (0.0, 1.75)),
         ("loss", (0.0, 0.9)),
         ("noise_std", (0.06, 6.0)),
         ("plant.lam", (122.0, 244.0)),
-        ("drift", (0.0, 2.0)),
-        ("jitter", (0.0, 0.099)),
+        ("parameter_drift", (0.0, 2.0)),
+        ("sampling_jitter", (0.0, 0.099)),
     ],
 )
-def test_a_scenario_suggests_where_to_search(over, ends):
+def test_a_scenario_suggests_where_to_search(name, ends):
     s = SCENARIOS["cart/white"]
-    axis = axis_of(over, s, None, s.name)
+    axis = axis_of(name, s, None, s.name)
     assert scale_of(axis, s, None, None)[:2] == ends
-    assert scale_of(axis_of(over, s, [ends[0], ends[1]], s.name), s, None, None)[:2] == ends, (
+    assert scale_of(axis_of(name, s, [ends[0], ends[1]], s.name), s, None, None)[:2] == ends, (
         "or the study's own values"
     )
 
 
 BAD = {
-    "axis": ({"over": "sampling"}, "'sampling' is no axis of cart/slow; did you mean 'sampling_period'"),
-    "words": ({"over": "profile"}, "whose values are words"),
-    "no channel": ({"over": "loss[0]"}, "where loss is one number"),
-    "channel": ({"over": "delay[1]"}, "expected delay[0] to delay[0]"),
+    "axis": ({"axis": "sampling"}, "'sampling' is no axis of cart/slow; did you mean 'sampling_period'"),
+    "words": ({"axis": "sampling_pattern"}, "whose values are words"),
+    "no channel": ({"axis": "loss[0]"}, "where loss is one number"),
+    "channel": ({"axis": "delay[1]"}, "expected delay[0] to delay[0]"),
     "metric": ({"metric": "rmsd"}, "'rmsd' is no metric to be kept below a limit; did you mean 'rmse'"),
-    "less is not better": ({"metric": "efficiency"}, "less is not better"),
+    "less is not better": ({"metric": "rms_efficiency"}, "less is not better"),
     "not of this scenario": ({"metric": "tracking_rmse"}, "tracking_rmse of position, which cart/slow does not have"),
     "signal": ({"signal": "posision"}, "did you mean 'position'"),
-    "limit": ({"below": 0.0}, "--below: got 0, expected a number above 0"),
-    "no limit": ({"below": float("nan")}, "--below: got nan"),
+    "limit": ({"threshold": 0.0}, "--threshold: got 0, expected a number above 0"),
+    "no limit": ({"threshold": float("nan")}, "--threshold: got nan"),
     "range": ({"between": (0.4, 0.2)}, "expected the lower end first; write --range 0.2 0.4"),
-    "half a tick": ({"over": "delay", "between": (0.0, 0.2005)}, "--range: got 0.2005 s, expected a whole number"),
+    "half a tick": ({"axis": "delay", "between": (0.0, 0.2005)}, "--range: got 0.2005 s, expected a whole number"),
     "no range": (
-        {"over": "plant.input_bias", "between": None},
+        {"axis": "plant.input_bias", "between": None},
         "--range: cart/slow suggests none for plant.input_bias",
     ),
-    "precision": ({"over": "delay", "within": 1e-4, "between": None}, "at least a tick, 0.001 s"),
+    "precision": ({"axis": "delay", "tol": 1e-4, "between": None}, "at least a tick, 0.001 s"),
     "budget": ({"max_seeds": 0}, "--max-seeds: got 0"),
     "two scenarios": ({"study": "cart"}, "got 6 scenarios, expected one"),
     "another axis": ({"overrides": ["axes.delay=[0.1,0.2]"]}, "axes.delay: got 2 values, expected one while noise_std"),
@@ -263,7 +265,7 @@ def test_a_question_without_an_answer_is_one_sentence(name, tmp_path):
     changes, said = BAD[name]
     asked = {"study": "cart/slow", **ASKED, "seeds": 2, "between": (0.5, 1.0), "out": tmp_path / "out"} | changes
     with pytest.raises(UserError) as caught:
-        pcbench.suffices(asked.pop("study"), **asked)
+        pcbench.find_limit(asked.pop("study"), **asked)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -278,10 +280,10 @@ def test_where_a_plant_decays_by_itself_it_is_said(tmp_path):
 
 def test_the_command_shows_a_row_for_each_observer_and_where_it_stands(asked, tmp_path):
     table, out = asked
-    words = ["--over", "noise_std", "--below", 0.2, "--seeds", 16, "--observers", "dkf,open-loop"]
-    words += ["--range", 0.05, 3.2, "--within", 0.2, "--max-seeds", 64, "--out", out]
-    done = call("suffices", "cart/slow", *words)
+    words = ["--axis", "noise_std", "--threshold", 0.2, "--seeds", 16, "--observers", "kf,model-only"]
+    words += ["--range", 0.05, 3.2, "--tol", 0.2, "--max-seeds", 64, "--out", out]
+    done = call("find-limit", "cart/slow", *words)
     assert done.returncode == 0, done.stderr
     assert f"{table.largest[0]:g}" in done.stdout
-    assert "cart/slow: tail_rmse of position below 0.2 m, over noise_std from 0.05 to 3.2" in done.stdout
+    assert "cart/slow: steady_rmse of position below 0.2 m, over noise_std from 0.05 to 3.2" in done.stdout
     assert f"pcbench report {out}" in done.stdout

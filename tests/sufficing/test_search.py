@@ -52,7 +52,7 @@ def test_without_noise_it_is_the_answer_of_every_tick_to_the_tick(size, power):
 
     want = by_every_tick(error)
     asked = []
-    found = answer(search(runs({"a": error}, asked=asked), PERIODS._replace(within=1e-3), LIMIT, MOST)["a"])
+    found = answer(search(runs({"a": error}, asked=asked), PERIODS._replace(tol=1e-3), LIMIT, MOST)["a"])
     at_limit = sum(p.verdict == "undecided" for p in found.points)  # an error of the limit itself, without spread
     if isnan(want):
         assert found.kind == "no value"
@@ -176,7 +176,7 @@ def test_what_lies_between_two_values_lies_between_them(a, apart):
 
 def test_two_neighbouring_ticks_are_as_close_as_can_be():
     assert PERIODS.near(0.011, 0.012)
-    assert PERIODS._replace(within=1e-6).near(0.3, 0.301)
+    assert PERIODS._replace(tol=1e-6).near(0.3, 0.301)
     assert not PERIODS.near(0.01, 0.012)
 
 
@@ -198,4 +198,4 @@ def test_the_answer_of_values_that_were_run_is_read_from_a_frame():
     assert found.said["a"].startswith("period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; at 0.3 it is not decided")
     diverged = frame.assign(diverged=(frame.period == 0.1).astype(int))
     assert sufficing.answers(diverged, "period", LIMIT).set_index("observer").fails_below["a"] == 0.1
-    assert sufficing.answers(diverged.assign(metric="divergence"), "period", LIMIT).fails_below.isna().all()
+    assert sufficing.answers(diverged.assign(metric="divergence_rate"), "period", LIMIT).fails_below.isna().all()

@@ -41,7 +41,7 @@ def study(plant, xhat0=None):
     dt, start = p.Ts, np.zeros_like(x0) if xhat0 is None else xhat0
     lti = {name: np.asarray(M).tolist() for name, M in zip("ABCD", p, strict=False)}
     lti |= {"dt": dt, "sampling_period": dt, "delay": 0.0, "noise_std": 0.0 if xhat0 is not None else [0.3, 0.1, 0.2]}
-    lti |= {"input": "sine, square", "horizon": 40 * dt, "x0": x0.tolist(), "xhat0": list(start)}
+    lti |= {"input": "sine, square", "duration": 40 * dt, "x0": x0.tolist(), "xhat0": list(start)}
     lti |= {"prior_std": np.abs(x0).tolist()}
     axes = {"delay": [[float(d * dt) for d in delays] for delays in DELAYS]}
     raw = {"name": plant, "lti": lti, "observers": list(OUTPUTS), "options": OPTIONS[plant], "axes": axes}
@@ -83,7 +83,7 @@ def slow(**lti):
         "delay": [0.2, 0.5],
         "noise_std": 0.0,
     }
-    given |= {"input": "square", "horizon": 4.0, "x0": [1.0, -2.0]}
+    given |= {"input": "square", "duration": 4.0, "x0": [1.0, -2.0]}
     options = {
         "chain": {"pole": 0.4},
         "chain-riccati": {"gain": "riccati", "q": 2.0},

@@ -8,15 +8,18 @@ from pcbench import planning
 from pcbench.simulation import trace
 from pcbench.study import read
 
-CHOICES = {"random_start": True, "consistency": True}
-WIDE = {"bank": {"delays": [round(0.02 * i, 2) for i in range(61)], "longest": 1.2}, "ekf-delay": {"longest": 1.2}}
+CHOICES = {"random_initial_state": True, "consistency": True}
+WIDE = {
+    "mmae-delay": {"delays": [round(0.02 * i, 2) for i in range(61)], "longest": 1.2},
+    "ekf-delay": {"longest": 1.2},
+}
 
 
 def judged(runs, **changes):
     """By observer: rms error of the position [m], mean and rms of the delay's [s], its mean square over what is believed."""
     study = {
         "name": "judged",
-        "observers": ["ekf-delay", "bank"],
+        "observers": ["ekf-delay", "mmae-delay"],
         "scenario": {"base": "cart/unknown-delay", **changes},
         "options": {"scenario": CHOICES, **WIDE},
     }

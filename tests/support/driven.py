@@ -23,7 +23,7 @@ class Traffic(NamedTuple):
 
     taken: Any  # [N+1, q]
     when: Any  # [N+1, S] the tick of a sample that arrives, -1: none
-    fresh: Any  # [N+1, S, q]
+    mask: Any  # [N+1, S, q]
     value: Any  # [N+1, S, q]
 
 
@@ -38,7 +38,7 @@ def traffic(times, samples, ticks, q):
         row = found.when[s.arrival]
         slot = row.tolist().index(s.taken if s.taken in row else -1)
         row[slot] = s.taken
-        found.fresh[s.arrival, slot, s.channel], found.value[s.arrival, slot, s.channel] = True, s.value
+        found.mask[s.arrival, slot, s.channel], found.value[s.arrival, slot, s.channel] = True, s.value
     return found
 
 
@@ -56,27 +56,27 @@ def _run(name, gains, traffic, u, h, xhat0):
     def tick(carry, row):
         memory, notes = carry
         k, t = row
-        notes = notes.at[k].set(o.note(gains, memory, now(k, False)))
-        if o.sampled:
-            told = lambda m: o.sampled(gains, m, now(k, False), t.taken)  # noqa: E731
+        notes = notes.at[k].set(o.snapshot(gains, memory, now(k, False)))
+        if o.on_sample:
+            told = lambda m: o.on_sample(gains, m, now(k, False), t.taken)  # noqa: E731
             memory = lax.cond(t.taken.any(), told, lambda m: m, memory)
 
         def deliver(carry, slot):
             memory, so_far = carry
-            when, fresh, value = slot
-            arrival = Arrival(value, fresh, jnp.full(q, k - when), jnp.zeros(q, int), notes[when], jnp.asarray(0))
+            when, mask, value = slot
+            arrival = Arrival(value, mask, jnp.full(q, k - when), jnp.zeros(q, int), notes[when], jnp.asarray(0))
             jump = lambda m: o.jump(gains, m, now(k, False), arrival)  # noqa: E731
             if o.innovation:
                 found = jnp.stack(o.innovation(gains, memory, now(k, False), arrival)[:2])
                 so_far = so_far + jnp.where(when >= 0, found, 0.0)
             return (lax.cond(when >= 0, jump, lambda m: m, memory), so_far), None
 
-        (memory, surprise), _ = lax.scan(deliver, (memory, jnp.zeros(2)), (t.when, t.fresh, t.value))
+        (memory, surprise), _ = lax.scan(deliver, (memory, jnp.zeros(2)), (t.when, t.mask, t.value))
         seen = o.estimate(gains, memory), o.covariance(gains, memory, now(k, False)), surprise
         return (o.flow(gains, memory, now(k, True)), notes), seen
 
     memory = o.init(gains, xhat0)
-    notes = jnp.zeros((len(u), len(o.note(gains, memory, now(jnp.asarray(0), True)))))
+    notes = jnp.zeros((len(u), len(o.snapshot(gains, memory, now(jnp.asarray(0), True)))))
     return lax.scan(tick, (memory, notes), (jnp.arange(len(u)), traffic))[1]
 
 

@@ -17,9 +17,16 @@ HOMES = {
 }
 WILD = {  # late, lost and overtaking samples
     "name": "wild",
-    "scenario": {"base": "cart/white", "horizon": 4.0, "tail": 2.0, "jitter": 0.05, "delay_jitter": 0.6, "loss": 0.2},
+    "scenario": {
+        "base": "cart/white",
+        "duration": 4.0,
+        "steady_start": 2.0,
+        "sampling_jitter": 0.05,
+        "delay_jitter": 0.6,
+        "loss": 0.2,
+    },
 }
-REGULAR = ("kfbo", "open-loop", *HOMES)  # samples of one age, or at home elsewhere
+REGULAR = ("kfbo", "model-only", *HOMES)  # samples of one age, or at home elsewhere
 
 
 @cache

@@ -19,8 +19,8 @@ class Options(BaseModel):
 
 
 def design(setting, options):
-    Phi, Gamma = pcbench.held(setting.model.A, setting.model.B, setting.dt)
-    return pcbench.Design(Gains(Phi, Gamma, options.L), pcbench.uncertified("for tests"))
+    Phi, Gamma = pcbench.discretize_zoh(setting.model.A, setting.model.B, setting.dt)
+    return pcbench.Design(Gains(Phi, Gamma, options.L), pcbench.no_certificate("for tests"))
 
 
 def followed(gains, memory, now, far):
@@ -31,7 +31,7 @@ def followed(gains, memory, now, far):
 
 follow = pcbench.Observer(
     init=lambda gains, xhat0: (xhat0, jnp.zeros(1), jnp.zeros(())),
-    note=lambda gains, memory, now: jnp.zeros(0),
+    snapshot=lambda gains, memory, now: jnp.zeros(0),
     jump=lambda gains, memory, now, arrival: (memory[0], arrival.value, jnp.ones(())),
     flow=lambda gains, memory, now: followed(gains, memory, now, lambda e: e),
     estimate=lambda gains, memory: memory[0],

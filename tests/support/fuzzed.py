@@ -18,9 +18,9 @@ ARM = {
     "sampling_period": 0.02,
     "delay": [0.02, 0.02],
     "noise_std": 1e-3,
-    "horizon": 0.2,
+    "duration": 0.2,
     "unknown_std": [1.0],
-    "observers": ["smo", "pio", "dkf", "open-loop"],
+    "observers": ["smo", "pio", "kf", "model-only"],
 }
 SPRING = {
     "A": [[0.0, 1.0], [-4.0, -0.5]],
@@ -37,12 +37,12 @@ SPRING = {
     "prior_std": [1.0, 1.0],
     "settle_band": [0.1, 0.1],
     "bound": 1e6,
-    "horizon": 2.0,
-    "tail": 1.0,
+    "duration": 2.0,
+    "steady_start": 1.0,
     "input": "sine",
-    "observers": ["pccebo", "kfbo", "dkf", "open-loop"],
-    "profile": "periodic",
-    "jitter": 0.0,
+    "observers": ["pccebo", "kfbo", "kf", "model-only"],
+    "sampling_pattern": "periodic",
+    "sampling_jitter": 0.0,
     "delay_jitter": 0.0,
     "loss": 0.0,
 }
@@ -54,21 +54,21 @@ STEPS = {  # a discrete plant, three states and two outputs
     "sampling_period": [1.0, 1.0],
     "delay": [1.0, 2.0],
     "noise_std": [0.1, 0.0],
-    "horizon": 50.0,
+    "duration": 50.0,
     "input": "sine, square",
-    "observers": ["chain", "chain-slow", "equal-delay", "no-delay", "dkf", "open-loop"],
+    "observers": ["chain", "chain-slow", "equal-delay", "no-delay", "kf", "model-only"],
 }
 OPTIONS = {
     "pccebo": {"gain": "riccati", "q": 0.01},
     "kfbo": {"R": 0.3, "Q": 0.01, "lag-aware": True, "sampled-innovation": False},
-    "dkf": {"R": 0.1, "q": 0.0, "bias-variance": 1.0, "input-walk": 1.0},
+    "kf": {"R": 0.1, "q": 0.0, "bias-variance": 1.0, "input-walk": 1.0},
     "chain-slow": {"gain": "poles", "pole-per-tick": 0.8, "output": "deadbeat", "shared": True},
     "chain": {"gain": "riccati", "q": 0.1},
     "equal-delay": {"variant": "theorem1", "delay": 2, "pole": 0.1},
     "no-delay": {"variant": "plain", "pole": 0.5},
     "smo": {"alpha": 1.0, "rho": 1.0, "eps": 0.005},
     "pio": {"beta": 0.5, "xi": 2.0, "reconstruct": True},
-    "scenario": {"random-start": False, "start-spread": 0.1, "precision": "float64"},
+    "scenario": {"random-initial-state": False, "initial-spread": 0.1, "precision": "float64"},
 }
 
 
@@ -81,9 +81,12 @@ def own(lti, **more):
 OWN = [
     own(SPRING),
     own(SPRING, axes={"sampling_period": [0.1, 0.2], "noise_std": [0.0, 0.1], "plant": {"input_gain": [0.9, 1.1]}}),
-    own(SPRING | {"observers": ["pco", "dkf"]}, axes={"profile": ["sine", [0.1, 0.2]], "jitter": [0.0, 0.02]}),
-    own(SPRING | {"observers": ["dkf"], "loss": 0.1, "delay": "interval"}, axes={"delay_jitter": [0.0, 0.05]}),
-    own(SPRING | {"observers": ["dkf", "ekf"]}, axes={"assumed_delay_error": [-0.1, 0.0, 0.1]}, observers=["dkf"]),
+    own(
+        SPRING | {"observers": ["pco", "kf"]},
+        axes={"sampling_pattern": ["sine", [0.1, 0.2]], "sampling_jitter": [0.0, 0.02]},
+    ),
+    own(SPRING | {"observers": ["kf"], "loss": 0.1, "delay": "interval"}, axes={"delay_jitter": [0.0, 0.05]}),
+    own(SPRING | {"observers": ["kf", "ekf"]}, axes={"assumed_delay_error": [-0.1, 0.0, 0.1]}, observers=["kf"]),
     own(STEPS),
     own(STEPS, axes={"delay": [[1.0, 2.0], [0.0, 3.0]], "noise_std": [0.1, [0.1, 0.2]]}),
     own(ARM),
@@ -103,7 +106,8 @@ TEXTS = ["", " ", "0.1", "nan", "interval", "sine", "uniform", "a, b", ",", "\n"
 LISTS = [[], [[]], [[[]]], [0.1, 0.2], [1.0, 2.0, 3.0], [[0.1]], [[1.0, 2.0], [3.0]], [""], [True], {}, {"a": 1}, [{}]]
 TIMES = [datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27, tzinfo=datetime.UTC)]
 NAMES = [*Study.model_fields, *AXES, *OBSERVERS, *SCENARIOS, *Choices.model_fields, "plant", "plant.lam", "R", "Q", "Kp",
-         "A", "B", "E", "dt", "tick", "horizon", "tail", "x0", "lag_aware", "dkf-other", "dkf-\n", "", "a b", "\n"]  # fmt: skip
+         "A", "B", "E", "dt", "tick", "duration", "steady_start", "x0", "lag_aware", "kf-other", "kf-\n", "", "a b",
+         "\n"]  # fmt: skip
 keys = st.sampled_from(NAMES) | st.text(max_size=8)
 leaves = (
     st.sampled_from(NUMBERS)
@@ -165,7 +169,7 @@ def changed(draw, studies):
 
 
 POINT = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "tick": 0.01, "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1,
-         "horizon": 0.3, "observers": ["dkf", "open-loop"]}  # fmt: skip
+         "duration": 0.3, "observers": ["kf", "model-only"]}  # fmt: skip
 SIZES = st.sampled_from([0.0, 1e-100, 1e-30, 1e-12, 1e-6, 0.5, 1.0, 10.0, 1e3, 1e6, 1e12])
 SIGNED = st.builds(lambda size, sign: sign * size, SIZES, st.sampled_from([-1.0, 1.0]))
 extreme = st.fixed_dictionaries(  # what one state may have in its table [lti]: all of one shape, so all run one program

@@ -17,7 +17,7 @@ from pcbench.simulation import trace as one_run
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
 from pcbench.simulation.trace import Recording
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 RING, SLOTS = 512, 2  # room for a sample at every tick with a delay of 400: one shape for every test
 
@@ -86,12 +86,12 @@ def starts(case: Case) -> tuple[np.ndarray, np.ndarray]:
     return x0, np.zeros(n) if case.xhat0 is None else np.asarray(case.xhat0, float)
 
 
-def setting(case: Case) -> Setting:
+def setting(case: Case) -> DesignContext:
     q, n = case.model.C.shape
     prior = np.diag(np.arange(1.0, n + 1) ** 2)
     chain = case.model is TWO_AXES
     many = 2 if chain else 0 if case.model.E is None else case.model.E.shape[1]
-    return Setting(
+    return DesignContext(
         "case", case.model, case.h, case.ticks, (case.te,) * q, (case.d,) * q, (case.noise_std,) * q, prior,
         case.input_intensity, flight=case.d // case.te + 1, latest=case.d, unknown_std=(1.0,) * many, unknown0=(0.0,) * many,
         unknown_range=((-np.inf, np.inf),) * many, parts=jax.tree_util.Partial(friction) if chain else None,

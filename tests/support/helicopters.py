@@ -29,7 +29,7 @@ OBSERVERS = {
 
 def planned(observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any) -> Plan:
     """Return a scenario with its fields changed, cut to so many seconds."""
-    s = SCENARIOS["helicopter/" + name].having(horizon=seconds, tail=seconds / 2)
+    s = SCENARIOS["helicopter/" + name].having(duration=seconds, steady_start=seconds / 2)
     s = s.having(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
@@ -53,7 +53,7 @@ def estimate(got: trace.Recording) -> np.ndarray:
 def expected(p: Plan, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
     s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
-    delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_swing, s.truth.drift
+    delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_sine, s.truth.parameter_drift
     period = round(s.sampling.sampling_period[0] / s.dt)
     case = reference.Scenario(
         lambda t: np.full(np.shape(t), delay) + swing * np.sin(pace * np.asarray(t)),

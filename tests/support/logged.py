@@ -19,7 +19,7 @@ MOTOR = {
         "delay": 0.1,
         "noise_std": 0.1,
         "process_std": [0.01, 0.05],
-        "horizon": 4.0,
+        "duration": 4.0,
         "input": "sine",
     },
 }

@@ -14,11 +14,11 @@ Q1 = [[2.0, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 0.5]]
 Q2 = [0.5, 0.2]
 
 
-def study(controller, sensor=None, seeds=3, observers=("dkf",), **lti):
+def study(controller, sensor=None, seeds=3, observers=("kf",), **lti):
     """Return a study with the loop closed; `sensor` are the keys of its sampling, in seconds."""
     measured = {"sampling_period": 0.06, "delay": 0.04, "noise_std": NOISE} | (sensor or {})
-    table = {"A": A, "B": B, "C": C, "x0": X0, "xhat0": XHAT0, "prior_std": PRIOR, "tick": TICK, "horizon": N * TICK}
-    table |= {"states": ["angle [rad]", "rate [rad/s]", "current [A]"], "tail": 0.5} | measured | lti
+    table = {"A": A, "B": B, "C": C, "x0": X0, "xhat0": XHAT0, "prior_std": PRIOR, "tick": TICK, "duration": N * TICK}
+    table |= {"states": ["angle [rad]", "rate [rad/s]", "current [A]"], "steady_start": 0.5} | measured | lti
     return {"name": "t", "seeds": seeds, "observers": list(observers), "lti": table, "controller": controller}
 
 

@@ -8,7 +8,7 @@ from pcbench.machine import process
 STUDY = {
     "name": "many",
     "lti": {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1},
-    "observers": ["dkf"],
+    "observers": ["kf"],
     "seeds": 2,
 }
 
@@ -17,9 +17,9 @@ def main(programs):
     """Run and trace studies of other horizons, each of which is a program of its own."""
     process.setup()
     for i in range(programs):
-        lti = STUDY["lti"] | {"tick": 0.05, "horizon": 1.0 + 0.05 * i}
+        lti = STUDY["lti"] | {"tick": 0.05, "duration": 1.0 + 0.05 * i}
         pcbench.run(STUDY | {"lti": lti})
-        pcbench.trace(STUDY | {"lti": lti}, "dkf")
+        pcbench.simulate(STUDY | {"lti": lti}, "kf")
     with open("/proc/self/maps") as maps:
         print(sum(1 for _ in maps))
 

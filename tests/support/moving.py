@@ -61,7 +61,7 @@ def moments(loop, cases):
     )
     observer = Observer(
         init=lambda gains, xhat0: jnp.zeros(loop.memory),
-        note=lambda gains, memory, now: jnp.zeros(0),
+        snapshot=lambda gains, memory, now: jnp.zeros(0),
         jump=loop.jump,
         flow=loop.flow,
         estimate=lambda gains, memory: jnp.concatenate([jnp.zeros(n), memory]),  # so that an error is x itself

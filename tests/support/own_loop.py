@@ -18,7 +18,7 @@ def field(p, now, x):
     return jnp.stack([x[1], -9.81 / p.length * jnp.sin(x[0]) - p.friction * x[1] + now.u[0]])
 
 
-pendulum = pcbench.plant(
+pendulum = pcbench.make_plant(
     field=field,
     output=lambda p, now, x: x[:1],
     states=["angle [rad]", "rate [rad/s]"],
@@ -63,7 +63,7 @@ late = {
     "delay": 0.1,
     "noise_std": (1e-3,),
     "dt": 0.01,
-    "horizon": 0.5,
+    "duration": 0.5,
     "controller": law,
-    "observers": ["dkf"],
+    "observers": ["kf"],
 }

@@ -30,12 +30,12 @@ def design(setting, options):
 
 
 def corrected(gains, memory, arrival):
-    return memory + gains.L @ jnp.where(arrival.fresh, arrival.value - arrival.note, 0.0)
+    return memory + gains.L @ jnp.where(arrival.mask, arrival.value - arrival.snapshot, 0.0)
 
 
 nudge = pcbench.Observer(
     init=lambda gains, xhat0: xhat0,
-    note=lambda gains, memory, now: gains.C @ memory,
+    snapshot=lambda gains, memory, now: gains.C @ memory,
     jump=lambda gains, memory, now, arrival: corrected(gains, memory, arrival),
     flow=lambda gains, memory, now: gains.Phi @ memory + gains.Gamma @ now.u,
     estimate=lambda gains, memory: memory,

@@ -45,7 +45,7 @@ def matrices(p=None):
 def pendulum(**changes):
     given = {"field": field, "output": output, "states": STATES, "numbers": Numbers(),
              "operating_point": ([0.0] * 4, [0.0]), "positive": ["M", "m", "l"]}  # fmt: skip
-    return pcbench.plant(**given | changes)
+    return pcbench.make_plant(**given | changes)
 
 
 def scipys(x0, u, dt, ticks, p=None):

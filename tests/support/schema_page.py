@@ -15,10 +15,10 @@ AXIS = [*(a for a in AXES if a not in STATES), *STATES, *COMMANDS]
 ALWAYS = {"diverged": "bool in runs, int64 in stats", "seed": "int64"}
 HEAD = f"""# The columns of the tables
 
-Every Parquet file says its schema in its metadata (`pcbench.schema`: here {columns.SCHEMA}), and with each column its meaning
-and unit. What is added, goes or means something else makes a new number: `pcbench/dataset/earlier.py` has those that are read.
-Made from the code by `tests/support/schema_page.py`. `<axes>` are the columns of the last table: those that a scenario has, in
-that order. `scenario` and `observer` of `runs` stand in the folders' names.
+Each Parquet file has its schema's number in its metadata (`pcbench.schema`: here {columns.SCHEMA}), and with each column its
+meaning and unit. A column that is added, goes or means something else makes a new number. `tests/support/schema_page.py` makes
+this page from the code. `<axes>` are the columns of the last table: those that a scenario has, in that order. `scenario` and
+`observer` of `runs` are in the folders' names.
 """
 
 
@@ -27,7 +27,10 @@ def row(name: str) -> str:
     (field,) = columns.table({name: [None]}).schema
     said = {key.decode(): text.decode() for key, text in field.metadata.items()}
     kind = ALWAYS.get(
-        name, "double or list of double" if name in (*CHANNELS, *STATES, *OUTPUTS, "delay_stay") else str(field.type)
+        name,
+        "double or list of double"
+        if name in (*CHANNELS, *STATES, *OUTPUTS, "delay_self_transition")
+        else str(field.type),
     )
     return f"| `{name}` | {kind} | {said.get('unit', '')} | {in_table(said['meaning'])} |"
 
@@ -46,9 +49,9 @@ def table(title: str, names: list[str]) -> str:
 
 def orders() -> dict[str, list[str]]:
     """The columns of each table but the axes, in order."""
-    runs = ["study", "scenario", "observer", "cell", "seed", "signal", "unit", "carries_input"]
+    runs = ["study", "scenario", "observer", "cell", "seed", "signal", "unit", "predicts_unknown_input"]
     return {
-        "runs/": [*runs, *RUN_METRICS, "status", "diverged", "first_bad_time"],
+        "runs/": [*runs, *RUN_METRICS, "status", "diverged", "divergence_time"],
         "stats.parquet": columns.stats_order([]),
         "pairs.parquet": columns.pairs_order([]),
     }

@@ -12,7 +12,7 @@ import numpy as np
 from reference import nonlinear as reference
 
 from pcbench.dynamics import linear
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 H, TICKS = 0.05, 60
 P0, START, SIZE, RANGE = np.diag([0.3, 0.5]) ** 2, np.array([0.7, -0.4]), 0.8, (1.0, 5.0)
@@ -41,7 +41,7 @@ def seen(z):
 
 def told(**changes):
     """What a designer is told."""
-    known = Setting(
+    known = DesignContext(
         "swinging", LINEAR, H, TICKS, (7, 7), (5, 5), tuple(np.sqrt(R)), P0, 0.0, overtaking=3, flight=4, latest=20,
         process_std=PROCESS, unknown_std=(SIZE,), unknown0=(P_START,), unknown_range=(RANGE,),
         field=jax.tree_util.Partial(field), sensor=jax.tree_util.Partial(sensor),
@@ -81,7 +81,7 @@ def traffic():
         slot = found.when[s.arrival].tolist().index(-1)
         found.when[s.arrival, slot] = s.taken
         for j, y in zip(s.channels, s.values, strict=True):
-            found.fresh[s.arrival, slot, j], found.value[s.arrival, slot, j] = True, y
+            found.mask[s.arrival, slot, j], found.value[s.arrival, slot, j] = True, y
     return found
 
 

@@ -1,9 +1,8 @@
 """Turn commands, TOML, Python and C from the names of before 0.1.0 into those of 0.1.0: `python translate_case.py FILE ...`.
 
-The package itself has the old names still; when it is renamed, its own files go through here too. Each file is rewritten in
-place. A name of one meaning (`dkf`) is replaced wherever it is a word; a word that is plain English too (`drift`) only as a
-name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names that a file gives to things of its own
-are left as they are, so read what comes out.
+Each file is rewritten in place. A name of one meaning (`dkf`) is replaced wherever it is a word; a word that is plain English
+too (`drift`) only as a name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names that a file
+gives to things of its own are left as they are, so read what comes out.
 """
 
 import re
@@ -80,6 +79,29 @@ VALUES = {  # of keys of a study
     ("vary", "each"): "one-at-a-time",
     ("tuning", "paper"): "published",
 }
+WHERE = {  # names whose meaning depends on what stands before them in the line: (before, old) -> new
+    (r"pcbench run ", "--exact"): "--evaluation exact",
+    (r"pcbench design ", "--method"): "--gain",
+    (r"pcbench tune ", "--method"): "--optimizer",
+    (r"pcbench tune ", "--exact"): "--exact-objective",
+    (r"\brun\(", "method="): "evaluation=",
+    (r"\brun\(", "block="): "block_size=",
+    (r"\b(?:run|suffices|find_limit)\(", "fresh="): "overwrite=",
+    (r"\b(?:design|trade_off)\(", "method="): "gain=",
+    (r"\btune\(", "method="): "optimizer=",
+    (r"\btune\(", "exact="): "exact_objective=",
+    (r"\b(?:suffices|find_limit)\(", "over="): "axis=",
+    (r"\b(?:suffices|find_limit)\(", "below="): "threshold=",
+    (r"\b(?:suffices|find_limit)\(", "within="): "tol=",
+    (r"\bObserver\(", "note="): "snapshot=",
+    (r"\bObserver\(", "sampled="): "on_sample=",
+    (r"\bObserver\(", "seeded="): "init_random=",
+    (r"\barrival", ".note"): ".snapshot",
+    (r"\barrival", ".fresh"): ".mask",
+    (r"\barrival", ".since"): ".ticks_since_arrival",
+    (r"^", 'method = "exact"'): 'evaluation = "exact"',
+    (r"^", 'method = "both"'): 'evaluation = "both"',
+}
 OF_OBSERVERS = {  # options, by the new name of the observer
     "kf-drop-delayed": {"limit": "max_age"},
     "kf-delayed-horizon": {"horizon": "lag", "duration": "lag"},
@@ -118,12 +140,20 @@ FUNCTIONS = {
     "exact": "exact_moments",
     "log": "info",
     "costs": "operation_counts",
-    "tune_log": "tune",
     "opened": "open_result",
     "together": "vmap_as_unit",
     "plant": "make_plant",
     "certified": "require_certified",
     "uncertified": "no_certificate",
+}
+TYPES = {
+    "Surprise": "InnovationStats",
+    "Told": "ControllerContext",
+    "Setting": "DesignContext",
+    "Entry": "ObserverSpec",
+    "PlantEntry": "PlantSpec",
+    "ControllerEntry": "ControllerSpec",
+    "held": "discretize_zoh",
 }
 IN_C = {"note": "snapshot", "fresh": "mask", "since": "ticks_since_arrival"}  # of what arrives, `a`
 RECORDS = r"(?:scenario|axes|lti|sampling|scoring|truth|options\.\w+)"
@@ -161,8 +191,17 @@ def translate(text: str) -> str:
         text = re.sub(rf"(?<=pcbench ){old}(?![\w-])", new, text)
     for old, new in OPTIONS.items():
         text = re.sub(rf"(?<![\w-]){old}(?![\w-])", new, text)
+    text = re.sub(r"pcbench\.tune_log\(([^,()]+), ([^,()]+), ([^,()]+)", r"pcbench.tune(\2, \3, log=\1", text)
     for old, new in FUNCTIONS.items():
         text = re.sub(rf"(?<=\bpcbench\.){old}(?=\()", new, text)
+    for old, new in TYPES.items():
+        text = re.sub(rf"(?<=\bpcbench\.){old}{END}", new, text)
+    for (before, old), new in WHERE.items():
+        between = r"[^\n|`]*?" if before.endswith((" ", "(")) else ""
+        pattern = rf"({before}{between}){'' if old[0] in '.m' and not between else '(?<![A-Za-z0-9-])'}{re.escape(old)}"
+        text = re.sub(
+            pattern + ("" if old.endswith(("=", '"')) else r"(?![\w-])"), rf"\g<1>{new}", text, flags=re.MULTILINE
+        )
     for old, new in IN_C.items():
         text = re.sub(rf"(?<=\ba\.){old}(?= (?:=|\[)|\[)", new, text)
     return re.sub(r"\b(\w+)_note\(", r"\1_snapshot(", text)

@@ -18,21 +18,29 @@ def axes(**values):
 
 STUDIES = {  # what makes a study that pcbench brings along short, every scenario and observer of it kept
     "all": ["--seeds", "2"],
-    "beliefs": ["--seeds", "2"],
+    "model-mismatch": ["--seeds", "2"],
     "cart": ["--seeds", "2"],
-    "fair": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
-    "fair-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
-    "faults": ["--seeds", "2"],
-    "helicopter": ["--seeds", "2", *axes(sampling_period=[0.2], delay=[0.03], noise_std=[2e-2], drift=[0.0, 0.3])],
-    "late": ["--seeds", "2"],
-    "map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
+    "equal-tuning": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
+    "equal-tuning-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
+    "measurement-errors": ["--seeds", "2"],
+    "helicopter": [
+        "--seeds",
+        "2",
+        *axes(sampling_period=[0.2], delay=[0.03], noise_std=[2e-2], parameter_drift=[0.0, 0.3]),
+    ],
+    "delayed-measurements": ["--seeds", "2"],
+    "period-delay-map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
     "reactor": ["--seeds", "2"],
     "unequal-delays": ["--seeds", "2", *axes(delay=[[40.0, 40.0, 40.0], [10.0, 40.0, 70.0]])],
-    "unknown-input": ["--seeds", "2", *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], drift=[0.0, 0.05])],
+    "unknown-input": [
+        "--seeds",
+        "2",
+        *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], parameter_drift=[0.0, 0.05]),
+    ],
     "variable-sampling": ["--seeds", "2"],
 }
-TUNING = {"--budget": "2", "--train": "1000:1008", "--judge": "2000:2008"}
-SEARCH = {"--seeds": "8", "--max-seeds": "16", "--within": "0.5"}
+TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
+SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
 FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more
 
 
@@ -77,11 +85,11 @@ def step(what, done):
 def shortened(words):
     """The words of a command that does the same in less time."""
     if words[0] == "tune":
-        on_runs = not {"--exact", "--log"} & set(words)
+        on_runs = not {"--exact-objective", "--log"} & set(words)
         return with_options(words, TUNING if on_runs else {"--budget": "2"})
     if words[0] == "suffices":
         return with_options(words, SEARCH)
-    if words[0] != "run" or "--exact" in words:
+    if words[0] != "run" or "exact" in words:
         return words
     if words[1] in STUDIES:
         at = words.index("--seeds") if "--seeds" in words else len(words)

@@ -33,7 +33,7 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
         ring = len(start.past) - 1
         run = start.run._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
         heard = tuple(jnp.ones_like(known) for known in start.known)
-        start = start._replace(run=run, known=heard, fresh=jnp.ones(3, bool))
+        start = start._replace(run=run, known=heard, mask=jnp.ones(3, bool))
 
         @jax.jit
         def step(errors):
@@ -147,13 +147,13 @@ def test_vanishing_poles_over_long_delays_are_certified():
 
 def test_a_model_that_outgrows_its_delay_is_refused():
     """By the design itself: a study's own plant is refused before, where it outgrows its horizon."""
-    study, _, _ = slow(delay=[0.1, 3.9], tail=0.5)
+    study, _, _ = slow(delay=[0.1, 3.9], steady_start=0.5)
     (cell,) = cells(read.parse(study, "slow"), "lti")
     known = planning.setting(cell)
     faster = known._replace(model=known.model._replace(A=np.array([[60.0, 1.0], [0.0, -1.0]])))
     with pytest.raises(UserError, match=r"grows by \d+ a sample over a delay of 39 samples.*shorten the delay"):
         chain.design(faster, chain.Options())
-    with pytest.raises(UserError, match=r"lti\.A: got a plant that grows by 1e104 over the horizon of 4 s"):
+    with pytest.raises(UserError, match=r"lti\.A: got a plant that grows by 1e104 over the duration of 4 s"):
         pcbench.design(slow(A=[[60.0, 1.0], [0.0, -1.0]])[0], "chain")
 
 

@@ -5,7 +5,7 @@ import pytest
 from loops import Q1, Q2, over, plant
 from reference import loop
 
-from pcbench.controllers import CONTROLLERS, Told
+from pcbench.controllers import CONTROLLERS, ControllerContext
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError
 from pcbench.synthesis import lqr
@@ -31,7 +31,7 @@ def test_a_plant_that_no_input_moves_has_no_gain():
 
 def told(late):
     model = Model(P.Phi, P.Gamma, P.C, None, True)
-    return Told(model, 0.01, 100, 0, 0, late, ("angle", "rate", "current"), lambda t: 0 * t + late * 0.01)
+    return ControllerContext(model, 0.01, 100, 0, 0, late, ("angle", "rate", "current"), lambda t: 0 * t + late * 0.01)
 
 
 LAWS = {

@@ -22,7 +22,7 @@ from pcbench.synthesis import (
     remembered,
     riccati,
 )
-from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.certificate import Certificate, require_certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
 
@@ -126,12 +126,12 @@ def test_a_gain_outside_the_lmi_is_refused_with_margin_and_status():
     certificate = current_estimator.certify(wrong, Phi, CART.C, 0.2)
     assert certificate.margin < 0
     with pytest.raises(DesignError, match=r"margin -.*CLARABEL said 'optimal'"):
-        certified(certificate, "pccebo in test")
+        require_certified(certificate, "pccebo in test")
 
 
 def test_a_gain_that_is_not_finite_is_refused():
     with pytest.raises(DesignError, match="nan"):
-        certified(Certificate("x > 0", float("nan"), "s", "solved"), "somewhere")
+        require_certified(Certificate("x > 0", float("nan"), "s", "solved"), "somewhere")
 
 
 def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):

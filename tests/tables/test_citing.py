@@ -16,7 +16,7 @@ PAGE = PAGES["which_observer.md"].split("## All of them")[1] + PAGES["how_late.m
 CITATION = (ROOT / "CITATION.cff").read_text()
 ENTRIES = {r.key: r.text for r in citing.references()}
 NEEDED = {"article": {"author", "title", "journal", "year"}, "book": {"author", "title", "publisher", "year"}}
-WITHOUT = ("open-loop",)  # the model alone is nobody's
+WITHOUT = ("model-only",)  # the model alone is nobody's
 
 
 def fields(entry):
@@ -76,7 +76,7 @@ def test_of_nothing_in_particular_it_cites_everything():
 
 
 def test_an_own_observer_is_named_for_the_user_to_cite(tmp_path):
-    (tmp_path / "mine.py").write_text("from pcbench.observers import OBSERVERS\nnudge = OBSERVERS['dkf']\n")
+    (tmp_path / "mine.py").write_text("from pcbench.observers import OBSERVERS\nnudge = OBSERVERS['kf']\n")
     (tmp_path / "s.toml").write_text(f'scenarios = ["cart/white"]\nobservers = ["{tmp_path}/mine.py:nudge"]\n')
     assert "your own, cite it yourself: nudge" in citing.bibtex(str(tmp_path / "s.toml"))
     with pytest.raises(UserError, match="is no study"):

@@ -20,7 +20,7 @@ from pcbench.tables.layout import Entry, Head, Table
 
 @pytest.fixture(scope="module")
 def result(whole):
-    return pcbench.opened(whole)
+    return pcbench.open_result(whole)
 
 
 def row(mean, low, high, n=16, diverged=0, **more):
@@ -34,30 +34,30 @@ def alone(*entries):
 
 
 def test_along_an_axis_a_row_is_an_observer_and_a_column_a_value(result):
-    (found,) = layout.tables(result, "tail_rmse")
+    (found,) = layout.tables(result, "steady_rmse")
     assert [h.text for h in found.heads] == ["0.1", "0.5"]
     assert (found.over.text, found.signal) == ("noise std", "position")
     assert [words for words, _ in found.rows] == [["pccebo"], ["kfbo"]]
-    stats = result.stats.query("metric == 'tail_rmse' and signal == 'position'").set_index(["observer", "noise_std"])
+    stats = result.stats.query("metric == 'steady_rmse' and signal == 'position'").set_index(["observer", "noise_std"])
     for (observer,), each in found.rows:
         for head, entry in zip(found.heads, each, strict=True):
             assert entry.text == wording.interval(stats.loc[(observer, float(head.text))])
 
 
 def test_all_that_are_not_significantly_worse_than_the_best_are_marked(result):
-    (found,) = layout.tables(result, "tail_rmse")
-    stats = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
+    (found,) = layout.tables(result, "steady_rmse")
+    stats = result.stats.query("metric == 'steady_rmse' and signal == 'position'")
     for i, noise in enumerate((0.1, 0.5)):
         least = stats[stats.noise_std == noise].sort_values("mean").observer.iloc[0]
         marks = {words[0]: each[i].best for words, each in found.rows}
         assert marks.pop(least)
-        p = result.pairs.query("metric == 'tail_rmse' and signal == 'position'")
+        p = result.pairs.query("metric == 'steady_rmse' and signal == 'position'")
         sure = p[p.noise_std == noise].p_holm.iloc[0] <= 0.05
         assert set(marks.values()) == {not sure}
 
 
 def test_a_metric_that_is_not_compared_has_no_best(result):
-    (found,) = layout.tables(result, "efficiency")
+    (found,) = layout.tables(result, "rms_efficiency")
     assert {e.best for e in found.entries} == {False}
 
 
@@ -72,7 +72,7 @@ def test_without_axes_a_column_is_a_signal_with_its_unit(result):
         pairs_of = staticmethod(lambda name, signal: One.pairs[One.pairs.signal == signal])
 
     One.stats, One.pairs = stats[stats.cell == 0], pairs[pairs.cell == 0]
-    (found,) = layout.tables(One, "tail_rmse", [])
+    (found,) = layout.tables(One, "steady_rmse", [])
     assert found.heads == [Head("position", "m"), Head("velocity", "m/s")]
     assert "| observer | position [m] | velocity [m/s] |" in text.markdown([found])
 
@@ -88,7 +88,7 @@ def test_along_more_axes_a_row_is_a_cell(result):
         pairs_of = staticmethod(lambda name, signal: Two.pairs[Two.pairs.signal == signal])
 
     Two.stats = stats
-    (found,) = layout.tables(Two, "tail_rmse")
+    (found,) = layout.tables(Two, "steady_rmse")
     assert [h.text for h in found.stub] == ["delay", "noise std"]
     assert [h.text for h in found.heads] == ["pccebo", "kfbo"]
     assert [words for words, _ in found.rows] == [["0", "0.1"], ["1", "0.5"]]
@@ -131,8 +131,8 @@ def test_marks_units_and_special_letters_in_latex_and_markdown():
 
 
 def test_csv_holds_the_numbers_in_full(result):
-    found = pd.read_csv(io.StringIO(text.values(layout.tables(result, "tail_rmse", []))), keep_default_na=False)
-    want = result.stats.query("metric == 'tail_rmse'")
+    found = pd.read_csv(io.StringIO(text.values(layout.tables(result, "steady_rmse", []))), keep_default_na=False)
+    want = result.stats.query("metric == 'steady_rmse'")
     assert len(found) == len(want)
     key = ["signal", "noise_std", "observer"]
     for name in ("mean", "ci_low", "ci_high", "n"):
@@ -148,7 +148,7 @@ def test_a_metric_that_is_none_is_one_sentence(result):
 
 @pytest.mark.slow
 def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
-    for name, begins in (("t.tex", "% needs"), ("t.md", "cart/slow: tail_rmse"), ("t.csv", "scenario,signal,metric")):
+    for name, begins in (("t.tex", "% needs"), ("t.md", "cart/slow: steady_rmse"), ("t.csv", "scenario,signal,metric")):
         done = call("tables", whole, "--out", tmp_path / name)
         assert done.returncode == 0, done.stderr
         assert (tmp_path / name).read_text().startswith(begins)
@@ -175,7 +175,7 @@ def installed():
 @pytest.mark.parametrize("plain", [False, True])
 def test_latex_takes_it(result, tmp_path, plain):
     odd = [Entry(row(*numbers, diverged=1), mark) for numbers, mark in zip(LATEX, [True, False] * 4, strict=False)]
-    every = [*layout.tables(result, "tail_rmse", []), *(alone(a, b) for a, b in pairwise(odd))]
+    every = [*layout.tables(result, "steady_rmse", []), *(alone(a, b) for a, b in pairwise(odd))]
     packages = "" if plain else re.sub("% needs ", "", latex.NEEDS)
     body = latex.latex(every, plain)
     (tmp_path / "t.tex").write_text(

@@ -44,7 +44,7 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
         shown.add_row(*(f"{row[c]:.4g}" if isinstance(row[c], float) else str(row[c]) for c in (*fixed, *moving)))
     console.print(shown)
     if len(stands) > 1 and not moving and stands.rate.nunique() <= 1:
-        text = f"{fixed[0]} changes nothing here: the gains are not found from it; name a --method that does."
+        text = f"{fixed[0]} changes nothing here: the gains are not found from it; name a --gain that does."
         console.print(text, highlight=False)
     _say_what_is_unproven(table.certified, console)
     for row in table[table.refused != ""].to_dict("records"):
@@ -96,7 +96,7 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     ]
     columns += [
         Column("held out", [_mean(r["held_out"], r["held_out_se"]) for r in rows]),
-        Column("of the bound\n(tail)", [_share(r["efficiency"]) for r in rows]),
+        Column("of the bound\n(tail)", [_share(r["rms_efficiency"]) for r in rows]),
         Column("training" if of_runs else "expected", [_mean(r["training"], r["training_se"]) for r in rows], spare=2),
         Column("gap", [_mean(r["gap"], r["gap_se"], "+") for r in rows], spare=1),
     ]

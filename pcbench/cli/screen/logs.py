@@ -90,7 +90,7 @@ def replayed(found: Any, folder: str, console: Console) -> None:
         ]
         printed("the same by channel", columns, console)
     if len(found.metrics):
-        _wide(found.metrics[found.metrics.metric == "tail_rmse"], "value", "tail_rmse against truth", console)
+        _wide(found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against truth", console)
     if len(found.distances):
         _wide(found.distances, "rms", "rms distance to the smoother that sees the whole log", console)
     off = found.summary["largest_rounding"]

@@ -18,7 +18,7 @@ from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 # least first, where there are such
-BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "cost", "efficiency")
+BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency")
 COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
@@ -34,7 +34,7 @@ class View(NamedTuple):
     stats: pd.DataFrame  # of this signal
     pairs: pd.DataFrame  # of this signal and metric
     metric: str
-    costs: pd.DataFrame | None = None  # of its observers, a frame of `pcbench.costs`
+    costs: pd.DataFrame | None = None  # of its observers, a frame of `pcbench.operation_counts`
 
     @property
     def title(self) -> str:
@@ -126,7 +126,7 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
     filled = set(shown.stats.metric[shown.stats["mean"].notna()])
     exact = ["pooled_rmse"] if "rmse" in there - filled else []
     beside = [m for m in (*exact, *BESIDE, consistency.HEAD) if m in filled and m != metric]
-    values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
+    values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence_rate")}
     bold: set[int] = set()
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
@@ -143,8 +143,8 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
             values[metric].append(interval(wide.loc[observer, metric]))
             values[LESS].append("" if best else difference(met, observer, order[0]))
             for name in beside:
-                values[name].append(_beside(wide, observer, name, shown.scenario.horizon))
-            values["divergence"].append(fraction(wide.loc[observer, "divergence"]))
+                values[name].append(_beside(wide, observer, name, shown.scenario.duration))
+            values["divergence_rate"].append(fraction(wide.loc[observer, "divergence_rate"]))
             for name in COST if shown.costs is not None else ():
                 values.setdefault(name, []).append(_cost(shown.costs, cell.cell.iloc[0], observer, name))
     lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
@@ -154,7 +154,7 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
         Column(_head(shown, metric), values[metric]),
     ]
     columns += [Column(LESS, values[LESS])] if several else []
-    columns += [Column("diverged", values["divergence"])] if lost else []
+    columns += [Column("diverged", values["divergence_rate"])] if lost else []
     columns += [Column(name, values[name]) for name in COST if name in values]
     return columns + [
         Column(_head(shown, name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]

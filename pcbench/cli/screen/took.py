@@ -9,12 +9,12 @@ def sentence(result: Result, folder: str) -> str:
     if not result.cost.runs and result.exact and not p["blocks"]:
         cells = result.stats.groupby(["scenario", "cell"]).ngroups
         return f"Exact numbers of {'one cell' if cells == 1 else f'{cells:,} cells'} are in {folder}."
-    if result.study.method == "exact" and not result.exact and p["blocks"] and result.stats.reason.isna().any():
+    if result.study.evaluation == "exact" and not result.exact and p["blocks"] and result.stats.reason.isna().any():
         return (
             f"The tables in {folder} are of its runs, which stay; exact moments stand beside them: hold them together with "
             f"pcbench verify {folder} --exact, or give another folder with --out for tables of exact numbers."
         )
-    if result.study.method == "exact" and not result.exact:
+    if result.study.evaluation == "exact" and not result.exact:
         return f"No number in {folder} is exact: its tables say why, in the column reason of stats."
     if not result.cost.runs:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."

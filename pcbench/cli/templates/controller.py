@@ -47,7 +47,7 @@ class Params(NamedTuple):
     every: Any  # the same in ticks
 
 
-def prepare(options: Options, told: pcbench.Told) -> Params:
+def prepare(options: Options, told: pcbench.ControllerContext) -> Params:
     """Find the numbers. `told` has the linear model, dt [s], the names of the states, `late` (ticks to the plant)."""
     every, (Phi, Gamma) = told.every(options.period), told.tick  # one tick: x -> Phi x + Gamma u
     n, m = Gamma.shape

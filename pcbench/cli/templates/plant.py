@@ -41,12 +41,12 @@ def output(numbers: Numbers, now: pcbench.Now, x: Array) -> Array:
     return jnp.stack([numbers.length * jnp.sin(x[0])])
 
 
-NAME: Any = pcbench.plant(
+NAME: Any = pcbench.make_plant(
     field=field,  # or step=..., tick=0.01: where x one tick later is known, and no derivative
     output=output,
     states=["angle [rad]", "rate [rad/s]"],  # a name and a unit for each: they head the tables
     numbers=Numbers(),
-    # Signals are deviations from this state and input. Linear observers (dkf, pccebo, ...) get the Jacobians there, if it is
+    # Signals are deviations from this state and input. Linear observers (kf, pccebo, ...) get the Jacobians there, if it is
     # an equilibrium; ekf takes derivatives wherever its estimate is, so it does without.
     operating_point=([0.0, 0.0], [0.0]),
     # No observer is told these: ekf estimates them beside the state. The unit, and between what values to look.

@@ -10,7 +10,7 @@ Number = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 Rows = list[list[Number]]
 Weight = Number | list[Number] | Rows  # one for all, a diagonal, or a matrix
-COST = "weight of the metric `cost`; default: there is none"
+COST = "weight of the metric `lq_cost`; default: there is none"
 
 
 class Options(BaseModel):

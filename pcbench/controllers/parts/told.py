@@ -6,7 +6,7 @@ from pcbench.dynamics.linear import Model, one_tick
 from pcbench.protocols import Delay
 
 
-class Told(NamedTuple):
+class ControllerContext(NamedTuple):
     """What the designer of a law knows of a cell. n states, m inputs, q outputs."""
 
     model: Model  # linear, as observers know it

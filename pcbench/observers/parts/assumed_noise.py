@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError, shown
 from pcbench.observers.parts.options import tunable
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 Variance = Annotated[float, Field(gt=0)]
 Size = Annotated[float, Field(ge=0)]
@@ -70,7 +70,7 @@ def _regular(given: Any) -> bool:
     return len(set(rows)) < 2
 
 
-def independent(setting: Setting, given: Any, C: Matrix, where: str) -> Independent:
+def independent(setting: DesignContext, given: Any, C: Matrix, where: str) -> Independent:
     """Return the outputs of a filter that assumes `given` of their noise, None: what the setting says.
 
     Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
@@ -95,7 +95,7 @@ def independent(setting: Setting, given: Any, C: Matrix, where: str) -> Independ
     return Independent(mix, mix @ C, np.square(np.diag(L)))
 
 
-def process(setting: Setting, given: Any, where: str) -> Matrix:
+def process(setting: DesignContext, given: Any, where: str) -> Matrix:
     """Return the covariance [n, n] that a tick's process noise adds, as given, or as the setting says where nothing is."""
     n = len(setting.model.A)
     return setting.process_noise if given is None else covariance(given, n, f"{where}: Q", "state")

@@ -21,7 +21,7 @@ from pcbench.observers.parts import per_sample
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.per_sample import ModelRun, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
 class Gains(NamedTuple):
@@ -53,7 +53,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(per_sample.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the age is believed, not known."""
     return jnp.zeros(0)
 
@@ -66,7 +66,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
         expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + known[j])
-    counts = arrival.fresh & (k >= gains.first)
+    counts = arrival.mask & (k >= gains.first)
     e = jnp.where(counts, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
 
@@ -91,10 +91,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.run.xbar + memory.run.carried @ memory.z
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def corrected_next(setting: Setting, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
+def corrected_next(setting: DesignContext, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
     """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
     return Gains(
         model=per_sample.model_of(setting),
@@ -108,7 +108,7 @@ def corrected_next(setting: Setting, A: Matrix, K: Matrix, ages: tuple[int, ...]
     )
 
 
-def corrected_here(setting: Setting, step: Matrix, K: Matrix, d: int) -> Gains:
+def corrected_here(setting: DesignContext, step: Matrix, K: Matrix, d: int) -> Gains:
     """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
     return Gains(
         model=per_sample.model_of(setting),

@@ -23,8 +23,8 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, reordering
-from pcbench.protocols import Arrival, Now, Room, Surprise, together
-from pcbench.synthesis.certificate import Setting
+from pcbench.protocols import Arrival, InnovationStats, Now, Room, vmap_as_unit
+from pcbench.synthesis.certificate import DesignContext
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
 LARGE = 256  # entries of P from which functions are vectorised in one piece
@@ -74,13 +74,13 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
     return memory._replace(P=P, at=now.tick)
 
 
-def sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
+def on_sample(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Make a clone of the present, in place of the oldest."""
-    found: Memory = _in_one_piece(memory, lambda memory, fresh: _sampled(gains, memory, now, fresh))(memory, fresh)
+    found: Memory = _in_one_piece(memory, lambda memory, mask: _sampled(gains, memory, now, mask))(memory, mask)
     return found
 
 
-def _sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
+def _sampled(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     memory = carried(gains, memory, now)
     J, n = memory.clones.shape
     mine = jnp.arange(J) == memory.made % J
@@ -88,7 +88,7 @@ def _sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> 
     wide = jnp.tile(memory.P[:n], (J + 1, 1))
     P = jnp.where(row[:, None], wide, memory.P)
     P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
-    there = jnp.any(fresh)
+    there = jnp.any(mask)
     return memory._replace(
         clones=jnp.where((mine & there)[:, None], memory.xhat - memory.g, memory.clones),
         P=jnp.where(there, P, memory.P),
@@ -99,7 +99,7 @@ def _sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> 
 
 def _in_one_piece(memory: Memory, f: Any) -> Any:
     """Vectorise f in one piece if P is large: entry by entry it would compile for minutes."""
-    return together(f) if memory.P.size >= LARGE else f
+    return vmap_as_unit(f) if memory.P.size >= LARGE else f
 
 
 def jumping(gain: Gain) -> Any:
@@ -119,38 +119,38 @@ def jumping(gain: Gain) -> Any:
         near = jnp.repeat(mine.at[0].set(True), n)
         value, known = linear_filter.value_of(gains, sample), jnp.any(mine)
         for channel in range(gains.C.shape[0]):
-            c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel] & known
+            c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
             there = (mine[:, None] * c[None, :]).reshape(-1)
             h = P @ there
             s = there @ h + r
-            K = jnp.where(fresh, gain(h, s, near), 0.0)
-            z = z + K * (value[channel] - c @ sample.note - there @ z)
+            K = jnp.where(mask, gain(h, s, near), 0.0)
+            z = z + K * (value[channel] - c @ sample.snapshot - there @ z)
             P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
         return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
     return jump
 
 
-def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
-    found: Surprise = _in_one_piece(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(
+    found: InnovationStats = _in_one_piece(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(
         memory, arrival
     )
     return found
 
 
-def _innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def _innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
     mine = jnp.append(False, memory.taken == sample.taken)
     value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel] & known
+        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
         there = (mine[:, None] * c[None, :]).reshape(-1)
         h = P @ there
-        nu, s = value[channel] - c @ sample.note - there @ z, there @ h + r
-        total = kalman.judged(total, nu, s, fresh)
-        K = kalman.gain(h, s, fresh)
+        nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
+        total = kalman.judged(total, nu, s, mask)
+        K = kalman.gain(h, s, mask)
         z, P = z + K * nu, kalman.covariance(P, K, there, r)
     return total
 
@@ -162,16 +162,16 @@ def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals si
     return linear_filter.spread(gains, memory, P)
 
 
-def room(setting: Setting, name: str) -> Room:
+def room(setting: DesignContext, name: str) -> Room:
     """Return room for a clone of every sample on its way; raise UserError where it is not told when samples are taken."""
     if setting.error:
         raise UserError(
             f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
-            "is told of a sample when it is taken; leave it out, or take dkf."
+            "is told of a sample when it is taken; leave it out, or take kf."
         )
     if setting.flight > MOST:
         raise UserError(
             f"{name} in {setting.scenario}: got up to {setting.flight} samples on their way at once, expected at most {MOST}: "
-            "each has a copy of the state; take a longer sampling period, a shorter delay, or dkf."
+            "each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
         )
     return np.zeros(setting.flight)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from pcbench.observers.parts import kalman
 from pcbench.observers.parts.nonlinear_model import Gains, value_of
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Surprise
+from pcbench.protocols import InnovationStats
 
 
 class Linear(NamedTuple):
@@ -30,27 +30,27 @@ class Linear(NamedTuple):
 
 def by_slope(
     gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
-) -> tuple[Array, Array, Surprise]:
+) -> tuple[Array, Array, InnovationStats]:
     """Return mean and covariance of z once a sample is known, by a sensor's slope."""
     value, total = value_of(gains, sample.value), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
-        r, fresh, h = gains.R[channel], sample.fresh[channel], sensor.H[channel]
+        r, mask, h = gains.R[channel], sample.mask[channel], sensor.H[channel]
         nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
-        total = kalman.judged(total, nu, s, fresh)
-        K = kalman.gain(P @ h, s, fresh)
+        total = kalman.judged(total, nu, s, mask)
+        K = kalman.gain(P @ h, s, mask)
         z, P = z + K * nu, kalman.covariance(P, K, h, r)
     return z, P, total
 
 
 def by_points(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
-) -> tuple[Array, Array, Surprise]:
+) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
     value, N, total = value_of(gains, sample.value), gains.P0.shape[0], kalman.unjudged()
     for channel in range(gains.C.shape[0]):
-        r, fresh, c = gains.R[channel], sample.fresh[channel], jnp.eye(mean.shape[0])[N + channel]
+        r, mask, c = gains.R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
-        total = kalman.judged(total, nu, s, fresh)
-        K = kalman.gain(J[:, N + channel], s, fresh)
+        total = kalman.judged(total, nu, s, mask)
+        K = kalman.gain(J[:, N + channel], s, mask)
         mean, J = mean + K * nu, kalman.covariance(J, K, c, r)
     return mean[:N], J[:N, :N], total

@@ -5,10 +5,10 @@ from typing import Any
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis import riccati
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
-def certificate(gains: Any, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:
+def certificate(gains: Any, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
     """Return it; its margin is the least innovation variance over the horizon, relative to R, where P stays >= 0."""
     bits = linear.bits_for(setting.ticks)
     doubled = linear.doublings(model, setting.dt, bits)

@@ -74,11 +74,11 @@ def after(before: Known, mean: Array, P: Array, taken: Any, left_out: list[Array
     return Guarded(mean, P, taken, jnp.stack(left_out)) if isinstance(before, Guarded) else Posterior(mean, P, taken)
 
 
-def looked(guard: Any, before: Known, channel: int, nu: Array, s: Array, r: Array, fresh: Array) -> Looked:
+def looked(guard: Any, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array) -> Looked:
     """Return whether a channel is used, and the variance of its noise that it is used with."""
     if not isinstance(before, Guarded):
-        return Looked(fresh, r, jnp.asarray(0))
+        return Looked(mask, r, jnp.asarray(0))
     count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
-    out = fresh & (z > guard.gate) & (count < guard.opens)
-    after = jnp.where(out, count + 1, jnp.where(fresh, 0, count))
-    return Looked(fresh & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after)
+    out = mask & (z > guard.gate) & (count < guard.opens)
+    after = jnp.where(out, count + 1, jnp.where(mask, 0, count))
+    return Looked(mask & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after)

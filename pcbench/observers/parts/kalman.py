@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from pcbench.protocols import Surprise
+from pcbench.protocols import InnovationStats
 
 
 class Posterior(NamedTuple):
@@ -22,9 +22,9 @@ class Posterior(NamedTuple):
     taken: Int[Array, ""]  # tick
 
 
-def gain(Pc: Float[Array, " n"], variance: Float[Array, ""], fresh: Bool[Array, ""]) -> Float[Array, " n"]:
+def gain(Pc: Float[Array, " n"], variance: Float[Array, ""], mask: Bool[Array, ""]) -> Float[Array, " n"]:
     """Return K of a channel whose innovation has this variance; 0 where the channel did not arrive."""
-    return jnp.where(fresh, Pc / variance, 0.0)
+    return jnp.where(mask, Pc / variance, 0.0)
 
 
 def covariance(
@@ -45,18 +45,20 @@ def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
     return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
-def unjudged() -> Surprise:
+def unjudged() -> InnovationStats:
     """Return the square of a sample of which nothing has been looked at."""
-    return Surprise(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), each=jnp.zeros(0))
+    return InnovationStats(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), each=jnp.zeros(0))
 
 
-def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:
+def judged(
+    so_far: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
+) -> InnovationStats:
     """Return the square with the next channel, whose innovation nu has the variance s; of one that is fresh."""
     z = nu / jnp.sqrt(s)
-    return Surprise(
-        square=so_far.square + jnp.where(fresh, nu * nu / s, 0.0),
-        degrees=so_far.degrees + jnp.where(fresh, 1.0, 0.0),
-        log_det=so_far.log_det + jnp.where(fresh, jnp.log(s), 0.0),
-        signed=so_far.signed + jnp.where(fresh, z, 0.0),
-        each=jnp.append(so_far.each, jnp.where(fresh, z, jnp.nan)),
+    return InnovationStats(
+        nis_sum=so_far.nis_sum + jnp.where(mask, nu * nu / s, 0.0),
+        dof=so_far.dof + jnp.where(mask, 1.0, 0.0),
+        log_det=so_far.log_det + jnp.where(mask, jnp.log(s), 0.0),
+        normalized_sum=so_far.normalized_sum + jnp.where(mask, z, 0.0),
+        each=jnp.append(so_far.each, jnp.where(mask, z, jnp.nan)),
     )

@@ -1,4 +1,4 @@
-"""The Kalman filter of a linear model, at the times of samples: what `dkf` and the shortcuts for late samples share.
+"""The Kalman filter of a linear model, at the times of samples: what `kf` and the shortcuts for late samples share.
 
     P-_m = E P_(m-1) E' + Q,   K = P- c (c'P- c + r)^-1,   P_m = (I - K c') P- (I - K c')' + K r K'
 
@@ -26,8 +26,8 @@ from pcbench.observers.parts.guard import Known
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Arrival, Leaf, Now, Observer, Room, Surprise
-from pcbench.synthesis.certificate import Design, Setting, certified, uncertified
+from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate, require_certified
 
 
 class Gains(NamedTuple):
@@ -96,9 +96,9 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
     rows = kalman.wide(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = rows[channel], gains.R[channel], sample.fresh[channel]
-        nu = value[channel] - gains.C[channel] @ (sample.note + free[:n])
-        found = guard.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, fresh)
+        c, r, mask = rows[channel], gains.R[channel], sample.mask[channel]
+        nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
+        found = guard.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
         K = kalman.gain(P @ c, c @ P @ c + found.r, found.used)
         free = free + K * nu
         P = kalman.covariance(P, K, c, found.r)
@@ -106,21 +106,21 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     return guard.after(before, free, P, sample.taken, left_out)
 
 
-def surprise(gains: Gains, before: Known, sample: Measurement) -> Surprise:
+def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged."""
     there = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
-    return against(gains, there, sample._replace(fresh=sample.fresh & (sample.taken >= before.taken)))
+    return against(gains, there, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
 
 
-def against(gains: Gains, there: Known, sample: Measurement) -> Surprise:
+def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the state at its own time expects of it, channel by channel."""
-    free, P, fresh = there.mean, there.P, sample.fresh
+    free, P, mask = there.mean, there.P, sample.mask
     value, total = value_of(gains, sample), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
-        nu, s = value[channel] - c @ (sample.note + free), c @ P @ c + r
-        total = kalman.judged(total, nu, s, fresh[channel])
-        K = kalman.gain(P @ c, s, fresh[channel])
+        nu, s = value[channel] - c @ (sample.snapshot + free), c @ P @ c + r
+        total = kalman.judged(total, nu, s, mask[channel])
+        K = kalman.gain(P @ c, s, mask[channel])
         free, P = free + K * nu, kalman.covariance(P, K, c, r)
     return total
 
@@ -165,12 +165,12 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
 
 
-def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
     return expected(gains, memory, reordering.sample_of(now, arrival, gains.D))
 
 
-def expected(gains: Gains, memory: Memory, sample: Measurement) -> Surprise:
+def expected(gains: Gains, memory: Memory, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it; one older than all samples kept is not judged."""
     buffer = memory.buffer
     if not buffer.samples.taken.shape[0]:
@@ -181,18 +181,20 @@ def expected(gains: Gains, memory: Memory, sample: Measurement) -> Surprise:
         there = predicted(gains, state, sample.taken)
         return state._replace(mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken)
 
-    sample = sample._replace(fresh=sample.fresh & (sample.taken >= first.taken))
+    sample = sample._replace(mask=sample.mask & (sample.taken >= first.taken))
     marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))
     wide = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
     state = reordering.newest_with_copy(partial(update, gains), copy, buffer._replace(before=wide), marker)
     return against(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
 
 
-FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation)
+FILTER = Observer(
+    init, prediction.snapshot, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation
+)
 
 
 def design(
-    setting: Setting,
+    setting: DesignContext,
     options: Options,
     name: str,
     room: Room | None = None,
@@ -241,8 +243,8 @@ def design(
     carries = True if len(inputs) else None
     given = assumed_noise.option("Q", assumed_noise.process(setting, options.Q, where))
     if unproven:
-        proof = uncertified(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
+        proof = no_certificate(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
         return Design(gains, proof, carries)
     proof = covariance_recursion.certificate(gains, model, Q, setting)
     proof = proof._replace(numbers={**proof.numbers, "q": q, **given})
-    return Design(gains, certified(proof, where), carries)
+    return Design(gains, require_certified(proof, where), carries)

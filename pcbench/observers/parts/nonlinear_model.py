@@ -1,4 +1,4 @@
-"""What filters of a nonlinear model are told, and how it moves and measures: what `ekf`, `iekf`, `ukf` and others share.
+"""Assumptions of filters of a nonlinear model, and how it moves and measures: shared by `ekf`, `ekf-iterated`, `ukf`.
 
 State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. p is
 clipped to the plant's range. Between samples mean and covariance go by slopes, tick by tick:
@@ -21,7 +21,7 @@ from pcbench.dynamics import linear
 from pcbench.observers.parts import assumed_noise, one_tick
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf, Now, Room
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 class Gains(NamedTuple):
@@ -107,7 +107,7 @@ def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
     return value if gains.mix is None else gains.mix @ value
 
 
-def told(setting: Setting, options: Options, name: str) -> tuple[Gains, Certificate]:
+def told(setting: DesignContext, options: Options, name: str) -> tuple[Gains, Certificate]:
     """Gather what a filter assumes; there is no certificate for a nonlinear model."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
     motion, tangent = one_tick.motion_of(setting)

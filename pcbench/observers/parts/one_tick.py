@@ -14,7 +14,7 @@ from jax import Array
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
 from pcbench.protocols import Now, Room
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
 def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
@@ -59,7 +59,7 @@ def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Arra
     return A @ x + B @ now.u + E @ (known(x) + p)
 
 
-def motion_of(setting: Setting) -> tuple[Any, Any]:
+def motion_of(setting: DesignContext) -> tuple[Any, Any]:
     """Return how a tick moves z, and its slope: exactly where the model is linear."""
     model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.successor is not None:

@@ -21,7 +21,7 @@ def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any
 
 
 def way(default: Any, **how: Any) -> Any:
-    """Return a field of an option that says in which way gains are found: what `pcbench design --method` sets."""
+    """Return a field of an option that says in which way gains are found: what `pcbench design --gain` sets."""
     return Field(default, json_schema_extra={WAY: True}, **how)
 
 

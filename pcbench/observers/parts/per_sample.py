@@ -17,7 +17,7 @@ from pydantic import AfterValidator
 
 from pcbench.dynamics import linear
 from pcbench.protocols import Leaf, Now, Room
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 
 def _inside(pole: float) -> float:
@@ -48,7 +48,7 @@ class ModelRun(NamedTuple):
     carried: Float[Array, "n n"]  # e^{A t}
 
 
-def model_of(setting: Setting) -> SampledModel:
+def model_of(setting: DesignContext) -> SampledModel:
     """Return a cell's model in NumPy."""
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
     return SampledModel(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))

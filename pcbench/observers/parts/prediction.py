@@ -20,7 +20,7 @@ from pcbench.dynamics.integrate import after
 from pcbench.observers.parts import reordering
 from pcbench.observers.parts.reordering import Buffer, Measurement
 from pcbench.protocols import Arrival, Leaf, Now, Room
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 Update = Callable[[Any, Any, Measurement], Any]
 
@@ -60,7 +60,7 @@ def origin(xhat0: Float[Array, " n"]) -> Point:
     return Point(xhat0, jnp.asarray(0))
 
 
-def note(gains: Any, memory: Any, now: Now) -> Float[Array, " n"]:
+def snapshot(gains: Any, memory: Any, now: Now) -> Float[Array, " n"]:
     """Note the input response at the sample's time; of any memory that has g."""
     return memory.g
 
@@ -102,7 +102,7 @@ def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, 
     return jump
 
 
-def motion_of(model: linear.Model, setting: Setting) -> Motion:
+def motion_of(model: linear.Model, setting: DesignContext) -> Motion:
     """Return a model's motion in NumPy, for every age up to the horizon."""
     Phi, Gamma = linear.one_tick(model, setting.dt)
     return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks))

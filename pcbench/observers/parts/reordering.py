@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.room import within_room
 from pcbench.observers.parts.feedthrough import known_input
-from pcbench.protocols import Arrival, Leaf, Now, Room, together
+from pcbench.protocols import Arrival, Leaf, Now, Room, vmap_as_unit
 
 
 class Measurement(NamedTuple):
@@ -26,8 +26,8 @@ class Measurement(NamedTuple):
 
     taken: Int[Array, "..."]  # tick at which the observer believes it was taken
     value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
-    fresh: Bool[Array, "... q"]
-    note: Float[Array, "... noted"]
+    mask: Bool[Array, "... q"]
+    snapshot: Float[Array, "... noted"]
 
 
 class Buffer(NamedTuple):
@@ -49,13 +49,13 @@ def start(state: Any, room: Room, outputs: int, noted: int) -> Buffer:
 
 def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
-    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # channels that arrive together were sampled together
-    return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
+    age = jnp.max(jnp.where(arrival.mask, arrival.age, 0))  # channels that arrive together were sampled together
+    return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.mask, arrival.snapshot)
 
 
 def kept_of(sample: Measurement) -> Measurement:
     """Return a sample as it is kept for later: 0 in place of what did not arrive."""
-    return sample._replace(value=jnp.where(sample.fresh, sample.value, 0.0))
+    return sample._replace(value=jnp.where(sample.mask, sample.value, 0.0))
 
 
 def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
@@ -89,7 +89,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
     def step(state: Any, row: tuple[Array, Measurement]) -> tuple[Any, None]:
         i, sample = row
         used, copied = update(state, sample), copy(state, sample)
-        there, here = jnp.any(sample.fresh), i == place
+        there, here = jnp.any(sample.mask), i == place
         return jax.tree.map(lambda a, b, c: jnp.where(here, a, jnp.where(there, b, c)), copied, used, state), None
 
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
@@ -99,7 +99,7 @@ def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, An
     """The state after samples in order, and after each of them; an empty place leaves it as it is."""
 
     def step(state: Any, sample: Measurement) -> tuple[Any, Any]:
-        there = jnp.any(sample.fresh)
+        there = jnp.any(sample.mask)
         new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
         return new, new
 
@@ -123,5 +123,5 @@ def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Me
         merged = jax.tree.map(one, samples, arrived)
         return merged, jax.tree.map(lambda a: a[1:], merged)
 
-    both: tuple[Measurement, Measurement] = together(merge)(samples, arrived)
+    both: tuple[Measurement, Measurement] = vmap_as_unit(merge)(samples, arrived)
     return both

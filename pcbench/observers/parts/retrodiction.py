@@ -25,8 +25,8 @@ from pcbench.observers.parts import kalman, linear_filter, prediction, reorderin
 from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Arrival, Leaf, Now, Room, Surprise
-from pcbench.synthesis.certificate import Setting
+from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Room
+from pcbench.synthesis.certificate import DesignContext
 
 SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
 
@@ -85,12 +85,12 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
     u, U = jnp.where(again, memory.last.u, 0.0), jnp.where(again, memory.last.U, 0.0)
     value, known = linear_filter.value_of(gains, sample), there.mean - P @ u
     for channel in range(gains.C.shape[0]):
-        c, fresh = gains.C[channel], sample.fresh[channel]
+        c, mask = gains.C[channel], sample.mask[channel]
         b = c - U @ (P @ c)
         s = c @ P @ b + gains.R[channel]
-        nu = value[channel] - c @ (sample.note + known + P @ u)
-        u = u + jnp.where(fresh, b * nu / s, 0.0)
-        U = U + jnp.where(fresh, jnp.outer(b, b) / s, 0.0)
+        nu = value[channel] - c @ (sample.snapshot + known + P @ u)
+        u = u + jnp.where(mask, b * nu / s, 0.0)
+        U = U + jnp.where(mask, jnp.outer(b, b) / s, 0.0)
     new = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
     def shifted(past: Array, one: Array) -> Array:
@@ -100,7 +100,7 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
 
 
-def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> tuple[Memory, Surprise]:
+def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> tuple[Memory, InnovationStats]:
     """Update the newest state by an older sample, and say how far it was from what is expected of it.
 
     With `zero` the noise between is taken for 0.
@@ -118,10 +118,10 @@ def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: 
     joint = jnp.block([[P, across], [across.T, there]])
     value, total = linear_filter.value_of(gains, sample), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), gains.R[channel], sample.fresh[channel]
-        nu, s = value[channel] - gains.C[channel] @ sample.note - c @ z, c @ joint @ c + r
-        total = kalman.judged(total, nu, s, fresh)
-        K = kalman.gain(joint @ c, s, fresh)
+        c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), gains.R[channel], sample.mask[channel]
+        nu, s = value[channel] - gains.C[channel] @ sample.snapshot - c @ z, c @ joint @ c + r
+        total = kalman.judged(total, nu, s, mask)
+        K = kalman.gain(joint @ c, s, mask)
         z = z + K * nu
         joint = kalman.covariance(joint, K, c, r)
     return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), total
@@ -151,11 +151,11 @@ def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals si
 def expecting(retrodict: Retrodict, zero: bool) -> Any:
     """Return how far a sample is from what is expected of it, of an observer that goes back by `retrodict`."""
 
-    def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return it of all that is used: what is older than the posteriors kept is not judged."""
         sample = reordering.sample_of(now, arrival, gains.D)
         reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
-        late = sample._replace(fresh=sample.fresh & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
+        late = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
         old = backward(gains, memory, late, retrodict(gains, memory, late.taken), zero)[1]
         new = linear_filter.surprise(gains, memory.posterior, sample)
         return kept(reached, old, new)
@@ -163,7 +163,7 @@ def expecting(retrodict: Retrodict, zero: bool) -> Any:
     return innovation
 
 
-def own(setting: Setting, name: str, past: int) -> Callable[[linear.Model], Own]:
+def own(setting: DesignContext, name: str, past: int) -> Callable[[linear.Model], Own]:
     """Return what makes of a model the maps back in time; they raise UserError where there is no way back."""
 
     def of(model: linear.Model) -> Own:
@@ -171,7 +171,7 @@ def own(setting: Setting, name: str, past: int) -> Callable[[linear.Model], Own]
         if model.discrete and np.linalg.cond(A) > SINGULAR:
             raise UserError(
                 f"{name} in {setting.scenario}: got a discrete model whose A is singular, expected one that can be run "
-                "backwards: it retrodicts; take dkf or kf-cloning."
+                "backwards: it retrodicts; take kf or kf-cloning."
             )
         back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
         reverse = model._replace(A=back)

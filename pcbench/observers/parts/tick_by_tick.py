@@ -1,4 +1,4 @@
-"""Filters whose whole state goes tick by tick, from a sample's own time to now: what `ukf`, `iekf` and others share.
+"""Filters whose whole state goes tick by tick, from a sample's own time to now: what `ukf`, `ekf-iterated` and others share.
 
     at the arrival of a sample taken at t_m:   state <- tick(state) until t_m,   state <- update(state, sample)
 
@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from pcbench.observers.parts import reordering
 from pcbench.observers.parts.nonlinear_model import Gains, at
 from pcbench.observers.parts.reordering import Buffer, Measurement
-from pcbench.protocols import Arrival, Now, Observer, Surprise, together
+from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
 
 State = Any
 
@@ -38,7 +38,9 @@ class Way(NamedTuple):
     update: Callable[[Gains, Now, State, Measurement], State]  # by a sample of its own tick
     mean: Callable[[Gains, State], Array]  # -> z[N]
     spread: Callable[[Gains, State], Array]  # -> P[N, N]
-    expected: Callable[[Gains, Now, State, Measurement], Surprise]  # of a sample of its own tick, before it is used
+    expected: Callable[
+        [Gains, Now, State, Measurement], InnovationStats
+    ]  # of a sample of its own tick, before it is used
 
 
 def observer(way: Way) -> Observer:
@@ -60,7 +62,7 @@ def observer(way: Way) -> Observer:
         first = way.first(gains, xhat0)
         return Memory(reordering.start(first, gains.room, gains.C.shape[0], 0), first, way.mean(gains, first))
 
-    def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+    def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
         """Note nothing: the inputs are stored."""
         return jnp.zeros(0)
 
@@ -73,7 +75,7 @@ def observer(way: Way) -> Observer:
             here = carried(gains, now, newest, now.tick)
             return Memory(buffer, here, way.mean(gains, here))
 
-        found: Memory = together(moved)(memory, arrival)
+        found: Memory = vmap_as_unit(moved)(memory, arrival)
         return found
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -83,7 +85,7 @@ def observer(way: Way) -> Observer:
             here = way.tick(gains, now, state)
             return here, way.mean(gains, here)
 
-        here, z = together(moved)(memory.now)
+        here, z = vmap_as_unit(moved)(memory.now)
         return memory._replace(now=here._replace(taken=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
@@ -92,19 +94,19 @@ def observer(way: Way) -> Observer:
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
         """Return what the filter believes of its error now."""
-        P: Array = together(lambda state: way.spread(gains, state))(memory.now)
+        P: Array = vmap_as_unit(lambda state: way.spread(gains, state))(memory.now)
         return P
 
-    def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
 
-        def judged(memory: Memory, arrival: Arrival) -> Surprise:
+        def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
             before = reordering.newest(use(gains, now), memory.buffer)
             sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
-            looked = sample._replace(fresh=sample.fresh & (sample.taken >= before.taken))
+            looked = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
             return way.expected(gains, at(now, sample.taken), carried(gains, now, before, sample.taken), looked)
 
-        found: Surprise = together(judged)(memory, arrival)
+        found: InnovationStats = vmap_as_unit(judged)(memory, arrival)
         return found
 
-    return Observer(init, note, jump, flow, estimate, covariance=covariance, innovation=innovation)
+    return Observer(init, snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)

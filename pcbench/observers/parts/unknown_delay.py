@@ -24,7 +24,7 @@ from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_noise
 from pcbench.protocols import Arrival, Leaf, Now, Room
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 
 MOST = 2000  # ticks that are gone through again at every arrival
 
@@ -74,7 +74,7 @@ def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
 
     No stamp says a time before 0. One that says 0 may be of earlier: such a sample is late as the mean, if that is no later.
     """
-    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # channels that arrive together were sampled together
+    age = jnp.max(jnp.where(arrival.mask, arrival.age, 0))  # channels that arrive together were sampled together
     stamped = jnp.where(age < now.tick, now.tick - age + gains.mean, jnp.minimum(now.tick, gains.mean))
     return jnp.where(gains.stamps, stamped, now.tick)
 
@@ -89,7 +89,7 @@ def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) 
     return lax.fori_loop(start, stop, tick, (x, P))
 
 
-def design(setting: Setting, options: Options, name: str) -> Gains:
+def design(setting: DesignContext, options: Options, name: str) -> Gains:
     """Gather what is assumed; raise UserError for a plant with feedthrough or an unknown input, or a delay that is too long.
 
     And where channels are late by different delays and no stamp says which is which.
@@ -98,7 +98,7 @@ def design(setting: Setting, options: Options, name: str) -> Gains:
     if model.E is not None or np.any(model.feedthrough):
         raise UserError(
             f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
-            "x' = A x + B u, y = C x: a sample's time is what it looks for; leave it out, or take dkf."
+            "x' = A x + B u, y = C x: a sample's time is what it looks for; leave it out, or take kf."
         )
     if not options.stamps and len(set(setting.delay)) > 1:
         each = ", ".join(f"{d * dt:g}" for d in setting.delay)

@@ -34,7 +34,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import way
 from pcbench.protocols import Arrival, Leaf, Now, Observer
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import DesignContext
 from pcbench.synthesis.unknown_input import Split
 
 STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
@@ -97,13 +97,13 @@ def observer(law: Injection) -> Observer:
             pushed=jnp.zeros_like(gains.push),
         )
 
-    def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+    def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
         """Note nothing."""
         return jnp.zeros(0)
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Take what arrived for y of d ago."""
-        y = jnp.where(arrival.fresh, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
+        y = jnp.where(arrival.mask, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
         return memory._replace(y=y, f=found(gains, memory.xd, memory.w, y))
 
     def found(gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]) -> Float[Array, " r"]:
@@ -135,10 +135,12 @@ def observer(law: Injection) -> Observer:
         xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
         return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
 
-    return Observer(init, note, jump, flow, estimate, field)
+    return Observer(init, snapshot, jump, flow, estimate, field)
 
 
-def gains_of(setting: Setting, split: Split, injection: tuple[Matrix, Matrix], law: Any, options: Options) -> Gains:
+def gains_of(
+    setting: DesignContext, split: Split, injection: tuple[Matrix, Matrix], law: Any, options: Options
+) -> Gains:
     """Return the gains of an observer whose Gx, Lx and law are found."""
     model, r, p = setting.model, len(split.E222), len(setting.model.C)
     (A, B, C, *_), (Gx, Lx) = model, injection
@@ -154,21 +156,21 @@ def gains_of(setting: Setting, split: Split, injection: tuple[Matrix, Matrix], l
     return Gains(law=law, **matrices, known=model.known, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
 
 
-def carries(setting: Setting, options: Options) -> bool | None:
+def carries(setting: DesignContext, options: Options) -> bool | None:
     """Say whether the prediction to now carries the input found; None where there is nothing to predict."""
     return options.reconstruct if setting.delay[0] else None
 
 
-def one_delay(setting: Setting, where: str) -> None:
+def one_delay(setting: DesignContext, where: str) -> None:
     """Raise UserError where channels have delays of their own."""
     if len(set(setting.delay)) > 1:
         raise UserError(
             f"{where}: got channels with delays {setting.delay} (ticks), expected one for all: it runs on the state of one "
-            "delay ago; give equal delays, or take dkf."
+            "delay ago; give equal delays, or take kf."
         )
 
 
-def short_tick(setting: Setting, gain: float, of: str, where: str) -> None:
+def short_tick(setting: DesignContext, gain: float, of: str, where: str) -> None:
     """Raise UserError where a Runge-Kutta step of one tick cannot follow a gain [1/s]."""
     if gain * setting.dt > STABLE:
         raise UserError(
@@ -177,7 +179,7 @@ def short_tick(setting: Setting, gain: float, of: str, where: str) -> None:
         )
 
 
-def printed_for(arm: dict[str, Any], setting: Setting, where: str) -> None:
+def printed_for(arm: dict[str, Any], setting: DesignContext, where: str) -> None:
     """Raise UserError where gains printed for the arm, of these matrices A, C, E, are asked of another plant."""
     for name, rows in arm.items():
         M = getattr(setting.model, name)

@@ -24,7 +24,7 @@ class Agenda(NamedTuple):
     which: Array  # [E, L] the row of the packet that arrives
     brings: Array  # [C, E, L] whether each clock's sample is in the arrival
     slot: Array  # [E, L] how many arrive before it at the same tick
-    since: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
+    ticks_since_arrival: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
 
 
 def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
@@ -55,7 +55,7 @@ def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
         which=packet,
         brings=_by_clock(len(each), False, clock, arrival, True),
         slot=slot,
-        since=arrives - jnp.where(_first(again) > 0, earlier, 0),
+        ticks_since_arrival=arrives - jnp.where(_first(again) > 0, earlier, 0),
     )
 
 

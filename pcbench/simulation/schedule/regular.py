@@ -18,10 +18,14 @@ def regular(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]:
     here = arrives <= ticks
     number, at = np.arange(len(taken), dtype=np.int32), arrives[here]
     out = at_no_tick(ticks, channels)
-    out.sense[taken] = out.note[taken] = number
+    out.sense[taken] = out.snapshot[taken] = number
     out.sample[taken[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.believed[at, 0], out.since[at, 0] = number[here], taken[here], np.diff(at, prepend=0)
-    out.fresh[at[:, None], 0, q] = True
+    out.arrive[at, 0], out.believed[at, 0], out.ticks_since_arrival[at, 0] = (
+        number[here],
+        taken[here],
+        np.diff(at, prepend=0),
+    )
+    out.mask[at[:, None], 0, q] = True
     out.number[at[:, None], 0, q] = number[here, None]
     return with_events(out), 1 + int(late) // clock.period * bool(len(at))
 
@@ -33,12 +37,12 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
     return Schedule(
         sense=k,
         sample=each,
-        note=k,
+        snapshot=k,
         arrive=row,
         believed=row,
-        fresh=np.ones((ticks + 1, 1, channels), bool),
+        mask=np.ones((ticks + 1, 1, channels), bool),
         number=each[:, None],
-        since=np.minimum(row, 1),
+        ticks_since_arrival=np.minimum(row, 1),
         event=np.ones(ticks + 1, bool),
         next_event=k + np.int32(1),
         early=each[:0],

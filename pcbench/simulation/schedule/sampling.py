@@ -107,7 +107,7 @@ def latest_of_gamma(mean: float, shape: float) -> float:
 def breaks(clock: Clock) -> tuple[float, float]:
     """Return the probability that a sample is lost after one that was not, and after one that was (Gilbert 1960).
 
-    So that a share `loss` is lost, and `burst` in a row in the mean.
+    So that a share `loss` is lost, and `mean_burst_length` in a row in the mean.
     """
     if not clock.burst:
         return clock.loss, clock.loss

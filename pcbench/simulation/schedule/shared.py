@@ -24,12 +24,12 @@ class Schedule(NamedTuple):
 
     sense: Ints  # [N+1] the packet taken at this tick
     sample: Ints  # [N+1, q] which sample of its channel, from 0; -1 of a channel that is not in it
-    note: Ints  # [N+1] the packet for which observers note what they will need
+    snapshot: Ints  # [N+1] the packet for which observers note what they will need
     arrive: Ints  # [N+1, S] the packets that arrive
     believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
-    fresh: Bools  # [N+1, S, q] the channels that arrive with it
+    mask: Bools  # [N+1, S, q] the channels that arrive with it
     number: Ints  # [N+1, S, q] which sample of its channel
-    since: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
+    ticks_since_arrival: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
     early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
@@ -113,15 +113,15 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
             out.sense[s.taken] = packet[s.taken]
             out.sample[s.taken, s.channel] = s.number
     for tick, each in noted.items():
-        out.note[tick], out.also[tick, : len(each) - 1] = each[0], each[1:]
+        out.snapshot[tick], out.also[tick, : len(each) - 1] = each[0], each[1:]
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[taken]
             out.believed[tick, slot] = stamps[taken]
-            out.since[tick, slot] = tick - last
+            out.ticks_since_arrival[tick, slot] = tick - last
             for s in group:
-                out.fresh[tick, slot, s.channel] = True
+                out.mask[tick, slot, s.channel] = True
                 out.number[tick, slot, s.channel] = s.number
         last = tick
     return with_events(out)
@@ -133,12 +133,12 @@ def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes:
     return Schedule(
         sense=np.full(n, -1, np.int32),
         sample=np.full((n, q), -1, np.int32),
-        note=np.full(n, -1, np.int32),
+        snapshot=np.full(n, -1, np.int32),
         arrive=np.full((n, slots), -1, np.int32),
         believed=np.zeros((n, slots), np.int32),
-        fresh=np.zeros((n, slots, q), bool),
+        mask=np.zeros((n, slots, q), bool),
         number=np.full((n, slots, q), -1, np.int32),
-        since=np.zeros((n, slots), np.int32),
+        ticks_since_arrival=np.zeros((n, slots), np.int32),
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
         early=np.full((early, q), -1, np.int32),
@@ -149,7 +149,7 @@ def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes:
 def with_events(out: Schedule) -> Schedule:
     """Fill in at which ticks something happens."""
     n = len(out.event)
-    out.event[:] = (out.sense >= 0) | (out.note >= 0) | (out.arrive >= 0).any(1)
+    out.event[:] = (out.sense >= 0) | (out.snapshot >= 0) | (out.arrive >= 0).any(1)
     due = np.where(out.event, np.arange(n), n)
     out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
     return out
@@ -187,7 +187,7 @@ def oldest(found: list[Sample], overtaking: int) -> int:
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
-    noted = np.concatenate([plan.note[:, None], plan.also], 1)
+    noted = np.concatenate([plan.snapshot[:, None], plan.also], 1)
     latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
     return max([int(waiting.max()), *(newer - number + 1 for newer, number in _written_over(plan, noted))])
@@ -234,7 +234,7 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
     return plan._replace(
         arrive=wider(plan.arrive, -1),
         believed=wider(plan.believed, 0),
-        fresh=wider(plan.fresh, 0),
+        mask=wider(plan.mask, 0),
         number=wider(plan.number, -1),
-        since=wider(plan.since, 0),
+        ticks_since_arrival=wider(plan.ticks_since_arrival, 0),
     )

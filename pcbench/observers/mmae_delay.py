@@ -1,7 +1,7 @@
-"""bank: a Kalman filter for each of several delays, weighted by likelihood.
+"""mmae-delay: a Kalman filter for each of several delays, weighted by likelihood.
 
 Filter j believes samples to be late by d_j in the mean, one by as much more as its stamp says (`parts/unknown_delay`), and is
-`dkf` of that delay: it updates at that time, and goes to now under the stored inputs. With nu and s its innovations and
+`kf` of that delay: it updates at that time, and goes to now under the stored inputs. With nu and s its innovations and
 their variances,
 
     log w_j <- log w_j - (nu^2 / s + log s) / 2,   weights of sum 1,   xhat = sum w_j xhat_j,   tau = sum w_j d_j
@@ -30,8 +30,8 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, reordering, unknown_delay
 from pcbench.observers.parts.reordering import Buffer, Measurement
 from pcbench.observers.parts.unknown_delay import Gains, read, spread
-from pcbench.protocols import Arrival, Now, Observer, together
-from pcbench.synthesis.certificate import Design, Setting, uncertified
+from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 FILTERS = 21  # by default, evenly from 0 to the longest delay
 MOST = 200
@@ -76,7 +76,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(reordering.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
     """Leave a place for the tick at which the sample will arrive; the inputs are stored."""
     return jnp.zeros(1)
 
@@ -99,17 +99,17 @@ def updated(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple[Arra
     """Return mean and covariance of one filter after a sample of its tick, and the logarithm of what that was likely."""
     likelihood = jnp.zeros(())
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
+        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
         nu, s = sample.value[channel] - c @ x, c @ P @ c + r
-        likelihood = likelihood - jnp.where(fresh, 0.5 * (nu * nu / s + jnp.log(s)), 0.0)
-        K = kalman.gain(P @ c, s, fresh)
-        x, P = x + jnp.where(fresh, K * nu, 0.0), kalman.covariance(P, K, c, r)
+        likelihood = likelihood - jnp.where(mask, 0.5 * (nu * nu / s + jnp.log(s)), 0.0)
+        K = kalman.gain(P @ c, s, mask)
+        x, P = x + jnp.where(mask, K * nu, 0.0), kalman.covariance(P, K, c, r)
     return x, P, likelihood
 
 
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
     """Update every filter at the time that it believes a sample to be of, and weigh it by what it expected."""
-    came = sample.note[0].astype(int)
+    came = sample.snapshot[0].astype(int)
     taken = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
     x, P = carried(gains, now, before.x, before.P, before.at, taken)
     x, P, likelihood = jax.vmap(partial(updated, gains, sample))(x, P)
@@ -118,7 +118,7 @@ def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filter
 
 def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     came = jnp.asarray(now.tick, float)[None]
-    sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.fresh, came)
+    sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
     buffer, at = reordering.replay(partial(step, gains, now), memory.buffer, sample)
     present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
     return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
@@ -126,7 +126,7 @@ def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and mix what the filters make of now."""
-    after: Memory = together(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
+    after: Memory = vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
     return after
 
 
@@ -158,20 +158,20 @@ def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals s
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what is believed of the error now."""
-    P: Array = together(lambda memory: _believed(gains, memory, now))(memory)
+    P: Array = vmap_as_unit(lambda memory: _believed(gains, memory, now))(memory)
     return P
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate, covariance=covariance)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filters assume; raise UserError for delays that are none, or too many."""
-    where, dt = f"bank in {setting.scenario}", setting.dt
+    where, dt = f"mmae-delay in {setting.scenario}", setting.dt
     asked = options.delays
     if asked and options.longest is None:
         options = options.model_copy(update={"longest": max(*asked, dt)})
-    gains = unknown_delay.design(setting, options, "bank")
+    gains = unknown_delay.design(setting, options, "mmae-delay")
     longest = int(gains.longest)
     ticks = np.unique(np.round(np.asarray(asked) / dt if asked else np.linspace(0, longest, FILTERS)).astype(int))
     if ticks[0] < 0 or ticks[-1] > longest:
@@ -180,4 +180,4 @@ def design(setting: Setting, options: Options) -> Design:
         )
     if len(ticks) > MOST:
         raise UserError(f"{where}: delays: got {len(ticks)} filters, expected at most {MOST}; write fewer delays.")
-    return Design(gains._replace(own=ticks), uncertified("the weights are not linear in what is measured"))
+    return Design(gains._replace(own=ticks), no_certificate("the weights are not linear in what is measured"))

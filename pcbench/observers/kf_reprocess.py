@@ -1,11 +1,11 @@
-"""kf-rewind: the Kalman filter that keeps its newest samples with the state before them, goes back, and filters again.
+"""kf-reprocess: the Kalman filter that keeps its newest samples with the state before them, goes back, and filters again.
 
 A sample that comes after newer ones is put in its place among the `keep` newest; the filter runs again from the state
 before the oldest of them. One that is older than all those kept is lost.
 
 Source: Moore, Stouch 2014 (robot_localization's smoothing of a lagged filter). Keeps `keep` samples and one mean and
 covariance before them; here a sample costs `keep` + 1 updates whatever its place, which is what the worst of them costs.
-Found: it is `dkf` to rounding while no sample is overtaken by more than `keep` others; `dkf` is the same rule with just
+Found: it is `kf` to rounding while no sample is overtaken by more than `keep` others; `kf` is the same rule with just
 as many places as the schedule can need. Its design says how many those are, and is no certificate where they are more
 than `keep`.
 Time index: the estimate is of now, after the jump.
@@ -18,7 +18,7 @@ from pcbench.observers.parts import linear_filter, reordering
 from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.prediction import Memory
 from pcbench.protocols import Arrival, Gains, Now
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(linear_filter.Options):
@@ -31,16 +31,16 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what is no older than the state before the samples kept."""
     sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
     used = linear_filter.use(gains, memory, now, sample)
-    return kept(sample.fresh & (sample.taken >= memory.buffer.before.taken), used, memory)
+    return kept(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; say where it keeps too few."""
     short = f"it keeps {options.keep} samples, and {setting.overtaking} may arrive before one: older ones are lost"
     why = short if setting.overtaking > options.keep else ""
-    found = linear_filter.design(setting, options, "kf-rewind", np.zeros(options.keep), unproven=why)
+    found = linear_filter.design(setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why)
     numbers = {**found.certificate.numbers, "kept": float(options.keep), "needed": float(setting.overtaking)}
     return found._replace(certificate=found.certificate._replace(numbers=numbers))

@@ -1,4 +1,6 @@
-"""kf-shift: the innovation of a late sample's own time, added to the estimate of now; between them the input's integral.
+"""kf-shifted-innovation: the innovation of a delayed measurement, added to the present estimate.
+
+Between the two is the integral of the input.
 
     P- = E P E' + Q,   xhat(now) <- xhat(now) + K (y - C (xhat(now) - (g(now) - g(t_m)))),   K = P- c (c'P- c + r)^-1
 
@@ -8,7 +10,7 @@ that of now less what g has moved since, and the correction is added to now. So 
 
 Source: WPILib, pose estimators, which have a constant K where here it is the filter's. Keeps one mean and one covariance;
 costs one update a sample. Found: it knows the input and takes the plant for an integrator, so what was wrong then is as
-wrong now. Of x' = B u without process noise that is so, and it is `dkf`, late, lost and overtaking samples included. With
+wrong now. Of x' = B u without process noise that is so, and it is `kf`, late, lost and overtaking samples included. With
 other modes the late sample is compared with an estimate that has moved on, and even a perfect start goes wrong
 (`test_late_samples`).
 Time index: the estimate is of now, after the jump.
@@ -19,8 +21,8 @@ import numpy as np
 from pcbench.observers.parts import linear_filter, reordering
 from pcbench.observers.parts.prediction import Memory
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Arrival, Gains, Now, Surprise
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import Arrival, Gains, InnovationStats, Now
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
@@ -35,7 +37,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return linear_filter.use(gains, memory, now, shifted(gains, now, arrival))
 
 
-def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of it by the estimate of now."""
     return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shifted(gains, now, arrival))
 
@@ -43,8 +45,8 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surp
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; it needs no room, as every correction is one of now."""
     return linear_filter.design(
-        setting, options, "kf-shift", np.zeros(0), unproven="it takes the plant for an integrator"
+        setting, options, "kf-shifted-innovation", np.zeros(0), unproven="it takes the plant for an integrator"
     )

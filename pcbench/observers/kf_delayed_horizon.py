@@ -1,4 +1,4 @@
-"""kf-horizon: a Kalman filter that runs a fixed time behind, and a prediction of its estimate to now.
+"""kf-delayed-horizon: a Kalman filter that runs a fixed time behind, and a prediction of its estimate to now.
 
 Samples wait until they are as old as the horizon L, and are used then, in the order in which they were taken:
 
@@ -9,8 +9,8 @@ so nothing is ever filtered twice, and what arrives later than L is lost.
 Source: Khosravian, Trumpf, Mahony, Hamel 2015, the form of PX4's EKF2, whose predictor follows the delayed filter by a
 slow correction; here it is the exact prediction. Keeps one mean and covariance and the samples that wait; costs one
 update at every tick.
-Found: it is `dkf` on the schedule on which every sample arrives at age L, not on its own: what comes sooner waits, and
-that wait is all it loses where nothing is later than L. Where all ages are L it is `dkf` to rounding.
+Found: it is `kf` on the schedule on which every sample arrives at age L, not on its own: what comes sooner waits, and
+that wait is all it loses where nothing is later than L. Where all ages are L it is `kf` to rounding.
 Time index: the estimate is of now, after the jump.
 """
 
@@ -29,13 +29,13 @@ from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Own(NamedTuple):
     """What it has besides a filter."""
 
-    horizon: Int[Leaf, ""]  # ticks
+    lag: Int[Leaf, ""]  # ticks
     waiting: Room  # for samples that are younger than the horizon
 
 
@@ -52,7 +52,7 @@ class Memory(NamedTuple):
 class Options(linear_filter.Options):
     """How far behind the filter runs."""
 
-    horizon: float | None = Field(
+    lag: float | None = Field(
         None,
         ge=0,
         description="how far behind now the filter runs [s]; default: the greatest age that the schedule can bring",
@@ -69,15 +69,15 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Let what is younger than the horizon wait, use what is as old, lose what is older."""
     sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
-    due = now.tick - gains.own.horizon
+    due = now.tick - gains.own.lag
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
 
     def put(room: Any, one: Any) -> Any:
         return jnp.where(jnp.reshape(place, (-1, *[1] * one.ndim)), one[None], room)
 
     waits = memory._replace(waiting=jax.tree.map(put, memory.waiting, sample))
-    chosen = kept(sample.fresh & (sample.taken > due), waits, memory)
-    return kept(sample.fresh & (sample.taken == due), _used(gains, memory, now.tick, sample), chosen)
+    chosen = kept(sample.mask & (sample.taken > due), waits, memory)
+    return kept(sample.mask & (sample.taken == due), _used(gains, memory, now.tick, sample), chosen)
 
 
 def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memory:
@@ -90,13 +90,13 @@ def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memor
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick, and use what is as old as the horizon then; channels that were sampled together, together."""
     memory = prediction.flow(gains, memory, now)
-    every, due = memory.waiting, memory.tick - gains.own.horizon
-    which = every.fresh & (every.taken == due)[:, None]
+    every, due = memory.waiting, memory.tick - gains.own.lag
+    which = every.mask & (every.taken == due)[:, None]
     sample = Measurement(
         due, jnp.sum(jnp.where(which, every.value, 0.0), 0), jnp.any(which, 0),
-        jnp.max(jnp.where(jnp.any(which, 1)[:, None], every.note, -jnp.inf), 0),
+        jnp.max(jnp.where(jnp.any(which, 1)[:, None], every.snapshot, -jnp.inf), 0),
     )  # fmt: skip
-    sample = sample._replace(note=jnp.where(jnp.any(which), sample.note, 0.0))
+    sample = sample._replace(snapshot=jnp.where(jnp.any(which), sample.snapshot, 0.0))
     return kept(which, _used(gains, memory, memory.tick, sample), memory)
 
 
@@ -105,19 +105,19 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
 
 
-OBSERVER = Observer(init, prediction.note, jump, flow, linear_filter.estimate, covariance=covariance)
+OBSERVER = Observer(init, prediction.snapshot, jump, flow, linear_filter.estimate, covariance=covariance)
 
 
-def design(setting: Setting, options: Options) -> Design:
-    """Gather what the filter assumes, the horizon in ticks, and room for all that can wait."""
+def design(setting: DesignContext, options: Options) -> Design:
+    """Gather what the filter assumes, the lag in ticks, and room for all that can wait."""
     latest = max(setting.latest, *setting.delay)
-    horizon = latest if options.horizon is None else round(options.horizon / setting.dt)
-    if horizon > setting.ticks:
+    lag = latest if options.lag is None else round(options.lag / setting.dt)
+    if lag > setting.ticks:
         raise UserError(
-            f"kf-horizon in {setting.scenario}: got a horizon of {horizon * setting.dt:g} s, expected at most the run's "
+            f"kf-delayed-horizon in {setting.scenario}: got a lag of {lag * setting.dt:g} s, expected at most the run's "
             f"{setting.ticks * setting.dt:g} s; write a shorter one."
         )
-    room = setting.flight * max(1, -(-horizon // max(latest, 1)))
-    why = "" if horizon == latest else "samples are used later than they could be, or not at all"
-    own = Own(np.asarray(horizon), np.zeros(room))
-    return linear_filter.design(setting, options, "kf-horizon", np.zeros(0), own, unproven=why)
+    room = setting.flight * max(1, -(-lag // max(latest, 1)))
+    why = "" if lag == latest else "samples are used later than they could be, or not at all"
+    own = Own(np.asarray(lag), np.zeros(room))
+    return linear_filter.design(setting, options, "kf-delayed-horizon", np.zeros(0), own, unproven=why)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.protocols import Arrival, Leaf, Now, Observer
-from pcbench.synthesis.certificate import NO_GAIN, Certificate, Design, Setting
+from pcbench.synthesis.certificate import NO_GAIN, Certificate, Design, DesignContext
 
 
 class Gains(NamedTuple):
@@ -35,7 +35,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " n"]:
     return xhat0
 
 
-def note(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, "0"]:
+def snapshot(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, "0"]:
     """Note nothing."""
     return jnp.zeros(0)
 
@@ -60,10 +60,10 @@ def field(gains: Gains, memory: Float[Array, " n"], now: Now, y: Float[Array, " 
     return gains.A @ memory + gains.B @ now.u
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate, field)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, field)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Discretise the model exactly; there is no gain to prove."""
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
     gains = Gains(Phi, Gamma, setting.model.A, setting.model.B)

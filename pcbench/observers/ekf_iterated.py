@@ -1,4 +1,4 @@
-"""iekf: the iterated extended Kalman filter: the sensor's slope is taken anew where each correction leads.
+"""ekf-iterated: the iterated extended Kalman filter: the sensor's slope is taken anew where each correction leads.
 
     z_0 = z-,   z_(i+1) = z- + K_i (y - h(z_i) - H_i (z- - z_i)),   K_i = P- H_i' (H_i P- H_i' + R)^-1,   H_i = dh/dz at z_i
 
@@ -6,7 +6,7 @@ for a fixed number of times; P by the last slope. It is Gauss-Newton on what a s
 the likeliest z where that converges. Between samples it is `ekf`: mean and covariance go by slopes, tick by tick, and a sample
 of any age is used at its own time (`parts/tick_by_tick`).
 Source: Bell, Cathey 1993.
-Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a linear plant `dkf`, to rounding.
+Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a linear plant `kf`, to rounding.
 Time index: the estimate is of now, after the jump. Not claimed: that the iteration converges; no step is ever shortened.
 """
 
@@ -23,8 +23,8 @@ from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.observers.parts.tick_by_tick import State
-from pcbench.protocols import Now, Surprise
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import InnovationStats, Now
+from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(nonlinear_model.Options):
@@ -46,7 +46,9 @@ def tick(gains: Gains, now: Now, state: State) -> State:
     return state._replace(mean=within(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
 
-def looked(gains: Gains, now: Now, state: State, sample: Measurement, about: Array) -> tuple[Array, Array, Surprise]:
+def looked(
+    gains: Gains, now: Now, state: State, sample: Measurement, about: Array
+) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, by the sensor's slope at `about`."""
     return corrections.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
 
@@ -59,7 +61,7 @@ def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
     return state._replace(mean=within(gains, z), P=P)
 
 
-def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> Surprise:
+def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it, by the slope at the prediction."""
     return looked(gains, now, state, sample, state.mean)[2]
 
@@ -77,8 +79,8 @@ def spread(gains: Gains, state: State) -> Array:
 OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    gains, proof = nonlinear_model.told(setting, options, "iekf")
+    gains, proof = nonlinear_model.told(setting, options, "ekf-iterated")
     own: Any = np.zeros(options.iterations)  # its length alone is the message (`protocols.Room`)
     return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)

@@ -1,4 +1,4 @@
-"""kf-now: the Kalman filter that takes a late sample for one of now.
+"""kf-ignore-delay: the Kalman filter that takes a late sample for one of now.
 
     P- = E P E' + Q,   xhat <- xhat + K (y - C xhat(now)),   K = P- c (c'P- c + r)^-1
 
@@ -7,7 +7,7 @@ stamps.
 
 Source: Kalman 1960, on data that are not what it was made for. Keeps one mean and one covariance; costs one update a
 sample.
-Found: at delay 0 it is `dkf`. With samples of age d its error on a steady motion is what the output moves over d, from
+Found: at delay 0 it is `kf`. With samples of age d its error on a steady motion is what the output moves over d, from
 which no number of samples helps; and it is over-confident, for P knows nothing of it (`test_late_samples`).
 Time index: the estimate is of now, after the jump. Not claimed: perfect start.
 """
@@ -17,15 +17,15 @@ import numpy as np
 
 from pcbench.observers.parts import linear_filter
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now, Surprise
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.protocols import Arrival, Gains, InnovationStats, Now
+from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
 
 def of_now(memory: Memory, arrival: Arrival) -> Arrival:
     """Return what arrives as if it were of now."""
-    return arrival._replace(age=jnp.zeros_like(arrival.age), note=memory.g)
+    return arrival._replace(age=jnp.zeros_like(arrival.age), snapshot=memory.g)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -33,7 +33,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return linear_filter.jump(gains, memory, now, of_now(memory, arrival))
 
 
-def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of now."""
     return linear_filter.innovation(gains, memory, now, of_now(memory, arrival))
 
@@ -41,8 +41,8 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surp
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; it needs no room, as to it no sample is older than another."""
     return linear_filter.design(
-        setting, options, "kf-now", np.zeros(0), unproven="it takes late samples for those of now"
+        setting, options, "kf-ignore-delay", np.zeros(0), unproven="it takes late samples for those of now"
     )

@@ -1,4 +1,4 @@
-"""dkf: the delay-compensated discrete Kalman filter, the fair baseline.
+"""kf: the delay-compensated discrete Kalman filter, the fair baseline.
 
 At the arrival of sample m, taken at t_m: carry mean and covariance from the newest sample used to t_m, update there (Joseph
 form, one channel after the other), then predict to now exactly as PCCEBO does:
@@ -20,7 +20,7 @@ Source: Kalman 1960; a late sample is filtered at its own time, and what has com
 """
 
 from pcbench.observers.parts import guard, linear_filter
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, DesignContext
 
 OBSERVER = linear_filter.FILTER
 
@@ -33,8 +33,8 @@ class Options(linear_filter.Options):
     huber: float | None = guard.HUBER
 
 
-def design(setting: Setting, options: Options) -> Design:
+def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods."""
     guarded = guard.of(options.gate, options.gate_opens, options.huber)
     why = "it leaves out, or weighs less, what is far from what it expects" if guarded else ""
-    return linear_filter.design(setting, options, "dkf", unproven=why, guarded=guarded)
+    return linear_filter.design(setting, options, "kf", unproven=why, guarded=guarded)
