@@ -75,11 +75,12 @@ MEANING = {
     "status": "diverged; or unsettled: the error of this signal left its band after the tail had started; or settled",
     "diverged": "runs: the error became non-finite or left the scenario's divergence threshold (its metrics are null); "
     "stats: how many such runs, none of them averaged",
-    "divergence_time": "time [s] at which a diverged run left the bound; null elsewhere",
-    "metric": "a metric of `runs`; or pooled_rmse, steady_pooled_rmse (root of the mean square over runs); or efficiency "
-    "(bound / steady_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
-    "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
-    "tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
+    "divergence_time": "time [s] at which the error of a diverged run left the divergence threshold; null elsewhere",
+    "metric": "a metric of `runs`; or pooled_rmse, steady_pooled_rmse (root of the mean square over runs); or "
+    "rms_efficiency (the bound over steady_pooled_rmse, against the best any causal estimator can do on average over x(0) ~ "
+    "N(xhat0, P0)); or "
+    "divergence_rate, the fraction of runs that diverged; or unsettled_rate, the fraction of the others whose error left its "
+    "band in the tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
     "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
     "alone, where runs draw their own); none: neither, and `reason` says why",
     "reason": "why a number is missing that only runs have; null where it is there",

@@ -7,6 +7,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import counts
+import numpy as np
 import pytest
 from commands import call
 
@@ -41,7 +43,7 @@ def test_every_command_that_is_quoted_exists():
         assert script in block
         assert (ROOT / script).stat().st_mode & 0o100
     for command in set(re.findall(r"`pcbench ((?:external )?[\w-]+)", TEXT)):
-        assert call(command, "--help").returncode == 0
+        assert call(*command.split(), "--help").returncode == 0
 
 
 def test_the_words_of_the_protocols_are_those_of_the_code():
@@ -54,6 +56,14 @@ def test_the_words_of_the_protocols_are_those_of_the_code():
     assert callable(options.way)
     for name in ("Gains", "Options", "design", "OBSERVER"):
         assert hasattr(sys.modules[OBSERVERS["model-only"].design.__module__], name)
+
+
+def test_counts_of_the_code_are_those_of_the_script():
+    """Within 3 %, so that a small change leaves the page alone; then `python tests/support/counts.py` writes it."""
+    stated = counts.written(TEXT)
+    assert list(stated) == ["pcbench", "tests"]
+    for name, said in stated.items():
+        np.testing.assert_allclose(said, counts.counted(ROOT / name), rtol=0.03)
 
 
 def test_the_folders_with_nightly_tests_are_listed():
