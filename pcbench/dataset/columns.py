@@ -8,22 +8,11 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench.dataset import loop_columns
+from pcbench.fields import FIELDS
 from pcbench.statistics import QUANTILES
 
 SCHEMA = "1"  # of every file; one more for each change once there is a release
-AXIS_UNITS = {
-    "sampling_period": "s",
-    "delay": "s",
-    "actuator_delay": "s",
-    "noise_std": "unit of the output",
-    "parameter_drift": "1",
-    "sampling_pattern": "",
-    "sampling_jitter": "s",
-    "delay_jitter": "s",
-    "loss": "1",
-    "assumed_delay_error": "s",
-    "process_std": "unit of the state",
-} | loop_columns.AXIS_UNITS
+AXIS_UNITS = {f.name: f.unit for f in FIELDS}
 MEANING = {
     "study": "name of the study",
     "scenario": "published experiment",
@@ -32,22 +21,6 @@ MEANING = {
     "observer_a": "first observer of the pair",
     "observer_b": "second observer of the pair",
     "cell": "number of the combination of axis values, from 0, within its scenario",
-    "sampling_period": "(mean) time between samples; a list where output channels differ",
-    "delay": "age of a sample when it arrives, the mean where it varies with time; a list where output channels differ; null: "
-    "one sampling interval",
-    "actuator_delay": "from command to plant, in a closed loop, the mean where it varies with time; null: that of the samples, "
-    "or no loop",
-    "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
-    "process_std": "standard deviation of a tick's noise on the states; a list where they differ",
-    "parameter_drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and "
-    "the helicopter its "
-    "amplitude",
-    "sampling_pattern": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals "
-    "[s] in turn",
-    "sampling_jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
-    "delay_jitter": "a sample arrives up to this much later (uniform over whole ticks)",
-    "loss": "probability that a sample never arrives",
-    "assumed_delay_error": "observers believe every sample to be so much older than it is",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
     "predicts_unknown_input": "whether the observer's prediction to the present carries the unknown input it has "
@@ -96,6 +69,7 @@ MEANING = {
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
 } | loop_columns.MEANING
+MEANING |= {f.name: f.meaning for f in FIELDS}
 MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 MEANING |= {f"{q}_low": f"lower end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 MEANING |= {f"{q}_high": f"upper end of the 95 % interval of {q}; null: open" for q in QUANTILES}

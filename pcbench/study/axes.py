@@ -6,42 +6,26 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 import math
 from typing import Any
 
+from pcbench import fields
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import CHAIN, FAULTS, LOST, SPREAD, TURNS
+from pcbench.scenarios.scenario import CHAIN, LOST, TURNS
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
-CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
-STATES = ("process_std",)  # one value, or one for each state
-OUTPUTS = ("quantization_step",)  # likewise for each output channel, where there is any
-TIMES = (  # whole ticks
-    *("sampling_period", "delay", "actuator_delay", "sampling_jitter", "delay_jitter", "assumed_delay_error"),
-    *("command_jitter", "timestamp_offset", "timestamp_jitter"),
-)
-SIGNED = ("parameter_drift", "assumed_delay_error", "timestamp_offset", "clock_skew")
-SHARES = ("loss", "command_loss", "outlier_probability")
-ASKED = (*STATES, *CHAIN, *TURNS, *SPREAD, *FAULTS)  # a column of the tables only where it is an axis
-LISTS = ("sampling_pattern", "delay_values", "delay_sequence", "delay_weights")  # a value may be a list
+CHANNELS = fields.names(per="channel")  # one value, or one for each output channel
+STATES = fields.names(per="state")  # one value, or one for each state
+OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
+TIMES = fields.names(ticks=True)
+SIGNED = fields.names(signed=True)
+SHARES = fields.names(share=True)
+LISTS = fields.names(listed=True)  # a value may be a list
+AXES = fields.names(loop=False)
+COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
+ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
-AXES = (
-    *CHANNELS,
-    "parameter_drift",
-    "sampling_pattern",
-    "sampling_jitter",
-    "delay_jitter",
-    "loss",
-    "assumed_delay_error",
-    "actuator_delay",
-    *STATES,
-    *CHAIN,
-    *TURNS,
-    *SPREAD,
-    *FAULTS,
-)
-COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
