@@ -9,6 +9,7 @@ import pytest
 from walked import STUDIES as SHORT
 from walked import with_options
 
+from pcbench.dataset.result import open_result
 from pcbench.study import STUDIES, read
 
 
@@ -29,7 +30,7 @@ def test_its_short_form_has_every_scenario_and_observer(name):
 
 JUDGED = {  # by metric, the column of runs that is NaN where there is nothing to judge: a known state, no sample
     **dict.fromkeys(("nis", "nis_band"), "nis"),
-    **dict.fromkeys(("signal_nees", "signal_nees_band", *(f"inside_{k}_sigma" for k in (1, 2, 3))), "signal_nees"),
+    **dict.fromkeys(("signal_nees", "signal_nees_band", *(f"coverage_{k}_sigma" for k in (1, 2, 3))), "signal_nees"),
 }
 KEY = ["scenario", "cell", "observer", "signal"]
 
@@ -38,7 +39,7 @@ def nothing_to_judge(stats, folder):
     """Say of every row of stats whether a run has nothing that its metric could judge."""
     if not (folder / "runs").exists():
         return pd.Series(False, stats.index)
-    runs = pd.read_parquet(folder / "runs")
+    runs = open_result(folder).runs  # read_parquet takes the columns of the first file alone
     none = {
         c: getattr(runs[c].isna().groupby([runs[k] for k in KEY]), "all" if c == "nis" else "any")().to_dict()
         for c in {*JUDGED.values()} & {*runs}
