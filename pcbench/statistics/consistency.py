@@ -15,7 +15,7 @@ from pcbench.statistics.estimates import Estimate
 from pcbench.statistics.moments import Values
 
 SIGMAS = (1, 2, 3)
-INSIDE = tuple(f"inside_{k}_sigma" for k in SIGMAS)
+INSIDE = tuple(f"coverage_{k}_sigma" for k in SIGMAS)
 BANDS = {"nees": "nees_band", "nis": "nis_band", "signal_nees": "signal_nees_band"}
 LEVEL = 0.05
 ROUNDING = 1e-6  # of what is exact

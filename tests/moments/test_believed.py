@@ -48,7 +48,7 @@ def test_expected_squares_are_those_of_the_reference(expected):  # noqa: F811
     np.testing.assert_allclose(exact["kf", "signal_nees"][["a", "b", "c"]], parts, rtol=1e-10)
     for k in (1, 2, 3):
         share = 2 * norm.cdf(k / np.sqrt(parts)) - 1
-        np.testing.assert_allclose(exact["kf", f"inside_{k}_sigma"][["a", "b", "c"]], share, rtol=1e-10)
+        np.testing.assert_allclose(exact["kf", f"coverage_{k}_sigma"][["a", "b", "c"]], share, rtol=1e-10)
     assert exact["kf", "nees_dof", "a"] == 3
 
 
