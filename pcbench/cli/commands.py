@@ -78,7 +78,7 @@ def whole(
     """
 
 
-external = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=NAMES)
+external = typer.Typer(rich_markup_mode=None, context_settings=NAMES)
 for name, (function, line) in ALL.items():
     group, _, command = name.rpartition(" ")
     (external if group else app).command(command, short_help=line)(function)

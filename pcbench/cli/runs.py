@@ -84,7 +84,7 @@ def run(
     statistics.compared(metric, "--metric")
     asked, where = read.outline(study, changes or []), chosen(signal)
     read.require_signals(asked, where, "--signal")
-    if "exact" in (evaluation, asked.evaluation if evaluation is None else None):
+    if (evaluation or asked.evaluation) == "exact":
         require_effect(simulated[0], 'with a study of evaluation "exact"', simulated[1])
         _require_exact(metric)
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder

@@ -22,7 +22,7 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
     square) with their standard errors, `training` of an exact tuning the expected value; `gap` is held_out less training,
     `rms_efficiency` the bound over steady_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
-    `certified` is that of stats; `snapshot` says where a start was kept, and why. With `out` the table stands there as
+    `certified` is that of stats; `note` says where a start was kept, and why. With `out` the table stands there as
     fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
     if made.aim is None:

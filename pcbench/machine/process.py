@@ -12,28 +12,33 @@ from pcbench.errors import UserError, said, shown
 from pcbench.machine import threads
 from pcbench.machine.cache import folder
 
-NO_FMA = "--xla_cpu_max_isa"  # AVX is the last instruction set of x86 without it
+ISA = "--xla_cpu_max_isa"  # the instruction set; AVX is the last one of x86 without FMA
 
 
 def setup() -> None:
     """Give this process to pcbench: float64, compiled programs remembered between processes, linear algebra on one thread.
 
     The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
-    own jax configuration leaves it out: pcbench then computes the same, and compiles anew in every process. From jax 0.11 on it
-    keeps x86 processors from joining a product and a sum into one operation (FMA): whether that is done depends on what else is
-    in a program, so that the last bit of a run would depend on which other observers are simulated with it.
+    own jax configuration leaves it out: pcbench then computes the same, from jax 0.11 on but for the last bit
+    (`without_fma`), and compiles anew in every process.
     """
     threads.one()
-    if (
-        machine() in ("x86_64", "AMD64")
-        and jax.__version_info__[:2] > (0, 10)
-        and NO_FMA not in os.environ.get("XLA_FLAGS", "")
-    ):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {NO_FMA}=AVX".strip()
+    if flags := without_fma(os.environ.get("XLA_FLAGS", "")):
+        os.environ["XLA_FLAGS"] = flags
     jax.config.update("jax_enable_x64", True)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(folder("programs")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def without_fma(flags: str) -> str:
+    """Return XLA_FLAGS with which x86 processors do not join a product and a sum into one operation (FMA), from jax 0.11 on.
+
+    Whether the compiler joins them depends on what else is in a program: the last bit of a run would depend on which other
+    observers are simulated with it. An instruction set that the flags name already stays.
+    """
+    newer = jax.__version_info__[:2] > (0, 10)
+    return f"{flags} {ISA}=AVX".strip() if newer and machine() in ("x86_64", "AMD64") and ISA not in flags else flags
 
 
 @contextmanager

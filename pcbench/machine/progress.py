@@ -12,7 +12,7 @@ class Progress(NamedTuple):
     """Who hears of progress: three functions, each of which may be left out.
 
     `begin` takes what begins and how many steps it has (None: not known); begun again, the same work has so many more. `step`
-    takes how many more are done, `snapshot` what is being done now.
+    takes how many more are done, `note` what is being done now.
     """
 
     begin: Callable[[str, int | None], None] = _ignore
