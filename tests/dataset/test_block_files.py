@@ -106,6 +106,20 @@ def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, whe
         assert block_files.about(found) == block_files.about(want)
 
 
+def test_no_flipped_bit_ends_the_process(dataset):
+    """Every 29th: pyarrow aborted the process in about 300 of all, where a column's description was damaged."""
+    (name,) = {b.name for b in block_files.present(store.target(dataset)) if b.seeds.first == 0}
+    content, found = (dataset / name).read_bytes(), []
+    for at in range(0, 8 * len(content), 29):
+        changed = bytearray(content)
+        changed[at // 8] ^= 1 << at % 8
+        try:
+            parquet.parsed(pa.py_buffer(bytes(changed)))
+        except (pa.ArrowException, OSError, ValueError) as error:
+            found.append(error)
+    assert len(found) > 1000
+
+
 def rewritten(change):
     """A change of a block's table or of what it says of itself, sealed again."""
 
