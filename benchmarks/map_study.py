@@ -11,9 +11,9 @@ SAID = ("planning_seconds", "computing_seconds", "compile_seconds", "writing_sec
 
 def say(study: dict[str, Any]) -> None:
     """Run a study into a temporary folder and print what that took."""
-    from pcbench.machine import process
+    from pcbench.runtime import config
 
-    process.setup()
+    config.setup()
     from pcbench import api
 
     start, cpu = time.perf_counter(), time.process_time()

@@ -33,14 +33,14 @@ import psutil
 from numpy.typing import NDArray
 
 from pcbench import planning
-from pcbench.dataset import block_files, executors, fill, ownership, store
+from pcbench.dataset import block_files, executors, manifest, run_missing, storage
 from pcbench.engine import runner
-from pcbench.machine import process
-from pcbench.machine.progress import Progress
 from pcbench.observers import kf
 from pcbench.planning import padding
-from pcbench.study import read
-from pcbench.study.cells import Grid
+from pcbench.runtime import config
+from pcbench.runtime.progress import Progress
+from pcbench.study import parse
+from pcbench.study.grid import Grid
 
 ALIKE = 0.03  # that the ratio may be off 1
 LANES, SEEDS, PAIRS = 1024, 8192, {"here": 400, "workers": 150}
@@ -72,7 +72,7 @@ def studies(seeds: int, small: bool) -> Both:
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(kf.__file__, Path(folder) / "copied.py")
         own = {"copied": {"use": f"{folder}/copied.py:OBSERVER"}}
-        return Both(read.grid_of(raw | {"observers": ["kf"]}, {}, []), read.grid_of(raw | {"observers": own}, {}, []))
+        return Both(parse.grid_of(raw | {"observers": ["kf"]}, {}, []), parse.grid_of(raw | {"observers": own}, {}, []))
 
 
 def alternating(what: str, a: Way, b: Way, many: int) -> NDArray[np.float64]:
@@ -151,9 +151,11 @@ def filled(grid: Grid, execute: executors.Executor) -> Turn:
     began: list[float] = []
     planned = Progress(begin=lambda what, many: began.extend((perf_counter(), of_workers())))
     with tempfile.TemporaryDirectory() as out:
-        target = store.target(out)
-        owned = ownership.claim(target, grid)
-        cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(LANES), planned)
+        target = storage.target(out)
+        owned = manifest.claim(target, grid)
+        cost = run_missing.fill(
+            target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(LANES), planned
+        )
         took = perf_counter() - began[0], of_workers() - began[1]
         if (busy := len({name for name, _ in cost.compiled})) != 2:
             raise SystemExit(f"own_code: got {busy} workers that worked, expected 2.")
@@ -174,8 +176,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, help="of turns [default: 400 here, 100 with workers]")
     parser.add_argument("--small", action="store_true", help="half a second, few runs and pairs; every row and check")
     options = parser.parse_args()
-    process.setup()
-    with process.float64():
+    config.setup()
+    with config.float64():
         for name in [options.only] if options.only else PAIRS:
             seeds = 4 * LANES if options.small else SEEDS
             pairs = options.pairs or (2 if options.small else PAIRS[name])

@@ -23,9 +23,9 @@ from turns import Row, take
 
 from pcbench import planning
 from pcbench.engine import runner
-from pcbench.machine import process
 from pcbench.planning import padding
-from pcbench.study import cells, read
+from pcbench.runtime import config
+from pcbench.study import grid, parse
 
 JOBS = 3  # a device and turn
 FEW = 32  # lanes with --small
@@ -55,8 +55,8 @@ class Made(NamedTuple):
 def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> padding.Plan:
     """Return a cell of one way to sample, laid out."""
     raw = {"name": "cost", "scenarios": [scenario], "observers": observers, "axes": {k: [v] for k, v in axes.items()}}
-    study = read.parse(raw, "cost")
-    (cell,) = cells.cells_of(study)
+    study = parse.parse(raw, "cost")
+    (cell,) = grid.cells_of(study)
     if not small:
         return next(planning.drafts([cell]))
     cell = cell.having(duration=2.0, steady_start=1.0)
@@ -100,7 +100,7 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     options = parser.parse_args()
-    process.setup()
+    config.setup()
     jax.config.update("jax_platforms", "cpu")
     if not options.small:
         jax.config.update("jax_enable_compilation_cache", False)

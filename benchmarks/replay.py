@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 import pcbench
-from pcbench.dataset import as_file
-from pcbench.logs import writing
-from pcbench.logs.log import Batch
+from pcbench.dataset import write_table
+from pcbench.recordings import writers
+from pcbench.recordings.log import Batch
 
 DT, LATE = 1e-3, 5
 NOISE, WALK = 0.1, 0.01
@@ -41,8 +41,8 @@ def made(folder: Path, many: int) -> None:
     rng, t = np.random.default_rng(0), np.arange(many) * DT
     y = np.sin(t) + NOISE * rng.normal(size=many)
     batch = Batch(np.zeros(many, int), t, t + LATE * DT, y, np.arange(1, many + 1))
-    for name, table in writing.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
-        as_file.put(folder / f"{name}.parquet", table)
+    for name, table in writers.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
+        write_table.put(folder / f"{name}.parquet", table)
 
 
 def plain(many: int) -> np.ndarray:

@@ -35,12 +35,12 @@ from pathlib import Path
 from typing import Any
 
 from pcbench import api
-from pcbench.dataset import executors, fill, ownership, store, task
+from pcbench.dataset import executors, manifest, run_missing, storage, task
 from pcbench.engine import runner
-from pcbench.machine import process, provenance
-from pcbench.machine.progress import Progress
+from pcbench.runtime import config, provenance
+from pcbench.runtime.progress import Progress
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import read
+from pcbench.study import parse
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "kf"]}
 FEW = ["pccebo"]  # of a small form: every program is one observer's
@@ -107,11 +107,13 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
 
     Exits with a sentence where other runs were done than asked for.
     """
-    with tempfile.TemporaryDirectory() as out, process.float64():
-        target, began = store.target(out), []
-        owned = ownership.claim(target, read.grid_of(study, {}, []))
+    with tempfile.TemporaryDirectory() as out, config.float64():
+        target, began = storage.target(out), []
+        owned = manifest.claim(target, parse.grid_of(study, {}, []))
         planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
-        cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(block), planned)
+        cost = run_missing.fill(
+            target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(block), planned
+        )
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
         if cost.runs != asked:
             raise SystemExit(f"studies: got {cost.runs} runs, expected {asked}.")
@@ -149,7 +151,7 @@ def workers(turns: int, small: bool) -> None:
     seconds: dict[str, list[float]] = {}
     with ExitStack() as stack:
         clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
-        pool = stack.enter_context(ProcessPoolExecutor(2, get_context("spawn"), process.setup))
+        pool = stack.enter_context(ProcessPoolExecutor(2, get_context("spawn"), config.setup))
         ways = {f"{n} bare": partial(bare, pool, study, n) for n in (2, 1)}
         ways |= {f"{n} Dask": partial(timed, study, clusters[n - 1], 512) for n in (2, 1)}
         for turn in range(turns + 1):
@@ -235,7 +237,7 @@ def _child(code: str, place: str) -> str:
 
 def peak(study: dict[str, Any]) -> None:
     """Run a study and print the most memory that this process held."""
-    process.setup()
+    config.setup()
     with tempfile.TemporaryDirectory() as out:
         api.run(study, out=out)
     status = Path(
@@ -247,7 +249,7 @@ def peak(study: dict[str, Any]) -> None:
 
 def main() -> None:
     """Print the figures."""
-    process.setup()
+    config.setup()
     parts: dict[str, Callable[[int, bool], None]] = {
         "writing": writing,
         "workers": workers,

@@ -43,13 +43,13 @@ from turns import Row, Timed, take
 import pcbench
 from pcbench import planning
 from pcbench.engine import runner
-from pcbench.machine import process, provenance
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation import draws
-from pcbench.simulation.problem import Layout, Outcome, Problem
+from pcbench.runtime import config, provenance
+from pcbench.simulation import rng
 from pcbench.simulation.simulate_runs import simulate_runs
-from pcbench.study import read
+from pcbench.simulation.types import Layout, Outcome, Problem
+from pcbench.study import parse
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
 TOLERANCE = 1e-9
@@ -137,8 +137,8 @@ def check_baselines(case: Case, problems: dict[bool, Problem], sums: dict[bool, 
     """Exit unless every baseline finds pcbench's metrics in pcbench's draws."""
     ticks, lanes = len(case.u), sums[False].shape[-1]
     seeds, samples = np.arange(lanes), -(-ticks // case.period)
-    noise = np.asarray(jax.jit(jax.vmap(lambda seed: draws.measurement_noise(0, seed, samples)[0], 0, 1))(seeds))
-    normal = np.asarray(draws.normals(draws.run_keys(np.asarray(0), seeds, "initial", 2), np.zeros(2, int)))
+    noise = np.asarray(jax.jit(jax.vmap(lambda seed: rng.measurement_noise(0, seed, samples)[0], 0, 1))(seeds))
+    normal = np.asarray(rng.normals(rng.run_keys(np.asarray(0), seeds, "initial", 2), np.zeros(2, int)))
     for random, expected in sums.items():
         mean = problems[random].x0[:, None]
         x0 = mean + problems[random].spread0 @ normal if random else np.tile(mean, lanes)
@@ -176,7 +176,7 @@ def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
     for kind, given in OTHERS.items():
         table = "lti" if "lti" in given else "scenario"
         cut = {table: given[table] | {"duration": SHORT[kind], "steady_start": SHORT[kind] / 2}} if small else {}
-        (p,) = planning.plan(read.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
+        (p,) = planning.plan(parse.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
         layout, seeds, ticks = p.layout._replace(width=lanes), np.arange(lanes), p.cell.times.ticks
         jobs = [runner.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
         made, start = runner.program(layout, jobs[0]), perf_counter()
@@ -272,7 +272,7 @@ def remember(found: list[dict[str, Any]], path: Path) -> None:
 def measured(cores: int, small: bool) -> list[dict[str, Any]]:
     """Check and time all rows on so many cores in this process, whose runtime has not begun."""
     os.environ["NPROC"] = str(cores)
-    process.setup()
+    config.setup()
     jax.config.update("jax_platforms", "cpu")
     if not small:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
@@ -283,7 +283,7 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
             "options": {"scenario": {"random_initial_state": random}},
             "engine": "products",
         }
-        (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
+        (planned,) = planning.plan(parse.study_of(parse.load(SCENARIO, []), given, []))
         ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)

@@ -18,20 +18,20 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.api import simulate as simulate
     from pcbench.api import tune as tune
     from pcbench.controllers import ControllerSpec as ControllerSpec
-    from pcbench.controllers.parts.told import ControllerContext as ControllerContext
-    from pcbench.dataset.exact import Exact as Exact
+    from pcbench.controllers.parts.design_context import ControllerContext as ControllerContext
+    from pcbench.dataset.moments_frames import Exact as Exact
     from pcbench.dataset.result import Result as Result
     from pcbench.dataset.result import open_result as open_result
     from pcbench.dynamics.linear import discretize_zoh as discretize_zoh
     from pcbench.errors import DesignError as DesignError
     from pcbench.errors import UserError as UserError
     from pcbench.gains.design import trade_off as trade_off
-    from pcbench.logs.described import info as info
-    from pcbench.machine.process import setup as setup
+    from pcbench.limits.find_limit import find_limit as find_limit
     from pcbench.observers import ObserverSpec as ObserverSpec
     from pcbench.observers.parts.options import tunable as tunable
     from pcbench.plants import PlantSpec as PlantSpec
     from pcbench.plants import make_plant as make_plant
+    from pcbench.playback.replay import replay as replay
     from pcbench.protocols import Arrival as Arrival
     from pcbench.protocols import Controller as Controller
     from pcbench.protocols import InnovationStats as InnovationStats
@@ -39,11 +39,11 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
     from pcbench.protocols import vmap_as_unit as vmap_as_unit
-    from pcbench.replaying.replay import replay as replay
+    from pcbench.recordings.summary_table import info as info
+    from pcbench.runtime.config import setup as setup
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
-    from pcbench.sufficing.asking import find_limit as find_limit
     from pcbench.synthesis.certificate import Certificate as Certificate
     from pcbench.synthesis.certificate import Design as Design
     from pcbench.synthesis.certificate import DesignContext as DesignContext
@@ -60,16 +60,16 @@ _LAZY = {
     "design": "api",
     "trade_off": "gains.design",
     "tune": "api",
-    "find_limit": "sufficing.asking",
-    "info": "logs.described",
-    "replay": "replaying.replay",
+    "find_limit": "limits.find_limit",
+    "info": "recordings.summary_table",
+    "replay": "playback.replay",
     "open_result": "dataset.result",
     "Result": "dataset.result",
-    "Exact": "dataset.exact",
+    "Exact": "dataset.moments_frames",
     "lti": "study.interop",
     "to_scipy": "study.interop",
     "to_control": "study.interop",
-    "setup": "machine.process",
+    "setup": "runtime.config",
     "UserError": "errors",
     "DesignError": "errors",
     "Observer": "protocols",
@@ -84,7 +84,7 @@ _LAZY = {
     "PlantSpec": "plants",
     "Controller": "protocols",
     "ControllerSpec": "controllers",
-    "ControllerContext": "controllers.parts.told",
+    "ControllerContext": "controllers.parts.design_context",
     "DesignContext": "synthesis.certificate",
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",

@@ -8,29 +8,30 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pcbench.dataset import as_file, run_study
+from pcbench.dataset import run_study, write_table
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
-from pcbench.gains import versions
-from pcbench.logs import runs as run_as_log
-from pcbench.machine import process
-from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import all_observers, alone, cost, digits, drafts, missing_inputs, padding, samples_of
+from pcbench.gains import gain_variants
+from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, samples_of
+from pcbench.planning import operation_counts as counts
 from pcbench.plants import signals_of
+from pcbench.recordings import runs as run_as_log
+from pcbench.runtime import config
+from pcbench.runtime.progress import SILENT, Progress
 from pcbench.scenarios.sources import units
-from pcbench.study import read
-from pcbench.study.cells import engine_warnings
-from pcbench.study.own_scenarios import plain
-from pcbench.study.read import Described
+from pcbench.study import parse
+from pcbench.study.grid import engine_warnings
+from pcbench.study.parse import Described
+from pcbench.study.plugins.user_scenarios import plain
 from pcbench.synthesis.certificate import Design, is_certified
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pcbench.dataset.exact import Exact
+    from pcbench.dataset.moments_frames import Exact
     from pcbench.gains.tune import Tuning
-    from pcbench.replaying.tuned import LogTuning
+    from pcbench.playback.tuning_result import LogTuning
 
 
 def run(
@@ -65,15 +66,15 @@ def run(
     every observer is that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a
     scheduler's address, or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB":
     what results may take at a time; by default a quarter of the machine's). `progress` hears how far it is
-    (`machine.progress`), `say` of damaged files and of loops that do not settle; without it the latter are Python's warnings.
+    (`runtime.progress`), `say` of damaged files and of loops that do not settle; without it the latter are Python's warnings.
     Arrays, tuples, ranges and NumPy's numbers are as good as lists and numbers.
-    A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
+    A study's `tuning` is done first: `gains.gain_variants`; of several the result has a table `fair`. Raises UserError, one
     sentence, for whatever the user can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "evaluation": evaluation}, overrides or [])
-    with process.float64():
+    with config.float64():
         how = run_study.How(
             overwrite=overwrite,
             until_se=until_se,
@@ -89,9 +90,9 @@ def run(
         if say:
             for sentence in all_observers.sentences(grid.study.excluded):
                 say(sentence)
-        for sentence in [*read.unstable(grid), *engine_warnings(grid)]:
+        for sentence in [*parse.unstable(grid), *engine_warnings(grid)]:
             (say or warnings.warn)(sentence)
-        made = versions.prepare(grid, out, overwrite, progress)
+        made = gain_variants.prepare(grid, out, overwrite, progress)
         if say and made.study.tuning_sentence:
             say(made.study.tuning_sentence)
         result = run_study.execute(made.grid, out, how)
@@ -99,9 +100,9 @@ def run(
             (say or warnings.warn)(sentence)
         if made.aim is None:
             return result
-        from pcbench.gains import fair_table  # tuned gains alone need it
+        from pcbench.gains import fair_comparison  # tuned gains alone need it
 
-        return fair_table.report(made, result, out, how)
+        return fair_comparison.report(made, result, out, how)
 
 
 def exact_moments(
@@ -122,15 +123,15 @@ def exact_moments(
     its runs' schedules a random cell is averaged. `.stats` is like a result's, `.moments()` are mean and standard deviation of
     the errors over time, `.covariance()` is of all errors of a cell together.
     """
-    from pcbench.dataset.exact import Exact  # with pandas
+    from pcbench.dataset.moments_frames import Exact  # with pandas
 
     if schedules < 2:
         raise UserError(f"schedules: got {schedules}, expected 2 or more.")
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    with process.float64():
+    with config.float64():
         grid = all_observers.grid_of(study, changes, overrides or [])
-        return Exact(versions.prepare(grid, None, False, progress).grid, schedules)
+        return Exact(gain_variants.prepare(grid, None, False, progress).grid, schedules)
 
 
 def simulate(
@@ -156,7 +157,7 @@ def simulate(
     names = [observers] if isinstance(observers, str) else list(observers)
     if not 0 <= seed < 2**32:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
-    with process.float64():
+    with config.float64():
         study, cell = all_observers.one_cell(scenario, names, overrides or [])
         if cell.scenario.loop.controller and len(cell.options) > 1:
             raise UserError(
@@ -166,9 +167,9 @@ def simulate(
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         import pandas as pd
 
-        from pcbench.simulation import trace
+        from pcbench.simulation import trajectory
 
-        out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
+        out = trajectory.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
         digits.require_of_trace(p, out.x, [out.estimates[called] for called, _ in p.layout.observers])
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
@@ -176,7 +177,7 @@ def simulate(
     if log is not None:
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals, p.cell.times.error)
         for name, table in tables.items():
-            as_file.put(Path(log) / f"{name}.parquet", table)
+            write_table.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
@@ -201,11 +202,11 @@ def operation_counts(
 ) -> "pd.DataFrame":
     """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
 
-    Multiplications of a sample and of a tick of one run, and bytes that are kept from tick to tick (`planning/cost`).
+    Multiplications of a sample and of a tick of one run, and bytes kept from tick to tick (`planning/operation_counts`).
     """
     import pandas as pd
 
-    with process.float64():
+    with config.float64():
         names = [observers] if isinstance(observers, str) else observers
         grid = all_observers.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or [])
         rows = [
@@ -217,7 +218,7 @@ def operation_counts(
                 **found._asdict(),
             }
             for p in drafts(grid.cells)
-            for label, found in cost.costs(p).items()
+            for label, found in counts.costs(p).items()
         ]
     table = pd.DataFrame(rows)
     table.attrs["excluded"] = grid.study.excluded or {}  # why others of "all" are not here
@@ -238,7 +239,7 @@ def design(
     The certificate says the inequality, its margin, the solver and whether it was a fallback, and the decay rate promised.
     Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
     """
-    with process.float64():
+    with config.float64():
         from pcbench.gains import design
 
         return design.design(scenario, observer, gain=gain, overrides=overrides)[2]
@@ -260,7 +261,7 @@ def tune(
 
     `how` is budget, only, out, overrides and progress, and without a log objective, signal, optimizer, exact_objective,
     training and judges: see `gains.tune.tune`. `delay` [s] and `start` [s] are those of a recording: see
-    `replaying.tuning.tune_log`.
+    `playback.tuning.tune_log`.
     Raises UserError for whatever the user can mend.
     """
     if log is None:
@@ -275,6 +276,6 @@ def tune(
         raise UserError(
             f"{alone[0]}: got it with a log, expected it for simulated runs alone; leave {' and '.join(alone)} out, or log."
         )
-    from pcbench.replaying.tuning import tune_log
+    from pcbench.playback.tuning import tune_log
 
     return tune_log(log, scenario, observer, delay=delay, start=start, **how)

@@ -11,13 +11,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcbench.dataset import ownership, store, summary
+from pcbench.dataset import close, manifest, storage
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import Study, observers_of, scenarios_of
-from pcbench.study.names import base_in, own_in
-from pcbench.study.read import outline
+from pcbench.study.lookup import base_in, own_in
+from pcbench.study.parse import outline
 
 FILE = Path(__file__).parent / "references.bib"
 ENTRY = re.compile(r"^% known by: (?P<words>[^\n]+)\n(?P<text>@\w+\{(?P<key>[\w-]+),.*?^\})$", re.M | re.S)
@@ -62,10 +62,10 @@ def bibtex(what: str | None = None) -> str:
     every = {r.key: r for r in references()}
     if what is None:
         return _written(every.values(), ["everything that pcbench has"])
-    target = store.target(what)
-    there = store.text(target, ownership.TEXT) is not None
-    study = ownership.opened(target).study if there else outline(what, [])
-    record = (summary.record(target) if there else None) or {}
+    target = storage.target(what)
+    there = storage.text(target, manifest.TEXT) is not None
+    study = manifest.opened(target).study if there else outline(what, [])
+    record = (close.record(target) if there else None) or {}
     keys = {*known(_sources(study)), *ALWAYS, *_solvers(record)}
     return _written([r for key, r in every.items() if key in keys], _about(study, record))
 

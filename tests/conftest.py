@@ -14,6 +14,9 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
+from pcbench.runtime import config
+
+os.environ["XLA_FLAGS"] = config.without_fma(os.environ.get("XLA_FLAGS", ""))  # as `pcbench.setup` has it
 os.makedirs(os.environ["PCBENCH_CACHE"], mode=0o700, exist_ok=True)  # jax would make it as the umask says
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -22,7 +25,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 settings.register_profile("house", deadline=None)  # a machine under load is no failure
 settings.load_profile("house")
-SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.actuator"]
+SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.actuator_delay"]
 install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
 
 
@@ -61,13 +64,13 @@ def _in_a_hurry(request):
     import hurried
 
     from pcbench.engine import runner
-    from pcbench.replaying import stretch
-    from pcbench.simulation import trace
+    from pcbench.playback import step_block
+    from pcbench.simulation import trajectory
 
     with pytest.MonkeyPatch.context() as patch:
         if request.config.option.markexpr == "not slow":
-            patch.setattr(trace, "compiled", hurried.recorder)
-            patch.setattr(stretch, "compiled", hurried.stretches)
+            patch.setattr(trajectory, "compiled", hurried.recorder)
+            patch.setattr(step_block, "compiled", hurried.stretches)
             patch.setattr(runner, "OPTIONS", runner.OPTIONS | hurried.options())
             patch.setenv("XLA_FLAGS", hurried.flags())
         yield

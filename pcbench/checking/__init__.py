@@ -3,16 +3,17 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from pcbench.checking import controller, kinds, observer, plant, plant_trial, study
-from pcbench.checking.finding import Finding
-from pcbench.checking.kinds import WHERE, kind_of
+from pcbench.checking import controller, observer, plant, plant_fixtures, study, targets
 from pcbench.checking.loading import load
+from pcbench.checking.result import Finding
+from pcbench.checking.targets import WHERE, kind_of
 from pcbench.errors import UserError, short, unknown
-from pcbench.machine import process
 from pcbench.plants import parameters_of
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.study import STUDIES, own, own_entries, read
-from pcbench.study.scenario_toml import said
+from pcbench.study import STUDIES, parse
+from pcbench.study.plugins import registry, user_code
+from pcbench.study.scenario_template import said
 
 DEFAULT = "cart/white"  # what an observer and a controller are tried on
 
@@ -34,38 +35,38 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
     """
     if scenario is not None:
         _require_name(scenario)
-    with process.float64():
+    with config.float64():
         kind, given = kind_of(target), dict(options or {})
         label = target.rpartition(":")[2]
-        if kind in (kinds.STUDY, "scenario"):
+        if kind in (targets.STUDY, "scenario"):
             if scenario is not None:
                 raise UserError(
                     f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is tried on itself; leave it "
                     "out."
                 )
-            read.raw_of(target, [], read.FROM_HERE)  # a file that is not there is no finding
+            parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
             found = study.findings(target, [f"{key}={said(value)}" for key, value in given.items()])
             return Checked(kind, label, "", found)
         if kind == "plant":
             s = _of_plant(target, label, scenario, given)
             return Checked(kind, label, s.name if scenario else "", plant.findings(label, s))
-        s = read.scenario_of(scenario or DEFAULT)
+        s = parse.scenario_of(scenario or DEFAULT)
         if kind == "observer":
             return Checked(kind, label, s.name, observer.findings(load(target, given), s))
-        mine = own_entries.load("controller", target, WHERE)
+        mine = registry.load("controller", target, WHERE)
         return Checked(kind, label, s.name, controller.findings(label, mine, s, given))
 
 
 def _require_name(name: str) -> None:
     """Raise UserError where a word can name no scenario, before any code is run."""
-    if not (own.is_reference(name) or name.endswith(".toml") or name in STUDIES or name in SCENARIOS):
+    if not (user_code.is_reference(name) or name.endswith(".toml") or name in STUDIES or name in SCENARIOS):
         raise unknown(f"{WHERE} --scenario", "scenario", name, SCENARIOS)
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
     """A scenario of a plant of a user's own, with some of its numbers changed."""
-    mine = own_entries.load("plant", target, WHERE)
-    s = plant_trial.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else read.scenario_of(name)
+    mine = registry.load("plant", target, WHERE)
+    s = plant_fixtures.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else parse.scenario_of(name)
     there = s.own.get("plant")
     if there is None or (there.code.name, there.code.digest) != (mine.code.name, mine.code.digest):
         raise UserError(

@@ -9,19 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking import pure
-from pcbench.checking.controller_trial import Trial, asked, given, numbers, trial
-from pcbench.checking.finding import Finding, Skipped, ask, require
-from pcbench.checking.lanes import WIDTH, moved, same_in_lanes
-from pcbench.checking.quiet import planned, quiet, recorded, short
+from pcbench.checking.controller_fixtures import Trial, asked, given, numbers, trial
+from pcbench.checking.noise_free_runs import planned, quiet, recorded, short
+from pcbench.checking.result import Finding, Skipped, ask, require
+from pcbench.checking.vmap_check import WIDTH, moved, same_in_lanes
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
 from pcbench.observers import entry_of as observer_of
 from pcbench.plants import nonlinear, signals_of, states_of
 from pcbench.scenarios import Scenario
 from pcbench.simulation import law_conformance
-from pcbench.study import loops
-from pcbench.study.cells import cell_of
-from pcbench.study.own import Own
+from pcbench.study import controller_table
+from pcbench.study.grid import cell_of
+from pcbench.study.plugins.user_code import Own
 
 
 def numbers_are_arrays(t: Trial) -> str:
@@ -75,12 +75,12 @@ def held(t: Trial) -> str:
 
 def settles(t: Trial) -> str:
     """The eigenvalues of the closed loop, the state known, lie within the unit circle."""
-    found, where = loops.slowest(t.scenario, "settles"), t.scenario.name
+    found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
     if found is None:
         raise Skipped(
             "it has no linear law about rest, as it looks at inputs on their way: write linear(options, told)"
         )
-    if sentence := loops.warning(t.scenario, "settles"):
+    if sentence := controller_table.warning(t.scenario, "settles"):
         raise UserError(sentence)
     return (
         f"the closed loop on {where} has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size "

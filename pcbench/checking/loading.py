@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from pcbench.errors import UserError, raised, short, unknown
 from pcbench.observers import ObserverSpec
-from pcbench.study import own_entries
+from pcbench.study.plugins import registry
 
 WHERE = "check"
 
@@ -25,7 +25,7 @@ class Candidate(NamedTuple):
 
 def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
     """Return the observer that MODULE:OBSERVER names, with the options `given`; raise UserError where there is none."""
-    entry = own_entries.load("observer", target, WHERE).entry
+    entry = registry.load("observer", target, WHERE).entry
     return Candidate(target.rpartition(":")[2], entry, _options(entry, given or {}, f"{WHERE} {short(target)}"))
 
 

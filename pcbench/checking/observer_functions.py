@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from pcbench.checking.fixtures import Case, Trial
 from pcbench.checking.tracing import Asked
-from pcbench.checking.trial import Case, Trial
 from pcbench.protocols import Arrival
-from pcbench.simulation.problem import present
+from pcbench.simulation.types import present
 
 TICK, AGE = 5, 2  # where the functions are asked: a tick and an age that every schedule has
 

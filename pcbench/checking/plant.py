@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 
-from pcbench.checking.finding import Finding, ask
+from pcbench.checking.plant_fixtures import Trial, trial
 from pcbench.checking.plant_functions import axes, finite, float64, lanes, purity, shapes, slopes
 from pcbench.checking.plant_motion import perfect_start, rest, seen, tick
-from pcbench.checking.plant_trial import Trial, trial
+from pcbench.checking.result import Finding, ask
 from pcbench.scenarios import Scenario
 
 CHECKS: dict[str, Callable[[Trial], str]] = {

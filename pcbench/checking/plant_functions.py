@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking import pure
-from pcbench.checking.finding import Noted, Skipped, require
-from pcbench.checking.lanes import WIDTH, same_in_lanes
-from pcbench.checking.plant_trial import Given, Trial, asked, entries_of, moves, points, shown_at
+from pcbench.checking.plant_fixtures import Given, Trial, asked, entries_of, moves, points, shown_at
+from pcbench.checking.result import Noted, Skipped, require
+from pcbench.checking.vmap_check import WIDTH, same_in_lanes
 from pcbench.dynamics.linear import discretize_zoh
 from pcbench.errors import UserError, raised
 from pcbench.plants import numbers_of

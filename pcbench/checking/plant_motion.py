@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.checking.finding import Noted, Skipped
-from pcbench.checking.plant_trial import EVERY, Given, Trial, asked, moves, now_of, points
-from pcbench.checking.quiet import in_parts, planned, quiet, recorded
-from pcbench.checking.schedules import LINEAR, ROUNDING
-from pcbench.checking.trial import NEAR
+from pcbench.checking.fixtures import NEAR
+from pcbench.checking.noise_free_runs import in_parts, planned, quiet, recorded
+from pcbench.checking.plant_fixtures import EVERY, Given, Trial, asked, moves, now_of, points
+from pcbench.checking.result import Noted, Skipped
+from pcbench.checking.run_checks import LINEAR, ROUNDING
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.observability import decays, unobservable
 from pcbench.dynamics.observability import shown as shown_mode
@@ -22,7 +22,7 @@ from pcbench.plants import numbers_of
 from pcbench.plants.nonlinear import REST
 from pcbench.scenarios import Loop, Sampling
 from pcbench.study import times
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
 

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 
 from pcbench.checking import pure
-from pcbench.checking.finding import require
+from pcbench.checking.fixtures import Case, Trial, designed
 from pcbench.checking.observer_functions import Given, asked, given
+from pcbench.checking.result import require
 from pcbench.checking.tracing import Program, alike, program
-from pcbench.checking.trial import Case, Trial, designed
 from pcbench.protocols import Gains
 
 ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's

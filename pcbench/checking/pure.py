@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 
-from pcbench.checking.finding import require
+from pcbench.checking.result import require
 from pcbench.checking.tracing import Asked, Program, alike, inside, program
 from pcbench.errors import UserError
 

@@ -7,11 +7,11 @@ estimate depends on is then seen by comparing two runs bit for bit.
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.checking.trial import Trial
-from pcbench.simulation import trace
-from pcbench.simulation.problem import Layout, Problem
+from pcbench.checking.fixtures import Trial
+from pcbench.simulation import trajectory
 from pcbench.simulation.simulate_runs import Shift
-from pcbench.simulation.trace import Recording
+from pcbench.simulation.trajectory import Recording
+from pcbench.simulation.types import Layout, Problem
 
 
 def none(p: Problem) -> Shift:
@@ -24,4 +24,4 @@ def replay(t: Trial, p: Problem, shift: Shift) -> Recording:
     """Record a run of the trial's observer on the numbers `p`, its packets shifted; room for all packets at once."""
     quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
     layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.notes), False)
-    return trace.compiled()(layout, quiet, np.asarray(0), np.asarray(0), shift)
+    return trajectory.compiled()(layout, quiet, np.asarray(0), np.asarray(0), shift)

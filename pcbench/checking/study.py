@@ -6,16 +6,16 @@ from functools import partial
 import numpy as np
 
 from pcbench import planning
-from pcbench.checking.finding import Finding, Noted, Skipped, ask
-from pcbench.checking.quiet import errors, in_parts, planned, quiet, recorded, short
-from pcbench.checking.schedules import ROUNDING
+from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
+from pcbench.checking.result import Finding, Noted, Skipped, ask
+from pcbench.checking.run_checks import ROUNDING
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
-from pcbench.study import loops, read
-from pcbench.study.cells import Cell, Grid
-from pcbench.study.read import Described
+from pcbench.study import controller_table, parse
+from pcbench.study.grid import Cell, Grid
+from pcbench.study.parse import Described
 
 MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
@@ -64,9 +64,9 @@ def _where(cell: Cell) -> str:
 def settles(grid: Grid) -> str:
     """Every loop settles: the eigenvalues lie within the unit circle, the state known."""
     scenarios = {(c.scenario.name, str(c.scenario.loop)): c.scenario for c in grid.cells}
-    found = {name: loops.slowest(s, "settles") for (name, _), s in scenarios.items()}
+    found = {name: controller_table.slowest(s, "settles") for (name, _), s in scenarios.items()}
     known = {name: each for name, each in found.items() if each}
-    if sentences := read.unstable(grid):
+    if sentences := parse.unstable(grid):
         raise UserError(sentences[0])
     if not known:
         raise Skipped("no loop is closed by a controller whose linear law is known")

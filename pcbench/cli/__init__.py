@@ -5,10 +5,10 @@ import signal
 import sys
 from threading import Event
 
-from pcbench.cli import stopping
-from pcbench.cli.stopping import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
+from pcbench.cli import interrupts
+from pcbench.cli.interrupts import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError, missing, out_of_memory, printable, said
-from pcbench.machine import ending, threads
+from pcbench.runtime import blas_threads, ending
 
 __all__ = ["main"]
 MANY = 100_000  # new objects before Python looks for cycles: by thousands it does so all the time that it imports
@@ -23,9 +23,9 @@ def main() -> None:
     gc.set_threshold(MANY)
     signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
-    stopping.watch()
+    interrupts.watch()
     sys.unraisablehook = unraisable
-    threads.one()
+    blas_threads.one()
     try:
         from pcbench.cli.commands import app
         from pcbench.cli.shared import speak
@@ -75,7 +75,7 @@ def _of_usage(error: Exception) -> str:
 def _stopped() -> int:
     if not ending.begin():
         Event().wait()  # another thread says so, and ends the process
-    return _complain(stopping.SENTENCE, exit_code())
+    return _complain(interrupts.SENTENCE, exit_code())
 
 
 def _complain(sentence: str, code: int = 2) -> int:

@@ -17,8 +17,9 @@ from pcbench.plants import PLANTS, parameters_in, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.statistics import POOLED, RUN_METRICS
-from pcbench.study import STUDIES, Choices, Study, observers_of, own, own_entries, read
+from pcbench.study import STUDIES, Choices, Study, observers_of, parse
 from pcbench.study.axes import AXES, axes_of
+from pcbench.study.plugins import registry, user_code
 
 TAKES = {
     "any schedule": "of any age, in any order, from clocks of their own",
@@ -203,17 +204,17 @@ def found(kind: str, name: str | None = None) -> dict[str, Description]:
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)
     names, say = CATALOGUE[kind]
-    there = own_entries.installed(kind.removesuffix("s"))
+    there = registry.installed(kind.removesuffix("s"))
     if name is None:
         return {each: say(each) for each in names} | {each: _offered(offer) for each, offer in there.items()}
     if name in names:
         return {name: say(name)}
-    if name in there or own.is_reference(name):
+    if name in there or user_code.is_reference(name):
         return {name: _own(kind, there[name].reference if name in there else name)}
     raise unknown(f"list {kind}", "name there (or MODULE:NAME)", name, [*names, *there])
 
 
-def _offered(offer: own_entries.Installed) -> Description:
+def _offered(offer: registry.Installed) -> Description:
     """What is said of something that an installed package offers, without its code."""
     return {"summary": f"of the package {offer.package}", "use": offer.reference}
 
@@ -222,8 +223,8 @@ def _own(kind: str, reference: str) -> Description:
     """What is said of a user's own by its code."""
     where = f"list {kind}"
     if kind == "scenarios":
-        return sheet(read.scenario_of(reference))
+        return sheet(parse.scenario_of(reference))
     if kind not in OWN:
         raise unknown(where, "name there", reference, CATALOGUE[kind][0])
     singular, say = OWN[kind]
-    return say(own_entries.load(singular, reference, where).entry)
+    return say(registry.load(singular, reference, where).entry)

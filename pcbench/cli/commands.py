@@ -6,19 +6,19 @@ from typing import Annotated, Any
 import typer
 
 from pcbench.cli import (
-    checking,
-    creating,
-    datasets,
-    exporting,
-    guests,
+    check,
+    dataset,
+    export,
+    external,
+    find_limit,
     guide,
     lists,
-    logs,
+    new,
     observers,
-    papers,
-    reports,
+    recordings,
+    report,
+    reproduce,
     runs,
-    sufficing,
     tables,
     tuning,
 )
@@ -27,27 +27,27 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
     "guide": (guide.guide, "a page of the guide, or which there are"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),
-    "new": (creating.new, "a file to start from: an observer, plant, controller, scenario"),
+    "new": (new.new, "a file to start from: an observer, plant, controller, scenario"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
-    "report": (reports.report, "one HTML page of the results, or figures"),
+    "report": (report.report, "one HTML page of the results, or figures"),
     "tables": (tables.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
-    "find-limit": (sufficing.find_limit, "the largest period, delay, noise that keeps an error small"),
+    "find-limit": (find_limit.find_limit, "the largest period, delay, noise that keeps an error small"),
     "simulate": (runs.simulate, "one run tick by tick, as a file"),
-    "info": (logs.info, "what is in a recorded log: rates, gaps, delays"),
-    "replay": (logs.replay, "observers on recorded data, as it arrived"),
-    "status": (datasets.status, "how far a study is, and whether it is whole"),
-    "verify": (datasets.verify, "check every file, compute some runs again"),
-    "merge": (datasets.merge, "one dataset of several"),
-    "compare": (datasets.compare, "what changed between two results of a study"),
+    "info": (recordings.info, "what is in a recorded log: rates, gaps, delays"),
+    "replay": (recordings.replay, "observers on recorded data, as it arrived"),
+    "status": (dataset.status, "how far a study is, and whether it is whole"),
+    "verify": (dataset.verify, "check every file, compute some runs again"),
+    "merge": (dataset.merge, "one dataset of several"),
+    "compare": (dataset.compare, "what changed between two results of a study"),
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
-    "export": (exporting.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
-    "external prepare": (guests.prepare, "what every run measures and when, for a program in any language"),
-    "external score": (guests.score, "estimates made elsewhere, as one more observer"),
-    "external run": (guests.run, "an observer in Python, one run at a time, on the same draws"),
-    "check": (checking.check, "check what is your own: observer, plant, controller, study"),
+    "export": (export.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
+    "external prepare": (external.prepare, "what every run measures and when, for a program in any language"),
+    "external score": (external.score, "estimates made elsewhere, as one more observer"),
+    "external run": (external.run, "an observer in Python, one run at a time, on the same draws"),
+    "check": (check.check, "check what is your own: observer, plant, controller, study"),
     "cite": (tables.cite, "BibTeX of what a study used"),
-    "reproduce": (papers.reproduce, "what five papers print, against what comes out"),
+    "reproduce": (reproduce.reproduce, "what five papers print, against what comes out"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}
 
@@ -78,12 +78,12 @@ def whole(
     """
 
 
-external = typer.Typer(rich_markup_mode=None, context_settings=NAMES)
+_external = typer.Typer(rich_markup_mode=None, context_settings=NAMES)
 for name, (function, line) in ALL.items():
     group, _, command = name.rpartition(" ")
-    (external if group else app).command(command, short_help=line)(function)
+    (_external if group else app).command(command, short_help=line)(function)
 app.add_typer(
-    external,
+    _external,
     name="external",
     help="Score an observer that lives elsewhere on a study's draws: prepare them, then run it or score its estimates.",
     short_help="observers that live elsewhere, on the same draws",

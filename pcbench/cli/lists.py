@@ -25,7 +25,7 @@ def list_(
     Example: pcbench list observers pccebo
     """
     from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, found
-    from pcbench.cli.screen import listing
+    from pcbench.cli.render import listing
 
     said = {kind: found(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
     if as_json:
@@ -62,10 +62,10 @@ def show(
     Example: pcbench show cart/white --toml > mine.toml
     """
     from pcbench.cli.catalogue import sheet
-    from pcbench.cli.screen import listing
+    from pcbench.cli.render import listing
     from pcbench.errors import UserError
-    from pcbench.study import observers_of, read, scenario_toml
-    from pcbench.study.raw import raw_of
+    from pcbench.study import observers_of, parse, scenario_template
+    from pcbench.study.load import raw_of
 
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
@@ -75,16 +75,16 @@ def show(
         )
         _costs(scenario, changes, as_json)
         return
-    study = read.outline(scenario, changes or [])
-    if read.names_all(raw_of(scenario, changes or [], read.FROM_HERE)):
+    study = parse.outline(scenario, changes or [])
+    if parse.names_all(raw_of(scenario, changes or [], parse.FROM_HERE)):
         from pcbench.planning import all_observers  # with jax: gains are designed
 
         study = all_observers.outline(scenario, changes or [])
         _say_excluded(study.excluded)
-    found = read.scenario_in(study, scenario)
+    found = parse.scenario_in(study, scenario)
     if as_toml:
         mine = found._replace(observers=tuple(observers_of(study, found.name)))
-        write(scenario_toml.as_study(mine, study.axes, study.options))
+        write(scenario_template.as_study(mine, study.axes, study.options))
     elif as_json:
         print(json.dumps({found.name: sheet(found, study)}, indent=2))
     else:

@@ -28,19 +28,19 @@ def design(
     Example: pcbench design cart/gaussian pccebo --gain h2 --sweep decay=0.2,0.5,1,2
     """
     setup()
-    from pcbench.cli.screen import gains
-    from pcbench.cli.screen.json import readable
-    from pcbench.dataset import as_file, store
+    from pcbench.cli.render import gains
+    from pcbench.cli.render.json import readable
+    from pcbench.dataset import storage, write_table
     from pcbench.gains import design
-    from pcbench.machine import process
+    from pcbench.runtime import config
     from pcbench.synthesis.certificate import is_certified
 
     if sweep is not None:
         if file is not None:
-            as_file.kind_of(file)
+            write_table.kind_of(file)
         table = design.trade_off(scenario, observer, *_values(sweep), gain=gain, overrides=changes)
         if file is not None:
-            as_file.put(file, gains.arrow(table))
+            write_table.put(file, gains.arrow(table))
         if as_json:
             print(readable(table.to_dict("records")))
         else:
@@ -48,13 +48,13 @@ def design(
         return
     if file is not None:
         _may_write(Path(file))
-    with process.float64():
+    with config.float64():
         study, cell, found = design.design(scenario, observer, gain=gain, overrides=changes)
         text = design.to_toml(design.as_study(study, cell, observer, found)) if file is not None else ""
     if file is not None:
-        target = store.target(Path(file).parent)
-        store.make(target)
-        store.put(target, Path(file).name, text.encode())
+        target = storage.target(Path(file).parent)
+        storage.make(target)
+        storage.put(target, Path(file).name, text.encode())
     if as_json:
         fields = found.certificate._asdict()
         print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from pcbench.cli.interrupts import stoppable
 from pcbench.cli.shared import (
     RANKS,
     AsJson,
@@ -23,7 +24,6 @@ from pcbench.cli.shared import (
     say,
     setup,
 )
-from pcbench.cli.stopping import stoppable
 from pcbench.errors import UserError
 
 
@@ -77,13 +77,13 @@ def run(
         require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench import api, statistics
-    from pcbench.cli import ahead
-    from pcbench.cli.screen.progress import bar
-    from pcbench.study import read
+    from pcbench.cli import prefetch
+    from pcbench.cli.render.progress import bar
+    from pcbench.study import parse
 
     statistics.compared(metric, "--metric")
-    asked, where = read.outline(study, changes or []), chosen(signal)
-    read.require_signals(asked, where, "--signal")
+    asked, where = parse.outline(study, changes or []), chosen(signal)
+    parse.require_signals(asked, where, "--signal")
     if (evaluation or asked.evaluation) == "exact":
         require_effect(simulated[0], 'with a study of evaluation "exact"', simulated[1])
         _require_exact(metric)
@@ -104,14 +104,14 @@ def run(
             workers=workers,
             block_size=block_size,
             memory=memory,
-            progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
+            progress=stoppable(prefetch.importing(progress, prefetch.CLOSING + (() if quiet else prefetch.SHOWING))),
             say=say,
         )
     if result.study.custom_observers and find_spec("matplotlib"):
-        from pcbench.report import pictures
+        from pcbench.report import figures
 
-        shown = pictures.Shown(metric=metric, signals=where)
-        pictures.places(result, list(result.study.scenarios), shown)  # while the user's own code is at hand
+        shown = figures.Shown(metric=metric, signals=where)
+        figures.places(result, list(result.study.scenarios), shown)  # while the user's own code is at hand
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}
@@ -121,23 +121,23 @@ def run(
     elif quiet:
         print(into)
     else:
-        from pcbench.cli.screen import results, took
+        from pcbench.cli.render import results, timing
 
         screen = console()
         results.closing(result, screen, metric, where, api.operation_counts(result.study) if costs else None)
         if result.fair is not None:
-            from pcbench.cli.screen import gains
+            from pcbench.cli.render import gains
 
             gains.fair(result.fair, screen)
-        screen.print(took.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
-        for line in took.timings(result, perf_counter() - began) if timings else []:
+        screen.print(timing.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
+        for line in timing.timings(result, perf_counter() - began) if timings else []:
             screen.print(line, highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _require_exact(metric: str) -> None:
     """Raise UserError where the metric that is to rank observers has no exact value, nor has its pooled form."""
-    from pcbench.moments.described import ORDER, RUNS_ONLY
+    from pcbench.moments.stats_rows import ORDER, RUNS_ONLY
     from pcbench.statistics import COMPARED
 
     def has_one(metric: str) -> bool:
@@ -169,14 +169,14 @@ def simulate(
     """
     setup()
     from pcbench import api
-    from pcbench.dataset import as_file, traced
+    from pcbench.dataset import trajectory_table, write_table
     from pcbench.planning import all_observers
     from pcbench.plants import signals_of
-    from pcbench.study import read
+    from pcbench.study import parse
 
-    as_file.kind_of(file)
+    write_table.kind_of(file)
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     for sentence in all_observers.sentences(frame.attrs["excluded"]):
         say(sentence)
-    as_file.put(file, traced.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
+    write_table.put(file, trajectory_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

@@ -77,7 +77,7 @@ def require_effect(given: Mapping[str, Any], beside: str, expected: str) -> None
 
 def console() -> Any:
     """Return where tables are printed: as wide as the terminal, or as COLUMNS says."""
-    from pcbench.cli.screen.tables import Screen
+    from pcbench.cli.render.tables import Screen
 
     wide = os.environ.get("COLUMNS", "")
     return Screen() if sys.stdout.isatty() else Screen(width=int(wide) if wide.isdecimal() and int(wide) else WIDE)
@@ -85,9 +85,9 @@ def console() -> Any:
 
 def setup() -> None:
     """Set jax up for a command that computes: float64, and where compiled programs are kept."""
-    from pcbench.machine import process
+    from pcbench.runtime import config
 
-    process.setup()
+    config.setup()
 
 
 def names(text: str) -> list[str]:

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli.logs import Late
+from pcbench.cli.interrupts import stoppable
+from pcbench.cli.recordings import Late
 from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, setup
-from pcbench.cli.stopping import stoppable
-from pcbench.dataset.seeds import Seeds
+from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 
 SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
@@ -70,8 +70,8 @@ def tune(
         return
     if delay is not None:
         raise UserError("--delay: got one without --log, expected it with a log alone; leave it out, or give --log.")
-    from pcbench.cli.screen import gains
-    from pcbench.cli.screen.progress import bar
+    from pcbench.cli.render import gains
+    from pcbench.cli.render.progress import bar
     from pcbench.gains import history, tune
 
     with bar(quiet or as_json, "designing gains") as progress:
@@ -137,11 +137,11 @@ def _on_log(
     as_json: bool,
 ) -> None:
     """Tune on a log and print what was found."""
-    from pcbench.cli.screen import likelihood
-    from pcbench.cli.screen.json import readable
-    from pcbench.cli.screen.progress import bar
+    from pcbench.cli.render import likelihood
+    from pcbench.cli.render.json import readable
+    from pcbench.cli.render.progress import bar
     from pcbench.gains.tune import BUDGET
-    from pcbench.replaying.tuning import tune_log
+    from pcbench.playback.tuning import tune_log
 
     with bar(quiet or as_json, "designing gains") as progress:
         found = tune_log(

@@ -14,8 +14,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import columns, parquet, store
-from pcbench.dataset.seeds import Seeds
+from pcbench.dataset import columns, parquet_io, storage
+from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 
 ABOUT = b"pcbench.block"  # the key in a file's metadata
@@ -50,10 +50,10 @@ def block_of(name: str) -> Block | None:
     return Block(unquote(scenario), unquote(observer), int(cell), Seeds(int(first), int(last) + 1))
 
 
-def present(target: store.Target) -> list[Block]:
+def present(target: storage.Target) -> list[Block]:
     """Return the blocks that have a file, sorted; raise UserError for a file that is no block."""
     out = []
-    for name in store.names(target, "runs"):
+    for name in storage.names(target, "runs"):
         block = block_of(name)
         if block is None:
             raise UserError(
@@ -63,7 +63,7 @@ def present(target: store.Target) -> list[Block]:
     return sorted(out)
 
 
-def read(target: store.Target, block: Block) -> pa.Table:
+def read(target: storage.Target, block: Block) -> pa.Table:
     """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
     found = _whole(target, block)
     if isinstance(found, str):
@@ -73,12 +73,12 @@ def read(target: store.Target, block: Block) -> pa.Table:
     return found
 
 
-def _whole(target: store.Target, block: Block) -> pa.Table | str:
-    content = store.get(target, block.name)
+def _whole(target: storage.Target, block: Block) -> pa.Table | str:
+    content = storage.get(target, block.name)
     if content is None:
         return "it is gone"
     try:
-        return parquet.parsed(content)
+        return parquet_io.parsed(content)
     except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
@@ -88,9 +88,9 @@ def about(table: pa.Table) -> dict[str, Any]:
     return _about(table.schema.metadata)
 
 
-def about_block(target: store.Target, block: Block) -> dict[str, Any]:
+def about_block(target: storage.Target, block: Block) -> dict[str, Any]:
     """Return the same from a block's footer alone."""
-    found = store.footer(target, block.name)
+    found = storage.footer(target, block.name)
     return _about(found.metadata) if found else {}
 
 
@@ -114,13 +114,13 @@ def digest(table: pa.Table, said: dict[str, Any]) -> str:
     """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
     out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
     for field, column in zip(table.schema, table.columns, strict=True):
-        out.update(f"{field.name}:{parquet.type_of(field.type)}:{column.null_count}".encode())
+        out.update(f"{field.name}:{parquet_io.type_of(field.type)}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
             out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
     return out.hexdigest()[:32]
 
 
-def damage(target: store.Target, block: Block, cell: str) -> str | None:
+def damage(target: storage.Target, block: Block, cell: str) -> str | None:
     """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
     table = _whole(target, block)
     if isinstance(table, str):

@@ -19,17 +19,17 @@ import pandas as pd
 import pyarrow as pa
 from scipy.special import stdtr
 
-from pcbench.dataset import block_files, cell_rows, columns, ownership, store, summary
+from pcbench.dataset import aggregate, block_files, close, columns, manifest, storage
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Owned
-from pcbench.dataset.rows_apart import ROUNDING, ZERO
-from pcbench.dataset.seeds import Seeds, common, joined
+from pcbench.dataset.manifest import Owned
+from pcbench.dataset.seed_ranges import Seeds, common, joined
+from pcbench.dataset.table_diff import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.moments import Values
 from pcbench.study import Study
-from pcbench.study.as_toml import to_toml
-from pcbench.study.cells import identity, rooted
+from pcbench.study.grid import identity, rooted
+from pcbench.study.serialize import to_toml
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
@@ -72,9 +72,9 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
 
     Of blocks only the footers are read: `verify` reads them whole.
     """
-    targets = store.target(a), store.target(b)
-    holdings = ownership.opened(targets[0]), ownership.opened(targets[1])
-    if found := ownership.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
+    targets = storage.target(a), storage.target(b)
+    holdings = manifest.opened(targets[0]), manifest.opened(targets[1])
+    if found := manifest.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
         raise UserError(
             f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(found[:3])}), expected the same study; "
             "compare results of one study."
@@ -100,16 +100,16 @@ def _rooted(owned: Owned, other: Study) -> Owned:
 class Side(NamedTuple):
     """One of two results."""
 
-    target: store.Target
+    target: storage.Target
     owned: Owned
     stats: pa.Table
     digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
     blocks: dict[tuple[str, int, str], list[Block]]  # by scenario, cell and observer
 
 
-def _side(target: store.Target, owned: Owned) -> Side:
+def _side(target: storage.Target, owned: Owned) -> Side:
     """Return a result; raise UserError where it is not finished or not whole."""
-    found = summary.table(target, "stats.parquet")
+    found = close.table(target, "stats.parquet")
     if found is None:
         raise UserError(
             f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
@@ -123,12 +123,12 @@ def _side(target: store.Target, owned: Owned) -> Side:
                 f"{target.name}/{b.name}: is of a cell that {target.name}/study.toml does not have, expected one of its cells; "
                 "restore that file, or run the study again."
             )
-        if store.footer(target, b.name) is None:
+        if storage.footer(target, b.name) is None:
             raise UserError(
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    if not summary.is_closed(target, there):
+    if not close.is_closed(target, there):
         raise UserError(
             f"{target.name}/stats.parquet: is not of the blocks in {target.name}/runs, expected a finished study; run it again "
             "to go on."
@@ -180,10 +180,10 @@ def _over(side: Side, shared: CommonSeeds) -> pa.Table:
     axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
     parts = []
     for cell in side.owned.cells if shared else ():
-        found = cell_rows.observed(side.target, cell, side.blocks)
+        found = aggregate.observed(side.target, cell, side.blocks)
         for observer, each in found.items():
             within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
-            rows, _ = cell_rows.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)
+            rows, _ = aggregate.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)
             parts.append(rows.table(columns.stats_order(axes)))
     return pa.concat_tables(parts) if parts else side.stats
 
@@ -236,9 +236,9 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
     return np.where(known, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)
 
 
-def made_by(a: store.Target, b: store.Target) -> list[str]:
+def made_by(a: storage.Target, b: storage.Target) -> list[str]:
     """Return how two provenances differ in libraries and machines, a phrase each."""
-    there, here = (summary.record(target) or {} for target in (a, b))
+    there, here = (close.record(target) or {} for target in (a, b))
     exact = 0 in (there.get("blocks"), here.get("blocks"))  # no runs there, so none went any way
     old, new = (_flat({k: each.get(k) for k in MADE_BY if not (exact and k == "flow")}) for each in (there, here))
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]

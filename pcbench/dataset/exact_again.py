@@ -7,25 +7,27 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pcbench.dataset import columns, exact_part, store
+from pcbench.dataset import columns, moments_tables, storage
 from pcbench.dataset.exact_merge import agree
-from pcbench.dataset.ownership import Owned
-from pcbench.study.cells import Cell, Grid
+from pcbench.dataset.manifest import Owned
+from pcbench.study.grid import Cell, Grid
 
 
-def differing(target: store.Target, owned: Owned, sample: int | None, seed: int) -> tuple[list[str], list[str]]:
+def differing(target: storage.Target, owned: Owned, sample: int | None, seed: int) -> tuple[list[str], list[str]]:
     """Return which cells were computed again, `sample` drawn with `seed` (None: all), and a sentence for each that differs."""
-    there = exact_part.whole(target)
+    there = moments_tables.whole(target)
     if there is None or sample == 0:
         return [], []
     cells = owned.cells
     if sample is not None and sample < len(cells):
         cells = [cells[i] for i in sorted(np.random.default_rng(seed).choice(len(cells), sample, replace=False))]
-    from pcbench.dataset.exact import Exact
+    from pcbench.dataset.moments_frames import Exact
 
     exact = Exact(Grid(owned.study, cells), owned.study.schedules)
     here = columns.with_intervals(columns.table(columns.together(exact.rows(m) for m in exact.solved(cells))))
-    said = [f"{exact_part.NAME}: {_called(c)}: other numbers come out now." for c in cells if not _same(there, here, c)]
+    said = [
+        f"{moments_tables.NAME}: {_called(c)}: other numbers come out now." for c in cells if not _same(there, here, c)
+    ]
     return [_called(c) for c in cells], said
 
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import exact_part, ownership, parquet, store
-from pcbench.dataset.ownership import Owned
+from pcbench.dataset import manifest, moments_tables, parquet_io, storage
+from pcbench.dataset.manifest import Owned
 from pcbench.errors import UserError
 
 ROUNDING, ZERO = 1e-9, 1e-11  # relative; absolute, in any unit
 Moved = dict[tuple[str, int], int]  # by scenario and number in a part, the cell's number in the merged dataset
-Holder = tuple[store.Target, Owned, Moved, str]  # and the file's name there
+Holder = tuple[storage.Target, Owned, Moved, str]  # and the file's name there
 
 
-def pieces(targets: list[store.Target], holdings: list[Owned], whole: Owned) -> Iterator[tuple[str, pa.Table]]:
+def pieces(targets: list[storage.Target], holdings: list[Owned], whole: Owned) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of the merged exact part by name; raise UserError where one is damaged, or two parts disagree."""
     for name, holders in sorted(_holders(targets, holdings).items()):
         first, *others = holders
@@ -33,15 +33,15 @@ def pieces(targets: list[store.Target], holdings: list[Owned], whole: Owned) -> 
         yield name, table
 
 
-def _holders(targets: list[store.Target], holdings: list[Owned]) -> dict[str, list[Holder]]:
+def _holders(targets: list[storage.Target], holdings: list[Owned]) -> dict[str, list[Holder]]:
     """Return by name in the merged dataset who holds a file."""
-    numbers = {(s, digest): number for (s, number), digest in ownership.digests(holdings[0]).items()}
+    numbers = {(s, digest): number for (s, number), digest in manifest.digests(holdings[0]).items()}
     out: dict[str, list[Holder]] = {}
     for target, owned in zip(targets, holdings, strict=True):
-        moved = {(s, n): numbers[s, digest] for (s, n), digest in ownership.digests(owned).items()}
-        called = {exact_part.place(s, n): exact_part.place(s, to) for (s, n), to in moved.items()}
-        called[exact_part.NAME] = exact_part.NAME
-        for name in filter(called.__contains__, store.names(target)):
+        moved = {(s, n): numbers[s, digest] for (s, n), digest in manifest.digests(owned).items()}
+        called = {moments_tables.place(s, n): moments_tables.place(s, to) for (s, n), to in moved.items()}
+        called[moments_tables.NAME] = moments_tables.NAME
+        for name in filter(called.__contains__, storage.names(target)):
             out.setdefault(called[name], []).append((target, owned, moved, name))
     return out
 
@@ -49,16 +49,16 @@ def _holders(targets: list[store.Target], holdings: list[Owned]) -> dict[str, li
 def _read(holder: Holder, whole: Owned) -> pa.Table:
     """Return the rows of a file as the merged dataset is to hold them."""
     target, owned, moved, name = holder
-    content = store.get(target, name)
-    table = None if content is None else parquet.whole(content)
+    content = storage.get(target, name)
+    table = None if content is None else parquet_io.whole(content)
     if table is None:
         raise UserError(f"{target.name}/{name}: is damaged, expected a whole file; run its study again first.")
-    if name != exact_part.NAME:
+    if name != moments_tables.NAME:
         return table
     about: dict[Any, Any] = dict(table.schema.metadata or {})
-    stands = about.pop(exact_part.OF, b"") == exact_part.of(owned)  # else the next run makes it anew
-    about |= {exact_part.OF: exact_part.of(whole)} if stands else {}
-    return parquet.sealed(_numbered(table, moved, whole).replace_schema_metadata(about))
+    stands = about.pop(moments_tables.OF, b"") == moments_tables.of(owned)  # else the next run makes it anew
+    about |= {moments_tables.OF: moments_tables.of(whole)} if stands else {}
+    return parquet_io.sealed(_numbered(table, moved, whole).replace_schema_metadata(about))
 
 
 def _numbered(table: pa.Table, moved: Moved, whole: Owned) -> pa.Table:

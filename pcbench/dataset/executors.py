@@ -16,8 +16,8 @@ from typing import Any
 
 from pcbench.engine import runner
 from pcbench.errors import UserError, shown_address
-from pcbench.machine import ending, process
-from pcbench.machine.memory import allowed
+from pcbench.runtime import config, ending
+from pcbench.runtime.memory import allowed
 
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
@@ -221,7 +221,7 @@ def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
 
 @cache
 def _set_up() -> None:
-    process.setup()
+    config.setup()
 
 
 @contextmanager

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, exact_merge, fill, kept_code, ownership, parquet, store, summary
+from pcbench.dataset import block_files, close, exact_merge, manifest, parquet_io, run_missing, storage, stored_code
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Owned
-from pcbench.dataset.rows_apart import difference, of_one_run
-from pcbench.dataset.seeds import Seeds, common, counted, gaps
+from pcbench.dataset.manifest import Owned
+from pcbench.dataset.seed_ranges import Seeds, common, counted, gaps
+from pcbench.dataset.table_diff import difference, of_one_run
 from pcbench.errors import UserError
-from pcbench.machine.progress import SILENT, Progress
-from pcbench.study.as_toml import to_toml
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study.serialize import to_toml
 
 BETWEEN_ENGINES = 1e-11  # by which rows that two engines computed may differ, see `of_one_run`
 
@@ -24,7 +24,7 @@ BETWEEN_ENGINES = 1e-11  # by which rows that two engines computed may differ, s
 class Part(NamedTuple):
     """A block where it stands, and as it is called in the merged dataset."""
 
-    target: store.Target
+    target: storage.Target
     there: Block
     block: Block
     engine: str  # of its study
@@ -45,16 +45,16 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     """
     if len(given) < 2:
         raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
-    targets = [store.target(each) for each in given]
-    holdings = [ownership.opened(target) for target in targets]
+    targets = [storage.target(each) for each in given]
+    holdings = [manifest.opened(target) for target in targets]
     for target, owned in zip(targets[1:], holdings[1:], strict=True):
-        if changed := [*ownership.differences(holdings[0], owned), *_asked(holdings[0], owned)]:
+        if changed := [*manifest.differences(holdings[0], owned), *_asked(holdings[0], owned)]:
             raise UserError(
                 f"{target.name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
                 "study with other seeds; merge datasets of one study."
             )
-    into = store.target(out)
-    if found := store.names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
+    into = storage.target(out)
+    if found := storage.names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
         raise UserError(
             f"{into.name}: holds files already ({found[0]}), expected a new folder; give another with --out, or remove it."
         )
@@ -66,18 +66,18 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     whole = _whole(holdings)
     for _ in exact_merge.pieces(targets, holdings, whole):
         pass
-    ownership.begin(into, whole)
+    manifest.begin(into, whole)
     for target in targets:
-        kept_code.copy(target, into)
+        stored_code.copy(target, into)
     doubled = 0
     for mine in parts.values():
         for name, content, twice in _pieces(mine):
             doubled += twice
             if content is not None:
-                store.put(into, name, content)
+                storage.put(into, name, content)
             progress.step(1)
     for name, table in exact_merge.pieces(targets, holdings, whole):
-        store.put_table(into, name, table)
+        storage.put_table(into, name, table)
     engines = sorted({str(owned.study.engine) for owned in holdings})
     return _closed(into, whole, targets, doubled, engines)
 
@@ -92,13 +92,13 @@ def _asked(a: Owned, b: Owned) -> Iterator[str]:
             yield f"{name}: {one} there, {other} here"
 
 
-def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:
+def _parts(targets: list[storage.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:
     """Return the blocks of all datasets by scenario, cell and observer; cells are numbered as in the first."""
     first = holdings[0]
-    numbers = {(s, digest): number for (s, number), digest in ownership.digests(first).items()}
+    numbers = {(s, digest): number for (s, number), digest in manifest.digests(first).items()}
     out: dict[tuple[str, int, str], list[Part]] = {}
     for target, owned in zip(targets, holdings, strict=True):
-        digests = ownership.digests(owned)
+        digests = manifest.digests(owned)
         for b in sorted(block_files.present(target), key=lambda b: (b.seeds.first, -b.seeds.stop)):
             if wrong := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(
@@ -134,8 +134,8 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
 def _content(part: Part, block: Block) -> pa.Buffer:
     """The bytes of a block of some seeds of a part; as they stand, if it is all of it."""
     if block != part.there:
-        return parquet.encoded(cut(block_files.read(part.target, part.there), block))
-    content = store.get(part.target, block.name)
+        return parquet_io.encoded(cut(block_files.read(part.target, part.there), block))
+    content = storage.get(part.target, block.name)
     if content is None:
         raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
     return content
@@ -184,10 +184,10 @@ def _whole(holdings: list[Owned]) -> Owned:
 
 
 def _closed(
-    into: store.Target, whole: Owned, targets: list[store.Target], doubled: int, engines: list[str]
+    into: storage.Target, whole: Owned, targets: list[storage.Target], doubled: int, engines: list[str]
 ) -> MergeReport:
     """Close the merged dataset, where every observer has the same seeds."""
-    there, lacking = block_files.present(into), fill.lacking(into, whole)
+    there, lacking = block_files.present(into), run_missing.lacking(into, whole)
     if not lacking:
-        summary.close(into, whole, there, {"merged": [p.name for p in targets], "engines": engines})
+        close.close(into, whole, there, {"merged": [p.name for p in targets], "engines": engines})
     return MergeReport(len(there), doubled, lacking)

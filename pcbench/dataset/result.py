@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, exact_part, ownership, parquet, store, summary
-from pcbench.dataset.cost import Cost
+from pcbench.dataset import block_files, close, manifest, moments_tables, parquet_io, storage
+from pcbench.dataset.timing import Cost
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
-from pcbench.statistics.wording import UNPROVEN
+from pcbench.statistics.number_format import UNPROVEN
 from pcbench.study import Study, observers_of
 from pcbench.synthesis.certificate import is_certified
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 def open_result(out: str | Path) -> "Result":
     """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
-    target = store.target(str(out))
-    owned = ownership.opened(target)
+    target = storage.target(str(out))
+    owned = manifest.opened(target)
     there = block_files.settled(block_files.present(target))
-    if not summary.is_closed(target, there):
-        for name in summary.damaged(target):
+    if not close.is_closed(target, there):
+        for name in close.damaged(target):
             raise UserError(
                 f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to have it made anew."
             )
@@ -35,8 +35,8 @@ def open_result(out: str | Path) -> "Result":
             f"{target.name}/study.toml --out {target.name}."
         )
     result = Result(owned.study, target, out, Cost())
-    if (found := store.get(target, FAIR)) is not None:
-        if (table := parquet.whole(found)) is None:
+    if (found := storage.get(target, FAIR)) is not None:
+        if (table := parquet_io.whole(found)) is None:
             raise UserError(
                 f"{target.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
             )
@@ -54,14 +54,14 @@ class Result:
     def __init__(
         self,
         study: Study,
-        target: store.Target,
+        target: storage.Target,
         out: Path | str | None,
         cost: Cost,
         keep: TemporaryDirectory[str] | None = None,
     ):
         self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
-        self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.versions`
-        self.provenance: dict[str, Any] = summary.record(target) or {}
+        self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.gain_variants`
+        self.provenance: dict[str, Any] = close.record(target) or {}
 
     @cached_property
     def stats(self) -> "pd.DataFrame":
@@ -93,22 +93,22 @@ class Result:
     @cached_property
     def moments(self) -> "pd.DataFrame":
         """Mean and standard deviation of the errors over time, where they are exact: scenario, cell, observer, signal, t."""
-        return self._moments(store.names(self._target, exact_part.FOLDER))
+        return self._moments(storage.names(self._target, moments_tables.FOLDER))
 
     def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":
         """Return the same of one cell, of whose file alone it is read; none where nothing is exact there."""
-        name = exact_part.place(scenario, cell)
-        return self._moments([name] if store.get(self._target, name) is not None else [])
+        name = moments_tables.place(scenario, cell)
+        return self._moments([name] if storage.get(self._target, name) is not None else [])
 
     def _moments(self, names: list[str]) -> "pd.DataFrame":
         import pandas as pd
 
-        from pcbench.dataset.exact import OVER_TIME
+        from pcbench.dataset.moments_frames import OVER_TIME
 
         found = []
         for name in names:
-            content = store.get(self._target, name)
-            table = None if content is None else parquet.whole(content)
+            content = storage.get(self._target, name)
+            table = None if content is None else parquet_io.whole(content)
             if table is None:
                 raise UserError(f"{self._target.name}/{name}: is damaged; run the study again to have it made anew.")
             scenario, cell = (part.partition("=")[2] for part in name.removesuffix(".parquet").split("/")[-2:])
@@ -187,7 +187,7 @@ class Result:
         return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
     def _closing(self, name: str) -> "pd.DataFrame":
-        found = summary.table(self._target, name)
+        found = close.table(self._target, name)
         if found is None:
             raise UserError(
                 f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."

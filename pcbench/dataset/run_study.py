@@ -9,13 +9,22 @@ from time import perf_counter
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pcbench.dataset import block_files, exact_part, executors, fill, ownership, precision, store, summary
-from pcbench.dataset.cost import Cost, added
+from pcbench.dataset import (
+    adaptive_seeds,
+    block_files,
+    close,
+    executors,
+    manifest,
+    moments_tables,
+    run_missing,
+    storage,
+)
 from pcbench.dataset.result import Result
+from pcbench.dataset.timing import Cost, added
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.machine.progress import SILENT, Progress
-from pcbench.study.cells import Grid
+from pcbench.runtime import config
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study.grid import Grid
 
 Say = Callable[[str], None]
 
@@ -41,44 +50,44 @@ class How(NamedTuple):
             if count is not None and count < 1:
                 raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
         executors.share(self.memory, self.dask, self.workers, self.devices)
-        precision.parse(self.until_se, self.max_seeds)
+        adaptive_seeds.parse(self.until_se, self.max_seeds)
         return self
 
 
 def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
-    goal, say = precision.parse(how.until_se, how.max_seeds), how.say
-    with process.float64(), ExitStack() as stack:
+    goal, say = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say
+    with config.float64(), ExitStack() as stack:
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
-        target = store.target(keep.name if keep else str(out))
-        owned = ownership.claim(target, grid, how.overwrite)
-        precision.check(goal, owned)
+        target = storage.target(keep.name if keep else str(out))
+        owned = manifest.claim(target, grid, how.overwrite)
+        adaptive_seeds.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        sizes = fill.Sizes(how.block_size, share)
+        sizes = run_missing.Sizes(how.block_size, share)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
-        there = [] if owned.overwrite else fill.whole(target, owned, say)
+        there = [] if owned.overwrite else run_missing.whole(target, owned, say)
         exact, exactly = Cost(), perf_counter()
-        if grid.study.evaluation != "runs" and exact_part.made(target, owned, say, how.progress):
+        if grid.study.evaluation != "runs" and moments_tables.made(target, owned, say, how.progress):
             owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
             exact = Cost(exact_seconds=perf_counter() - exactly)
-        left = exact_part.simulated(target, owned)
-        wanted = fill.everything(left, there, how.more)
-        closing: list[summary.Closing] = []
+        left = moments_tables.simulated(target, owned)
+        wanted = run_missing.everything(left, there, how.more)
+        closing: list[close.Closing] = []
 
-        def beside(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> fill.Heard:
-            closing.append(summary.Closing(target, owned, blocks, lacking))
+        def beside(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> run_missing.Heard:
+            closing.append(close.Closing(target, owned, blocks, lacking))
             return closing[0].done
 
         once = None if goal else beside  # more seeds would make its tables anew
-        cost = added(exact, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once, say))
-        for wanted in precision.rounds(goal, target, left, say):
+        cost = added(exact, run_missing.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once, say))
+        for wanted in adaptive_seeds.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, say=say))
+            cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, how.progress, say=say))
         there = block_files.settled(block_files.present(target))
-        if cost.runs or not summary.is_closed(target, there):
+        if cost.runs or not close.is_closed(target, there):
             how.progress.note("statistics")
             about = {
                 "started": began.isoformat(timespec="seconds"),
@@ -92,7 +101,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
                 "runs_added": cost.runs,
                 "until_se": how.until_se,
             }
-            summary.close(target, owned, there, about, closing[0] if closing else None)
+            close.close(target, owned, there, about, closing[0] if closing else None)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)

@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import block_files, call_time, cell_rows, columns, runs_table, store
-from pcbench.dataset.pickled import pack, unpack
-from pcbench.dataset.seeds import Seeds
+from pcbench.dataset import aggregate, block_files, call_time, columns, run_rows, storage
+from pcbench.dataset.seed_ranges import Seeds
+from pcbench.dataset.serialize import pack, unpack
 from pcbench.engine import runner
 from pcbench.errors import UserError
-from pcbench.machine import process, provenance
-from pcbench.planning import in_memory
+from pcbench.planning import run_local
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
+from pcbench.runtime import config, provenance
 from pcbench.statistics import RUN_METRICS
-from pcbench.study.cells import Cell
+from pcbench.study.grid import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
 FEW_ROWS = 10_000  # of a task: 3 MB
@@ -74,14 +74,14 @@ class Report(NamedTuple):
     writing_seconds: float
     computing_seconds: float  # while it held its device, the making of the program included
     versions: dict[str, str]  # of what computed it
-    held: cell_rows.Held  # the blocks by name, where they have few rows: whoever wants them need not read them
+    held: aggregate.Held  # the blocks by name, where they have few rows: whoever wants them need not read them
     call: Call | None = None  # of a task that is timed
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     call: Call | None = None
-    results: in_memory.Results = {}
+    results: run_local.Results = {}
     with hold() as device:
         began = perf_counter()
         if task.timed:
@@ -90,15 +90,15 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         else:
             p, results, made = simulated(work, task, device)
         computing = perf_counter() - began
-    start, target = perf_counter(), store.target(work.out)
+    start, target = perf_counter(), storage.target(work.out)
     blocks = {} if task.timed else dict(files(work, task, p, results, made.ways))
     for name, (table, _) in blocks.items():
-        store.put_table(target, name, table, lasting=False)  # `fill` sees to that, once for all
+        storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
     few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
     return Report(
         cell=p.cell.key,
         runs=task.runs,
-        program=(process.name(), made.number),
+        program=(config.name(), made.number),
         compile_seconds=made.compile_seconds,
         writing_seconds=perf_counter() - start,
         computing_seconds=computing,
@@ -109,8 +109,8 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
 
 
 def files(
-    work: Work, task: Task, p: Plan, results: in_memory.Results, ways: dict[str, str]
-) -> Iterator[tuple[str, tuple[pa.Table, cell_rows.Runs]]]:
+    work: Work, task: Task, p: Plan, results: run_local.Results, ways: dict[str, str]
+) -> Iterator[tuple[str, tuple[pa.Table, aggregate.Runs]]]:
     """Yield the blocks of a task: name, rows, and these as a closing table takes them; `ways` by the program's observers."""
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
@@ -122,16 +122,16 @@ def files(
         at += seeds.many
 
 
-def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, runner.Program]:
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, run_local.Results, runner.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
-    with process.float64():
+    with config.float64():
         p, jobs, made = _prepared(work, task, device)
-        return p, in_memory.results(p, runner.serial(made, jobs)), made
+        return p, run_local.results(p, runner.serial(made, jobs)), made
 
 
 def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, runner.Program]:
     """Return about how many seconds a call of a task takes, from calls that end early."""
-    with process.float64():
+    with config.float64():
         p, jobs, made = _prepared(work, task, device)
         return p, call_time.seconds(made, jobs[0]), made
 
@@ -139,7 +139,7 @@ def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, 
 def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[runner.Job], runner.Program]:
     p = unpack(task.parcel)
     seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
-    jobs = list(in_memory.jobs(p, work.root_seed, seeds))
+    jobs = list(run_local.jobs(p, work.root_seed, seeds))
     made = runner.program(p.layout, jobs[0], device)
     _fits(p, made.memory, work.memory)
     return p, jobs, made
@@ -153,7 +153,7 @@ def block(
     seeds: Seeds,
     way: str,
     common: dict[int, dict[str, pa.Array]] | None = None,
-) -> tuple[str, tuple[pa.Table, cell_rows.Runs]]:
+) -> tuple[str, tuple[pa.Table, aggregate.Runs]]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
 
     `common` has the columns that blocks of these seeds have in common, by how many signals they are of; it is added to.
@@ -183,11 +183,11 @@ def block(
     }
     common = {} if common is None else common
     if many not in common:
-        common[many] = runs_table.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
-    table = runs_table.runs_table(common[many], results, p.predicts_unknown_input[label])
+        common[many] = run_rows.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
+    table = run_rows.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
-    return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))
+    return name, (block_files.sealed(table, about), aggregate.Runs(about, kept))
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:

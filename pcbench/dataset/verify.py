@@ -11,28 +11,28 @@ import pyarrow as pa
 from pcbench import planning
 from pcbench.dataset import (
     block_files,
+    close,
     exact_again,
-    exact_part,
     executors,
-    fill,
-    ownership,
-    parquet,
-    store,
-    summary,
+    manifest,
+    moments_tables,
+    parquet_io,
+    run_missing,
+    storage,
     task,
 )
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Owned
-from pcbench.dataset.rows_apart import ROUNDING, ZERO, difference
-from pcbench.dataset.seeds import Seeds
-from pcbench.machine.progress import SILENT, Progress
+from pcbench.dataset.manifest import Owned
+from pcbench.dataset.seed_ranges import Seeds
+from pcbench.dataset.table_diff import ROUNDING, ZERO, difference
 from pcbench.planning import padding
-from pcbench.study.as_toml import digest
-from pcbench.study.cells import Cell, usable
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study.grid import Cell, usable
+from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
 
 FAIR = "fair.parquet"  # of a study with several tunings
-BESIDE = ("examples/", f"{exact_part.FOLDER}/")
+BESIDE = ("examples/", f"{moments_tables.FOLDER}/")
 
 
 class Share(NamedTuple):
@@ -61,8 +61,8 @@ class Status(NamedTuple):
 
 def status(out: str | Path) -> Status:
     """Return what stands in a dataset, from the blocks' names and footers; raise UserError where there is no study."""
-    target = store.target(out)
-    owned = ownership.opened(target)
+    target = storage.target(out)
+    owned = manifest.opened(target)
     there = block_files.present(target)
     study, rows = owned.study, []
     by: dict[tuple[str, str], list[Block]] = {}
@@ -70,9 +70,9 @@ def status(out: str | Path) -> Status:
         by.setdefault((b.scenario, b.observer), []).append(b)
     kept = block_files.settled(there)
     doubled = [b.name for b in sorted(set(there) - set(kept))]
-    wanted = fill.everything(owned, there)
-    left = exact_part.simulated(target, owned)
-    todo = fill.missing(left, kept, wanted, lambda cell: 2**40)
+    wanted = run_missing.everything(owned, there)
+    left = moments_tables.simulated(target, owned)
+    todo = run_missing.missing(left, kept, wanted, lambda cell: 2**40)
     for scenario in study.scenarios:
         mine = [c for c in left.cells if c.scenario.name == scenario]
         for observer in dict.fromkeys(o for c in mine for o in c.options):
@@ -92,15 +92,15 @@ def status(out: str | Path) -> Status:
                 certified=certified,
             )
             rows.append(share)
-    damaged = [b.name for b in there if store.footer(target, b.name) is None] + summary.damaged(target)
+    damaged = [b.name for b in there if storage.footer(target, b.name) is None] + close.damaged(target)
     return Status(
         study=study.name,
         shares=rows,
         damaged=damaged,
         doubled=doubled,
-        unfinished=[p.name for p in store.unfinished(target)],
-        bytes=sum(store.sizes(target).values()),
-        closed=summary.is_closed(target, there),
+        unfinished=[p.name for p in storage.unfinished(target)],
+        bytes=sum(storage.sizes(target).values()),
+        closed=close.is_closed(target, there),
     )
 
 
@@ -120,9 +120,9 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
 
     Blocks are drawn with `seed`. The closing tables are made again and compared too, and exact numbers of as many cells.
     """
-    target = store.target(out)
-    owned = ownership.opened(target, run=sample != 0)
-    digests = ownership.digests(owned)
+    target = storage.target(out)
+    owned = manifest.opened(target, run=sample != 0)
+    digests = manifest.digests(owned)
     there, wrong, good = block_files.present(target), [], []
     progress.begin("checking", len(there))
     for b in there:
@@ -148,7 +148,7 @@ def _computed_here(owned: Owned, blocks: list[Block]) -> list[Block]:
     return [b for b in blocks if (b.scenario, b.cell, b.observer) not in away]
 
 
-def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Progress) -> Iterator[str]:
+def _again(target: storage.Target, owned: Owned, chosen: list[Block], progress: Progress) -> Iterator[str]:
     """Yield a sentence for every block that does not come out again."""
     work = partial(_compared, target, task.Work("", owned.study.name, owned.study.root_seed))
     with executors.here() as execute:
@@ -184,12 +184,12 @@ def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
 
 
 def _asked(cell: Cell, by: dict[Seeds, list[str]]) -> Cell:
-    """A cell with the observers that are computed again: another may have no gains there (`sufficing`)."""
+    """A cell with the observers that are computed again: another may have no gains there (`find_limit`)."""
     asked = {label for labels in by.values() for label in labels}
     return cell._replace(options={o: given for o, given in cell.options.items() if o in asked})
 
 
-def _compared(target: store.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:
+def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, program = task.simulated(work, one, device)
@@ -217,27 +217,27 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     yield (f"{b.name}: {made}numbers differ by {apart.of_largest:.1e} of the largest error of their signal ({kind}).")
 
 
-def _others(target: store.Target, owned: Owned) -> Iterator[str]:
+def _others(target: storage.Target, owned: Owned) -> Iterator[str]:
     """Yield a sentence for every file beside the blocks that is not as it was written."""
-    for name in summary.damaged(target):
+    for name in close.damaged(target):
         yield f"{name}: is not as it was written; run the study again to have it made anew."
-    said = summary.record(target)
+    said = close.record(target)
     if said and said["study_sha256"] != digest(owned.study, owned.cells):
-        yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
-    for name in [n for n in store.names(target) if n.startswith(BESIDE) or n in (FAIR, exact_part.NAME)]:
-        content = store.get(target, name)
-        if content is None or parquet.whole(content) is None:
+        yield f"{manifest.TEXT}: is not of the study that was run; run that again to have it written anew."
+    for name in [n for n in storage.names(target) if n.startswith(BESIDE) or n in (FAIR, moments_tables.NAME)]:
+        content = storage.get(target, name)
+        if content is None or parquet_io.whole(content) is None:
             yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
-def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> list[str]:
+def _closing_differs(target: storage.Target, owned: Owned, kept: list[Block]) -> list[str]:
     """Return a sentence for every closing table that does not follow from the blocks."""
-    if not summary.is_closed(target, kept):
+    if not close.is_closed(target, kept):
         return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
-    stats, pairs = summary.closing_tables(target, owned, kept)
+    stats, pairs = close.closing_tables(target, owned, kept)
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
-        there = summary.table(target, name)
-        if there is None or not there.equals(parquet.parsed(made)):
+        there = close.table(target, name)
+        if there is None or not there.equals(parquet_io.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

@@ -16,10 +16,10 @@ from jax import Array, lax
 from pcbench.engine import common_schedule, lane_array, random_schedules, steps
 from pcbench.engine.initial_state import drawing
 from pcbench.engine.products.flow import flow
-from pcbench.simulation import judging
+from pcbench.simulation import innovation_stats
 from pcbench.simulation.metrics import Weights
-from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
-from pcbench.simulation.schedule.per_lane import Times
+from pcbench.simulation.schedule.random_times import Times
+from pcbench.simulation.types import Layout, Memories, Outcome, Problem, State
 
 
 class Events(NamedTuple):
@@ -36,7 +36,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
 
     `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
     """
-    layout = judging.watched(layout) if layout.consistency else layout
+    layout = innovation_stats.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)

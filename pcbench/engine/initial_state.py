@@ -11,19 +11,19 @@ from jax import Array
 from pcbench.engine import lane_array, steps
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import table
-from pcbench.simulation import draws, metrics, network
+from pcbench.simulation import command_network, metrics, rng
 from pcbench.simulation.closed_loop import before
-from pcbench.simulation.problem import Layout, Packet, PerLane, Problem, Row, State
-from pcbench.simulation.schedule.per_lane import Times
+from pcbench.simulation.schedule.random_times import Times
+from pcbench.simulation.types import Layout, Packet, PerLane, Problem, Row, State
 
 
 def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
     """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
-    keys = draws.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
-    sent = network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
+    keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
+    sent = command_network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
 
     def process(k: Array) -> PerLane:
-        return lane_array.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
+        return lane_array.split(rng.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
     return lambda k: steps.Drawn(process(k), jax.tree.map(lane_array.split, sent(k)))
 
@@ -62,7 +62,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     )
 
 
-def _tables(commands: network.Commands) -> network.Commands:
+def _tables(commands: command_network.Commands) -> command_network.Commands:
     """Commands with their rings as tables."""
     return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
 
@@ -72,7 +72,7 @@ def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLan
     if not layout.random_initial_state:
         return p.x0
     n = p.x0.shape[0]
-    normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
+    normal = rng.normals(rng.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
     return vmap_entrywise(lambda v: p.x0 + p.spread0 @ v)(lane_array.split(normal))
 
 
@@ -80,14 +80,14 @@ def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> Any:
     """Return the uniform numbers that each run draws for its plant; (): none."""
     if not layout.drifting:
         return ()
-    return lane_array.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
+    return lane_array.split(rng.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
 
 
 def first_estimate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
     """Return xhat(0) [n], random in a box where the layout says so."""
     if not layout.scattered:
         return p.xhat0
-    uniform = lane_array.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
+    uniform = lane_array.split(rng.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
     return vmap_entrywise(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
 
 
@@ -98,7 +98,7 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
     drawing = [(label, o.init_random) for label, o in layout.observers if o.init_random]
     if not drawing:
         return begun
-    words = lane_array.split(draws.words(root_seed, seeds))
+    words = lane_array.split(rng.words(root_seed, seeds))
 
     def own(memories: Any, words: Array, xhat0: Array) -> Any:
         return memories | {

@@ -14,11 +14,11 @@ from jax import Array, lax
 from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
-from pcbench.simulation import sample_noise
-from pcbench.simulation.problem import Layout, Notes, Packet, Problem, Row, State
+from pcbench.simulation import measurement_noise
 from pcbench.simulation.schedule.agenda import Agenda, agenda
-from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.schedule.shared import NEVER
+from pcbench.simulation.schedule.common_times import NEVER
+from pcbench.simulation.schedule.random_times import Times
+from pcbench.simulation.types import Layout, Notes, Packet, Problem, Row, State
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
@@ -189,7 +189,7 @@ def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Arr
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
-    noise, index = sample_noise.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
+    noise, index = measurement_noise.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
     each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
 

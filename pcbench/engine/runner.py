@@ -19,10 +19,10 @@ import numpy as np
 from pcbench.engine import event_loop
 from pcbench.engine.products.block_maps import Maps, every_map
 from pcbench.errors import UserError
-from pcbench.machine import pools, process, program_cache
-from pcbench.simulation import judging
-from pcbench.simulation.problem import Layout, Outcome, Problem
+from pcbench.runtime import config, program_cache, thread_pools
+from pcbench.simulation import innovation_stats
 from pcbench.simulation.simulate_runs import simulate_runs
+from pcbench.simulation.types import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call
 DEFINITION = 64  # of the definition
@@ -121,10 +121,12 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds, maps)
 
-    mapped = jax.jit(partial(every_map, judging.watched(layout) if layout.consistency else layout)).trace(given[0])
+    mapped = jax.jit(partial(every_map, innovation_stats.watched(layout) if layout.consistency else layout)).trace(
+        given[0]
+    )
     shapes_of_maps = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), mapped.out_info)
     way = "defined" if layout.defined else "stepped"  # of observers that have no maps
-    with pools.pool(1) as thread:  # each takes seconds
+    with thread_pools.pool(1) as thread:  # each takes seconds
         maker = thread.submit(in_float64, lambda: mapped.lower().compile(options)) if shapes_of_maps else None
         call = jax.jit(simulate).lower(*given, shapes_of_maps).compile(options)
         made = maker.result() if maker else None
@@ -183,7 +185,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
     """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
     at_once = devices(count)
-    with pools.pool(len(at_once)) as threads:
+    with thread_pools.pool(len(at_once)) as threads:
         programs = [program(layout, jobs[0], device) for device in at_once]
         waiting = []
         for i, job in enumerate(jobs):
@@ -197,7 +199,7 @@ def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[t
 
 def in_float64(function: Any, *arguments: Any) -> Any:
     """Call a function with float64 on: jax keeps that switch for each thread."""
-    with process.float64():
+    with config.float64():
         return function(*arguments)
 
 

@@ -14,7 +14,8 @@ from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.protocols import Arrival
 from pcbench.simulation import metrics, simulate_runs
 from pcbench.simulation.closed_loop import off_target
-from pcbench.simulation.problem import (
+from pcbench.simulation.simulate_runs import Run, freeze_diverged
+from pcbench.simulation.types import (
     Layout,
     Memories,
     Notes,
@@ -27,7 +28,6 @@ from pcbench.simulation.problem import (
     present,
     truth,
 )
-from pcbench.simulation.simulate_runs import Run, freeze_diverged
 
 Happen = Callable[[Array, State], State]  # (tick, state) -> state after all that is sensed and delivered at the tick
 

@@ -1,6 +1,7 @@
 """What is done to each number alone, and over the entries of an array, as expressions of C.
 
-A product of floats is counted as `planning.cost` counts it: once for each entry multiplied, divided, or put through a function.
+A product of floats is counted as `planning.operation_counts` does: once for each entry multiplied, divided, or put
+through a function.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
-from pcbench.planning.cost import ONCE
+from pcbench.planning.operation_counts import ONCE
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
 INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}

@@ -13,20 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from pcbench.dataset import store, together
+from pcbench.dataset import atomic_files, storage
 from pcbench.errors import UserError
-from pcbench.export import functions, library, numbers, recorded, vector
+from pcbench.export import functions, library, numbers, recording, vector
 from pcbench.export import replay as replaying
 from pcbench.export.library import About
 from pcbench.export.vector import Vector
-from pcbench.machine import process
-from pcbench.planning import alone, controller, draft, padding, setting
+from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import signals_of
+from pcbench.playback.replay import asked, replay
 from pcbench.protocols import Observer
-from pcbench.replaying.replay import asked, replay
-from pcbench.study.cells import Cell
-from pcbench.study.raw import Described
-from pcbench.study.read import one_cell
+from pcbench.runtime import config
+from pcbench.study.grid import Cell
+from pcbench.study.load import Described
+from pcbench.study.parse import one_cell
 from pcbench.synthesis.certificate import Certificate, DesignContext
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -81,9 +81,9 @@ def exported(
     """Return an observer of a study of one cell as files; raise UserError where it cannot be written in C.
 
     With a `log` it has the room that this recording needs, and the run to test it by is the replay of the recording, with
-    `delay` and `start` [s] as in `replaying.replay`; else it is run `seed` of the study.
+    `delay` and `start` [s] as in `playback.replay`; else it is run `seed` of the study.
     """
-    with process.float64():
+    with config.float64():
         asked, cell = one_cell(study, [observer], overrides or [])
         if cell.scenario.sampling.continuous:
             raise UserError(
@@ -123,7 +123,7 @@ def _recorded(
 ) -> Chosen:
     a = asked(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
-    p, run = recorded.recorded(a, a.cell.entry(label).observer.on_sample is not None)
+    p, run = recording.recorded(a, a.cell.entry(label).observer.on_sample is not None)
     estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
     expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
@@ -183,7 +183,7 @@ def _rows(cell: Cell, label: str, known: DesignContext) -> int:
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
-    return min(controller.oldest(cell, known.overtaking, ticks) + 2, ticks + 1)
+    return min(loop_setup.oldest(cell, known.overtaking, ticks) + 2, ticks + 1)
 
 
 def _oldest(c: Chosen, s: functions.Source) -> int:
@@ -195,7 +195,7 @@ def _oldest(c: Chosen, s: functions.Source) -> int:
 
 def require_place(out: str | Path) -> None:
     """Raise UserError where no folder can be, before anything is computed for it; nothing is made."""
-    root = Path(store.target(Path(out).expanduser()).root)
+    root = Path(storage.target(Path(out).expanduser()).root)
     there = next(p for p in (root, *root.parents) if os.path.lexists(p))
     if not there.is_dir():
         raise UserError(f"--out {out}: got {there}, which is no folder, expected a folder or a new name; give another.")
@@ -207,10 +207,10 @@ def require_place(out: str | Path) -> None:
 
 def write(found: Exported, out: str | Path) -> list[Path]:
     """Write the files into a folder, which may be there: all or none; raise UserError where that cannot be done."""
-    target = store.target(Path(out).expanduser())
-    store.make(target)
+    target = storage.target(Path(out).expanduser())
+    storage.make(target)
     each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
-    together.put_all(target, each)
+    atomic_files.put_all(target, each)
     return [Path(target.root) / name for name in found.files]
 
 

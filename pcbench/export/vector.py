@@ -11,8 +11,8 @@ from pcbench.engine import initial_state, lane_array
 from pcbench.engine.common_schedule import prepare
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.planning.padding import Plan
-from pcbench.simulation import measured, trace
-from pcbench.simulation.problem import Layout, Problem, present
+from pcbench.simulation import measurements, trajectory
+from pcbench.simulation.types import Layout, Problem, present
 
 SNAPSHOT, SAMPLED, JUMP = 0, 1, 2
 Floats = NDArray[np.float64]
@@ -46,12 +46,12 @@ class Vector(NamedTuple):
 def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     """Return a run of a plan of one observer, on a schedule of that run (`planning.alone`), with `rows` inputs from before."""
     (name, _), root, index = p.layout.observers[0], np.asarray(root_seed), np.asarray(seed)
-    out = jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, root, index))
+    out = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, root, index))
     ask = jax.jit(beginning, static_argnums=(0, 1))
     xhat0, before = ask(p.layout._replace(width=1), rows, p.problem, root, index[None])
     schedule, n = p.problem.schedule, p.problem.x0.shape[0]
     many = 1 + max(int(schedule.sample.max(initial=0)), int(schedule.early.max(initial=0)))
-    seen = measured.compiled()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
+    seen = measurements.compiled()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
     values = packets(schedule, *(np.asarray(each)[..., 0] for each in seen))
     events = happening(schedule, values, p.layout.observers[0][1].on_sample is not None)
     expected = out.estimates[name]

@@ -8,15 +8,15 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from pcbench.errors import UserError, unknown
-from pcbench.machine import process
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
 from pcbench.planning import designed, setting
+from pcbench.runtime import config
 from pcbench.study import Study
-from pcbench.study.cells import Cell
+from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
-from pcbench.study.read import Described, one_cell
-from pcbench.study.references import absolute
+from pcbench.study.parse import Described, one_cell
+from pcbench.study.plugins.references import absolute
 from pcbench.synthesis.certificate import Design, is_certified
 
 FEW = 6  # entries of an array that a row of a trade-off shows
@@ -105,7 +105,7 @@ def trade_off(
             "refused": "",
         }
         try:
-            with process.float64():
+            with config.float64():
                 c = design(_changed(study, observer, {name: value}), observer, gain=gain)[2].certificate
             row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback}
             row |= {"certified": is_certified(c._asdict())} | _entries(c.numbers)

@@ -18,10 +18,10 @@ from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
-from pcbench.machine import pools
 from pcbench.planning.padding import Plan
-from pcbench.simulation import differentiable
-from pcbench.simulation.problem import Problem
+from pcbench.runtime import thread_pools
+from pcbench.simulation import reverse_mode
+from pcbench.simulation.types import Problem
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
@@ -47,7 +47,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
-        found = differentiable.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
+        found = reverse_mode.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
         peaks = found[label]["max_abs_error"]
         lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
         return jnp.sum(found[label][goal.base][goal.signal] * weights), lost
@@ -64,7 +64,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         if not compiled:
             lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
             compiled.append(lowered.compile(options))
-        with pools.pool(len(runner.devices())) as threads:
+        with thread_pools.pool(len(runner.devices())) as threads:
             parts = list(threads.map(lambda c: runner.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
         return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)

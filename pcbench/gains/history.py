@@ -11,14 +11,14 @@ import pyarrow as pa
 import tomli_w
 
 from pcbench import toml_text
-from pcbench.dataset import kept_code, parquet, store
-from pcbench.dataset.changes import changes
-from pcbench.dataset.seeds import Seeds, counted
+from pcbench.dataset import parquet_io, storage, stored_code
+from pcbench.dataset.seed_ranges import Seeds, counted
+from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
 from pcbench.study import Study
-from pcbench.study.as_toml import resolved
-from pcbench.study.cells import Cell
+from pcbench.study.grid import Cell
+from pcbench.study.serialize import resolved
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
 REFIT = "history-whole.parquet"  # of a second descent, on all data
@@ -57,7 +57,9 @@ class Evaluation(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
-    def __init__(self, target: store.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY):
+    def __init__(
+        self, target: storage.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY
+    ):
         self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
         self.points: list[Evaluation] = []
         self.before = _read(target, about, basis, file)
@@ -88,13 +90,13 @@ class History:
 
     def write(self) -> None:
         """Write the history."""
-        store.put_table(self.target, self.file, _table(self.points, self.names, self.about, self.basis))
+        storage.put_table(self.target, self.file, _table(self.points, self.names, self.about, self.basis))
         self.written = monotonic()
 
 
 def basis_of(study: Study, cell: Cell) -> dict[str, Any]:
     """Return what a tuning depends on: its study with all options, and the digests of the files of users' code."""
-    return json.loads(json.dumps({"study": resolved(study, [cell]), "files": kept_code.files_of(study)}))
+    return json.loads(json.dumps({"study": resolved(study, [cell]), "files": stored_code.files_of(study)}))
 
 
 def _table(points: list[Evaluation], names: list[str], about: str, basis: dict[str, Any]) -> pa.Table:
@@ -109,17 +111,17 @@ def _table(points: list[Evaluation], names: list[str], about: str, basis: dict[s
     return pa.table(columns).replace_schema_metadata({ABOUT: about.encode(), BASIS: json.dumps(basis).encode()})
 
 
-def _read(target: store.Target, about: str, basis: dict[str, Any], file: str) -> list[Evaluation]:
+def _read(target: storage.Target, about: str, basis: dict[str, Any], file: str) -> list[Evaluation]:
     """What an earlier run has seen; raise AnotherTuning where that was another tuning."""
-    content = store.get(target, file)
+    content = storage.get(target, file)
     if content is None:
-        if others := [name for name in store.names(target) if name not in (HISTORY, FOUND)]:
+        if others := [name for name in storage.names(target) if name not in (HISTORY, FOUND)]:
             raise UserError(
                 f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
         return []
     try:
-        table = parquet.parsed(content)
+        table = parquet_io.parsed(content)
         metadata = table.schema.metadata or {}
         said, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
@@ -145,21 +147,21 @@ def _read(target: store.Target, about: str, basis: dict[str, Any], file: str) ->
     return points
 
 
-def finish(target: store.Target, about: str, tuned: Any) -> None:
+def finish(target: storage.Target, about: str, tuned: Any) -> None:
     """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
     said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
     said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
     said |= {"exact": True} if tuned.exact else {}
     said |= {} if tuned.certified is None else {"certified": tuned.certified}
-    store.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
+    storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(target: store.Target, whole: str, about: str, basis: dict[str, Any]) -> dict[str, Any] | None:
+def finished(target: storage.Target, whole: str, about: str, basis: dict[str, Any]) -> dict[str, Any] | None:
     """Return what an earlier run of the same tuning has found; None where there is none.
 
     `whole` describes the finished tuning, `about` and `basis` its history.
     """
-    content = store.text(target, FOUND)
+    content = storage.text(target, FOUND)
     try:
         study = toml_text.parse(content or b"")
         said = study.pop("resolved")["tuning"]

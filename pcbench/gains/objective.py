@@ -9,7 +9,7 @@ from pcbench.errors import unknown
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import jumps
-from pcbench.simulation import differentiable
+from pcbench.simulation import reverse_mode
 from pcbench.statistics import COMPARED, OF_RUN, POOLED
 from pcbench.study.times import whole
 
@@ -32,7 +32,7 @@ class Objective(NamedTuple):
     @property
     def smooth(self) -> bool:
         """Return whether it has a gradient."""
-        return self.base.removeprefix("steady_") in differentiable.SMOOTH
+        return self.base.removeprefix("steady_") in reverse_mode.SMOOTH
 
     def of(self, mean: float) -> float:
         """Return the objective from the mean of its base over runs."""

@@ -10,24 +10,24 @@ import numpy as np
 from pydantic import BaseModel
 
 from pcbench import planning
-from pcbench.dataset import store
-from pcbench.dataset.seeds import Seeds, common, counted
+from pcbench.dataset import storage
+from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import evaluation, expected, gradient, history, minimise, parameters
-from pcbench.gains.held_out import against, judge
+from pcbench.gains import expected_objective, gradient, history, objective_eval, optimizers, parameters
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
-from pcbench.machine import ending, process
-from pcbench.machine.progress import SILENT, Progress
+from pcbench.gains.validation import against, judge
 from pcbench.observers import ObserverSpec
 from pcbench.planning import padding
-from pcbench.study import Study, given, read
-from pcbench.study.as_toml import digest
-from pcbench.study.cells import Cell
+from pcbench.runtime import config, ending
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study import Study, given, parse
+from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.options import own_options
-from pcbench.study.references import absolute
+from pcbench.study.plugins.references import absolute
+from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design, DesignContext, is_certified
 
 BUDGET = 60
@@ -56,7 +56,7 @@ class Tuning(NamedTuple):
 
 
 def tune(
-    scenario: read.Described,
+    scenario: parse.Described,
     observer: str,
     *,
     budget: int = BUDGET,
@@ -82,8 +82,8 @@ def tune(
     where = f"tune {observer}"
     training, judges = Seeds(*training), Seeds(*judges)
     _check(budget, training, judges, exact_objective, where)
-    with process.float64(), ending.temporary_folder() as spare:
-        study, cell = read.one_cell(scenario, [observer], overrides or [])
+    with config.float64(), ending.temporary_folder() as spare:
+        study, cell = parse.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"
         aim = objective_of(objective or default(exact_objective), cell.scenario, signal, where)
@@ -93,7 +93,7 @@ def tune(
         asked = own_options(study, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
         whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {judges}")
-        target = store.target(str(out) if out is not None else spare)
+        target = storage.target(str(out) if out is not None else spare)
         basis = history.basis_of(asked, cell)
         if done := history.finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
@@ -106,20 +106,20 @@ def tune(
             return planning.designed(observer, entry, known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
-        evaluation.check_estimates(p, aim, where)
+        objective_eval.check_estimates(p, aim, where)
         if exact_objective:
-            how, one = expected.method_for(optimizer, where), expected.check(aim, p, where)
-            evaluate = expected.evaluator(p, one, aim, len(start), design, where)
+            how, one = expected_objective.method_for(optimizer, where), expected_objective.check(aim, p, where)
+            evaluate = expected_objective.evaluator(p, one, aim, len(start), design, where)
         else:
-            how = evaluation.method_for(optimizer, aim, p, where)
-            evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
+            how = objective_eval.method_for(optimizer, aim, p, where)
+            evaluate = objective_eval.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(target, about, parameters.entries(every), basis)
         progress.begin("points", budget)
         progress.note("compiling")
         descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
         if exact_objective:
-            judged, kept = [expected.judgement(aim, trials.points[0].value, trials.best.value)], ""
+            judged, kept = [expected_objective.judgement(aim, trials.points[0].value, trials.best.value)], ""
         else:
             progress.note("judging on other seeds")
             judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
@@ -158,7 +158,7 @@ def _startable(study: Study, cell: Cell, observer: str, known: DesignContext) ->
         return study, cell, designed
     mine = study.options.get(observer, {}) | {"decay": BACK * decay}
     slower = study.model_copy(update={"options": study.options | {observer: mine}})
-    return *read.one_cell(slower, [observer], []), designed
+    return *parse.one_cell(slower, [observer], []), designed
 
 
 def freed(
@@ -191,7 +191,7 @@ def descend(
     how: str,
     trials: History,
     start: Vector,
-    evaluate: evaluation.Evaluate,
+    evaluate: objective_eval.Evaluate,
     budget: int,
     where: str,
     progress: Progress,
@@ -210,11 +210,11 @@ def descend(
         progress.note(f"least so far {trials.best.value:.5g}")
         return value, slope
 
-    store.make(trials.target)
+    storage.make(trials.target)
     if how == "descent":
-        minimise.descent(ask, start, budget)
+        optimizers.descent(ask, start, budget)
     else:
-        minimise.search(lambda at: ask(at)[0], start, budget)
+        optimizers.search(lambda at: ask(at)[0], start, budget)
     trials.write()
 
 

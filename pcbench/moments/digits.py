@@ -1,6 +1,6 @@
 """Whether exact moments keep their digits: they are of the state and of memories, which may be far larger than the errors.
 
-Two things need digits. The trial of `affine` compares runs to ROUNDING of the errors' size, and a state x is rounded by EPS
+Two things need digits. The trial of `exactness` compares runs to ROUNDING of the errors' size, and a state x is rounded by EPS
 |x|: where the trial fails, that may be why. And noise adds to the covariance of the state and of the estimates, from which the
 errors' is a difference of large squares: it keeps about EPS Var x / E e^2. What the start adds goes by itself, and loses no
 square (`program`).
@@ -8,9 +8,9 @@ square (`program`).
 
 import numpy as np
 
-from pcbench.moments.bending import ROUNDING
+from pcbench.moments.error_sums import AMPLIFIED, strayed
+from pcbench.moments.plant_affinity import ROUNDING
 from pcbench.moments.solve import CellMoments
-from pcbench.moments.sums import AMPLIFIED, strayed
 from pcbench.planning.digits import EPS, amount
 from pcbench.plants import signals_of
 

@@ -22,13 +22,13 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.moments.covariance import both, product, squared
-from pcbench.moments.given import Event
+from pcbench.moments.inputs import Event
 from pcbench.moments.merging import merged
-from pcbench.moments.vector import Form, slope, vector, vectors
+from pcbench.moments.noise_state import Form, slope, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
-from pcbench.simulation.problem import Layout, Row, present
 from pcbench.simulation.simulate_runs import Run, select
+from pcbench.simulation.types import Layout, Row, present
 
 
 class Moving(NamedTuple):

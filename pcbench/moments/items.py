@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 
 import jax
 
-from pcbench.moments.curved import curved
-from pcbench.moments.modes import over_modes
-from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
+from pcbench.moments.delay_modes import over_modes
+from pcbench.moments.observer_affinity import curved
+from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
 from pcbench.planning.padding import Plan
-from pcbench.simulation.problem import Problem
+from pcbench.simulation.types import Problem
 
 
 class Asked(NamedTuple):

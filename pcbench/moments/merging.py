@@ -8,8 +8,8 @@ import numpy as np
 from jax import Array, lax
 
 from pcbench.moments.covariance import squared
-from pcbench.moments.modes import Mode
-from pcbench.moments.vector import Form, vectors
+from pcbench.moments.delay_modes import Mode
+from pcbench.moments.noise_state import Form, vectors
 
 
 class Mix(NamedTuple):

@@ -1,9 +1,9 @@
 """A batch of cells from tick 0 to its end: the compiled program of exact moments.
 
 The loop is that of `engine.event_loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
-next (`stretch`). What goes along is the run without noise, a run with noise (`affine`), the effect of each random number of the
-start, and the covariance of the effects of all other noise. The start may be much larger than the errors that it leaves, and
-goes by itself: a difference of effects on the state and on the estimate keeps its digits, one of their squares does not. A
+next (`propagate`). What goes along is the run without noise, a run with noise (`exactness`), the effect of each random number
+of the start, and the covariance of the effects of all other noise. The start may be much larger than the errors that it leaves,
+and goes by itself: a difference of effects on the state and on the estimate keeps its digits, one of their squares does not. A
 tick's matrix is the same at every tick, or found where it changes, or looked at tick by tick: it is taken anew only where one
 product with it differs from the last tick's.
 """
@@ -15,18 +15,18 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.moments import last_tick
-from pcbench.moments import sums as sums_of
-from pcbench.moments.carried import Carried, Found, Shape
+from pcbench.moments import error_sums as sums_of
+from pcbench.moments import final_tick
+from pcbench.moments.error_sums import Seen
 from pcbench.moments.events import Means, Moving, happen, sense, taken
-from pcbench.moments.given import SCALES, Given
-from pcbench.moments.start import begin
-from pcbench.moments.stretch import Ways, along, recorded, rows, ways
-from pcbench.moments.sums import Seen
-from pcbench.moments.ticks import Tick, flat, matrix_of, next_change, one_cell
-from pcbench.moments.vector import over_cells, slope, steady, timed, vector
-from pcbench.simulation.problem import Layout
+from pcbench.moments.initial_moments import begin
+from pcbench.moments.inputs import SCALES, Given
+from pcbench.moments.noise_state import over_cells, slope, steady, timed, vector
+from pcbench.moments.propagate import Ways, along, recorded, rows, ways
+from pcbench.moments.tick_matrix import Tick, flat, matrix_of, next_change, one_cell
+from pcbench.moments.types import Carried, Found, Shape
 from pcbench.simulation.simulate_runs import Run
+from pcbench.simulation.types import Layout
 
 
 def run(layout: Layout, shape: Shape, given: Given) -> Found:
@@ -107,7 +107,7 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     targets = seen.off.shape[0] if layout.controller else None
     go = ways(by, shape, given, tick, seen, changes, len(shifts))
     kept = sums_of.nothing(len(seen.errors), targets, cells), rows(go, len(seen.errors))
-    last = last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ()
+    last = final_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ()
     return Carried(m, tick, *kept, last), go
 
 

@@ -11,24 +11,24 @@ import jax
 import numpy as np
 
 from pcbench.engine import runner
-from pcbench.machine import pools
 from pcbench.moments import items as items_of
-from pcbench.moments.apart import ALONE, computed
-from pcbench.moments.believed import Believed
-from pcbench.moments.bending import ROUNDING, bent
-from pcbench.moments.carried import Found
-from pcbench.moments.combined import combined
-from pcbench.moments.compiled import MANY, width_of
-from pcbench.moments.given import shared_of
+from pcbench.moments.delay_modes import delays_alone
+from pcbench.moments.error_sums import Sums, nothing, strayed
+from pcbench.moments.inputs import shared_of
+from pcbench.moments.isolate_overflow import ALONE, computed
 from pcbench.moments.items import Asked, Item
-from pcbench.moments.modes import delays_alone
-from pcbench.moments.realised import Realised, losses_alone, realised
-from pcbench.moments.sums import Sums, nothing, strayed
-from pcbench.moments.vector import form_of
+from pcbench.moments.mode_mixing import combined
+from pcbench.moments.nees import Believed
+from pcbench.moments.noise_state import form_of
+from pcbench.moments.plant_affinity import ROUNDING, bent
+from pcbench.moments.programs import MANY, width_of
+from pcbench.moments.realisations import Realised, losses_alone, realised
+from pcbench.moments.types import Found
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation.schedule import per_lane
-from pcbench.study.cells import Cell
+from pcbench.runtime import thread_pools
+from pcbench.simulation.schedule import random_times
+from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import power_of_2
 
 SPLIT = 64  # cells, of more than which each observer goes by itself
@@ -47,7 +47,7 @@ class CellMoments(NamedTuple):
     rows: Any = ()  # Recorded [..., S]
     last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
-    why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`affine`)  # noqa: RUF012
+    why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     reached: Any = ()  # [2, n, S] as in `Found`
     shares: Any = None  # [S] of `last`, whose realisations are modes of the cell; None: each counts alike
 
@@ -76,7 +76,7 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
 
 def _ring(cell: Cell) -> int:
     """How many packets of a cell may be on the network, whatever is drawn."""
-    return per_lane.room(cell.times.clocks, cell.times.ticks, cell.times.error)
+    return random_times.room(cell.times.clocks, cell.times.ticks, cell.times.error)
 
 
 def _carried(p: Plan) -> bool:
@@ -102,7 +102,7 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
     """Yield the moments of each planned cell, in their order."""
     parts: dict[int, list[Part]] = {}
     done, unlike = 0, set[Hashable]()
-    with pools.pool(runner.cores()) as threads:
+    with thread_pools.pool(runner.cores()) as threads:
         for items, found in _computed(threads, _batches(plans, asked, unlike), asked):
             for at, item in enumerate(items):
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))

@@ -7,7 +7,7 @@ stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to 
     xhat_i(t) = F_i xhat_i(s) + K_i ybar_i(s) + response to the known input                  (26), F = inv(T) G T, K = inv(T) L
     yhat_i(t) = W_i xhat_i(s) + V_i ybar_i(s) + response to the known input                  (27)
 
-Here the known input is taken out at once (`parts/per_sample`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
+Here the known input is taken out at once (`parts/sample_rate`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
 before a link's first source (s < 0) it is the model alone, as decided. A sample that never arrives is replaced by
 C xhat_i(s): no correction. Delays are data, so ties, zeros and any order are legal and delay vectors are an axis; one delay at
 least must be positive.
@@ -25,15 +25,15 @@ from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import per_sample
+from pcbench.observers.parts import sample_rate
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
-from pcbench.observers.parts.per_sample import ModelRun, Pole, SampledModel, read, ring, write
+from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled import sampled
+from pcbench.synthesis.sampled_model import sampled
 
 
 class Links(NamedTuple):
@@ -93,7 +93,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     arrived = (ring(room, jnp.zeros(())),) * q
     known = (ring(room, jnp.asarray(False)),) * q
     past = ring(room, jnp.zeros(n))
-    return Memory(per_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
+    return Memory(sample_rate.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
@@ -133,7 +133,7 @@ def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected:
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick; where a sample is due, store what this one brought."""
-    run, due = per_sample.flow(gains.model, memory.run, now)
+    run, due = sample_rate.flow(gains.model, memory.run, now)
     k, past = memory.run.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
@@ -177,4 +177,4 @@ def design(setting: DesignContext, options: Options) -> Design:
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
     each = Links(stamp=theta[1:], source=theta[:-1], **stacked)
     room = np.zeros(max(setting.reach, *plant.tau))
-    return Design(Gains(per_sample.model_of(setting), np.array(plant.tau), each, room), certificate)
+    return Design(Gains(sample_rate.model_of(setting), np.array(plant.tau), each, room), certificate)

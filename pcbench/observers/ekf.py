@@ -12,8 +12,8 @@ tick by tick; where a plant is given by its step, that is the tick, F its Jacobi
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
-start. One that comes after a newer one is put in its place (`parts/reordering`). With `gate` or `huber` a sample that is far
-from what is expected is left out, or weighed less (`parts/guard`).
+start. One that comes after a newer one is put in its place (`parts/reorder_buffer`). With `gate` or `huber` a sample that is
+far from what is expected is left out, or weighed less (`parts/robust_update`).
 Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
@@ -25,11 +25,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
-from pcbench.observers.parts import guard, kalman, nonlinear_model, reordering
-from pcbench.observers.parts.guard import Known
+from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, at, carried, seen, sensed, value_of, within
-from pcbench.observers.parts.reordering import Buffer, Measurement
+from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
+from pcbench.observers.parts.robust_update import Known
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -44,16 +44,16 @@ class Memory(NamedTuple):
 class Options(nonlinear_model.Options):
     """What the filter assumes, and what it does with a sample that is far from what it expects."""
 
-    gate: float | None = guard.GATE
-    gate_opens: int = guard.OPENS
-    huber: float | None = guard.HUBER
+    gate: float | None = robust_update.GATE
+    gate_opens: int = robust_update.OPENS
+    huber: float | None = robust_update.HUBER
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = nonlinear_model.started(gains, xhat0), gains.C.shape[0]
-    first = guard.begun(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
-    return Memory(reordering.start(first, gains.room, q, 0), z)
+    first = robust_update.begun(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
+    return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
@@ -67,19 +67,19 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     value = value_of(gains, sample.value)
     if gains.sensor is not None:
         z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.mask, value)
-        return guard.after(before, within(gains, z), P, sample.taken, left_out)
+        return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
     left_out = []
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
-        found = guard.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
+        found = robust_update.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
         K = kalman.gain(Pc, c @ Pc[:n] + found.r, found.used)
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), found.r)
         left_out.append(found.left_out)
-    return guard.after(before, within(gains, z), P, sample.taken, left_out)
+    return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
 
 
 def by_slope(gains: Gains, there: Now, before: Any, mask: Array, value: Array) -> tuple[Array, Array, list[Array]]:
@@ -92,7 +92,7 @@ def by_slope(gains: Gains, there: Now, before: Any, mask: Array, value: Array) -
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - predicted)
-        found = guard.looked(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
+        found = robust_update.looked(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
         K = kalman.gain(Pc, c @ Pc + found.r, found.used)
         z = z + K * nu
         P = kalman.covariance(P, K, c, found.r)
@@ -102,8 +102,10 @@ def by_slope(gains: Gains, there: Now, before: Any, mask: Array, value: Array) -
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and roll the mean forward to now."""
-    sample = reordering.sample_of(now, arrival, gains.D)
-    buffer, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.buffer, sample)
+    sample = reorder_buffer.sample_of(now, arrival, gains.D)
+    buffer, newest = reorder_buffer.replay(
+        lambda state, sample: update(gains, now, state, sample), memory.buffer, sample
+    )
     z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.mean)
     return Memory(buffer, z)
 
@@ -120,7 +122,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
 
 def newest(gains: Gains, memory: Memory, now: Now) -> Known:
     """Return mean and covariance at the newest sample used."""
-    return reordering.newest(lambda state, sample: update(gains, now, state, sample), memory.buffer)
+    return reorder_buffer.newest(lambda state, sample: update(gains, now, state, sample), memory.buffer)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
@@ -130,7 +132,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
-    buffer, sample = memory.buffer, reordering.sample_of(now, arrival, gains.D)
+    buffer, sample = memory.buffer, reorder_buffer.sample_of(now, arrival, gains.D)
     first, N = buffer.before, gains.P0.shape[0]
     mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
 
@@ -141,7 +143,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     if buffer.samples.taken.shape[0]:
         use = partial(update, gains, now)
         start = buffer._replace(before=first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N)))
-        state = reordering.newest_with_copy(use, copy, start, sample._replace(taken=marker))
+        state = reorder_buffer.newest_with_copy(use, copy, start, sample._replace(taken=marker))
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = carried(gains, now, first, sample.taken)
@@ -163,5 +165,5 @@ OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance,
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
     gains, proof = nonlinear_model.told(setting, options, "ekf")
-    gains = gains._replace(guard=guard.of(options.gate, options.gate_opens, options.huber))
+    gains = gains._replace(guard=robust_update.of(options.gate, options.gate_opens, options.huber))
     return Design(gains, proof, True if setting.model.E is not None else None)

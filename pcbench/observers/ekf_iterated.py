@@ -4,7 +4,7 @@
 
 for a fixed number of times; P by the last slope. It is Gauss-Newton on what a sample and the prediction say of z, so it finds
 the likeliest z where that converges. Between samples it is `ekf`: mean and covariance go by slopes, tick by tick, and a sample
-of any age is used at its own time (`parts/tick_by_tick`).
+of any age is used at its own time (`parts/repropagation`).
 Source: Bell, Cathey 1993.
 Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a linear plant `kf`, to rounding.
 Time index: the estimate is of now, after the jump. Not claimed: that the iteration converges; no step is ever shortened.
@@ -17,12 +17,12 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
-from pcbench.observers.parts.corrections import Linear
+from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.kalman_update import Linear
 from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
-from pcbench.observers.parts.reordering import Measurement
-from pcbench.observers.parts.tick_by_tick import State
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.observers.parts.repropagation import State
 from pcbench.protocols import InnovationStats, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -50,7 +50,7 @@ def looked(
     gains: Gains, now: Now, state: State, sample: Measurement, about: Array
 ) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, by the sensor's slope at `about`."""
-    return corrections.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
+    return kalman_update.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
@@ -76,7 +76,7 @@ def spread(gains: Gains, state: State) -> Array:
     return state.P
 
 
-OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))
+OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -19,15 +19,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import believed_age
+from pcbench.observers.parts import assumed_age
 from pcbench.observers.parts.options import tunable
-from pcbench.observers.parts.per_sample import Pole
+from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled import ROWS, by_poles, delayed_radius, power, sampled
+from pcbench.synthesis.sampled_model import ROWS, by_poles, delayed_radius, power, sampled
 
-OBSERVER = believed_age.OBSERVER
+OBSERVER = assumed_age.OBSERVER
 
 
 class Options(BaseModel):
@@ -46,7 +46,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
         rate = chain.radius(Ad - K @ plant.C) ** (1 / d)
-        gains = believed_age.corrected_here(setting, Ad, K, d)
+        gains = assumed_age.corrected_here(setting, Ad, K, d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
         rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))
@@ -55,7 +55,7 @@ def design(setting: DesignContext, options: Options) -> Design:
                 f"{where}: got a believed delay of {d} samples for {len(A)} states, expected at most "
                 f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
-        gains = believed_age.corrected_next(setting, A, K, (d,) * len(plant.tau))
+        gains = assumed_age.corrected_next(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
     if set(plant.tau) == {d}:  # otherwise the delays as they are disturb it, and no rate is promised

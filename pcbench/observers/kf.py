@@ -10,16 +10,16 @@ R is the variance of one sample (outputs whose noise is correlated are made inde
 With what is true of R and Q, and x(0) drawn from the prior, P is the Bayesian bound of every causal estimator, and this filter
 attains it. Where a scenario has no measurement noise, R = 1e-12.
 With `bias_variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).
-With `gate` or `huber` a sample that is far from what is expected is left out, or weighed less (`parts/guard`).
+With `gate` or `huber` a sample that is far from what is expected is left out, or weighed less (`parts/robust_update`).
 Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as a random walk from N(0, size^2) on: the
 estimate of the present carries it, and the signal is f less its part that is a known function of the state.
 Not claimed: that every unknown input can be found; its variance then grows.
 Time index: the estimate is of now, after the jump. Channels may have clocks and delays of their own; a sample that comes after
-a newer one is put in its place (`parts/reordering`), so the estimate uses all that has arrived, as if it had come in order.
+a newer one is put in its place (`parts/reorder_buffer`), so the estimate uses all that has arrived, as if it had come in order.
 Source: Kalman 1960; a late sample is filtered at its own time, and what has come since is filtered again.
 """
 
-from pcbench.observers.parts import guard, linear_filter
+from pcbench.observers.parts import linear_filter, robust_update
 from pcbench.synthesis.certificate import Design, DesignContext
 
 OBSERVER = linear_filter.FILTER
@@ -28,13 +28,13 @@ OBSERVER = linear_filter.FILTER
 class Options(linear_filter.Options):
     """What the filter assumes, and what it does with a sample that is far from what it expects."""
 
-    gate: float | None = guard.GATE
-    gate_opens: int = guard.OPENS
-    huber: float | None = guard.HUBER
+    gate: float | None = robust_update.GATE
+    gate_opens: int = robust_update.OPENS
+    huber: float | None = robust_update.HUBER
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods."""
-    guarded = guard.of(options.gate, options.gate_opens, options.huber)
+    guarded = robust_update.of(options.gate, options.gate_opens, options.huber)
     why = "it leaves out, or weighs less, what is far from what it expects" if guarded else ""
     return linear_filter.design(setting, options, "kf", unproven=why, guarded=guarded)

@@ -23,7 +23,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.integrate import after, covariance_after
-from pcbench.observers.parts import clones, kalman, linear_filter, prediction, reordering
+from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer, stochastic_cloning
 from pcbench.protocols import Arrival, Gains, Now, Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -93,7 +93,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add what the late innovations are worth now."""
-    sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+    sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     mine = (memory.taken == sample.taken).astype(float)
     expected = gains.C @ (sample.snapshot + mine @ memory.then)
     e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
@@ -114,5 +114,5 @@ OBSERVER = Observer(
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for what is on its way."""
-    own, why = clones.room(setting, "kf-alexander"), "its covariance counts on what has not arrived"
+    own, why = stochastic_cloning.room(setting, "kf-alexander"), "its covariance counts on what has not arrived"
     return linear_filter.design(setting, options, "kf-alexander", own=own, unproven=why)

@@ -1,7 +1,7 @@
 """kf-cloning: stochastic cloning, a Kalman filter whose state has copies of itself at the ticks at which samples were taken.
 
-K = h / s of the whole state (`parts/clones`): the present and every copy are corrected by each sample, through the copy
-of its time.
+K = h / s of the whole state (`parts/stochastic_cloning`): the present and every copy are corrected by each sample, through the
+copy of its time.
 
 Source: Roumeliotis, Burdick 2002 (stochastic cloning, there for relative measurements); on late measurements the
 augmented state of many. Keeps J + 1 states and their joint covariance, J the samples that can be on their way at once;
@@ -11,23 +11,23 @@ states. It must be told when a sample is taken, and of a lost one keeps the copy
 Time index: the estimate is of now, after the jump.
 """
 
-from pcbench.observers.parts import clones, linear_filter, prediction
+from pcbench.observers.parts import linear_filter, prediction, stochastic_cloning
 from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 OBSERVER = Observer(
-    clones.init,
+    stochastic_cloning.init,
     prediction.snapshot,
-    clones.jumping(lambda h, s, near: h / s),
+    stochastic_cloning.jumping(lambda h, s, near: h / s),
     prediction.flow,
     linear_filter.estimate,
-    covariance=clones.covariance,
-    on_sample=clones.on_sample,
-    innovation=clones.innovation,
+    covariance=stochastic_cloning.covariance,
+    on_sample=stochastic_cloning.on_sample,
+    innovation=stochastic_cloning.innovation,
 )
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for the copies."""
-    return linear_filter.design(setting, options, "kf-cloning", own=clones.room(setting, "kf-cloning"))
+    return linear_filter.design(setting, options, "kf-cloning", own=stochastic_cloning.room(setting, "kf-cloning"))

@@ -24,10 +24,10 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import linear_filter, prediction, reordering
-from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts import linear_filter, prediction, reorder_buffer
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -62,13 +62,13 @@ class Options(linear_filter.Options):
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior, with nothing that waits."""
     first = linear_filter.prior(gains, xhat0)
-    waiting = reordering.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
+    waiting = reorder_buffer.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
     return Memory(jnp.zeros_like(first.mean), first.mean, first, waiting, jnp.asarray(0))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Let what is younger than the horizon wait, use what is as old, lose what is older."""
-    sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
+    sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
     due = now.tick - gains.own.lag
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
 

@@ -4,7 +4,8 @@
 
 xhat(t_m) and P_m are what was estimated when the sample was taken, and M P_m the covariance of the error then and now; M
 is the product of all that has happened to the error between. Here M P_m is carried as the covariance with a copy that its
-own sample alone corrects (`parts/clones`), which is exact for any number of samples on their way; printed is one at a time.
+own sample alone corrects (`parts/stochastic_cloning`), which is exact for any number of samples on their way; printed is one at
+a time.
 
 Source: Larsen, Andersen, Ravn, Poulsen 1998. Keeps a copy for each sample on its way; costs `kf-cloning`'s memory here,
 of print n x n each.
@@ -17,7 +18,7 @@ Time index: the estimate is of now, after the jump.
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.observers.parts import clones, linear_filter, prediction
+from pcbench.observers.parts import linear_filter, prediction, stochastic_cloning
 from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -30,17 +31,17 @@ def local(h: Array, s: Array, near: Array) -> Array:
 
 
 OBSERVER = Observer(
-    clones.init,
+    stochastic_cloning.init,
     prediction.snapshot,
-    clones.jumping(local),
+    stochastic_cloning.jumping(local),
     prediction.flow,
     linear_filter.estimate,
-    covariance=clones.covariance,
-    on_sample=clones.on_sample,
+    covariance=stochastic_cloning.covariance,
+    on_sample=stochastic_cloning.on_sample,
 )
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for the copies."""
-    own, why = clones.room(setting, "kf-larsen"), "an innovation of the past, not smoothed"
+    own, why = stochastic_cloning.room(setting, "kf-larsen"), "an innovation of the past, not smoothed"
     return linear_filter.design(setting, options, "kf-larsen", own=own, unproven=why)

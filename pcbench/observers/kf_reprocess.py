@@ -14,9 +14,9 @@ Time index: the estimate is of now, after the jump.
 import numpy as np
 from pydantic import Field
 
-from pcbench.observers.parts import linear_filter, reordering
-from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts import linear_filter, reorder_buffer
 from pcbench.observers.parts.prediction import Memory
+from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -29,7 +29,7 @@ class Options(linear_filter.Options):
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what is no older than the state before the samples kept."""
-    sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
+    sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
     used = linear_filter.use(gains, memory, now, sample)
     return kept(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
 

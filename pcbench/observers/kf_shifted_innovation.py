@@ -18,9 +18,9 @@ Time index: the estimate is of now, after the jump.
 
 import numpy as np
 
-from pcbench.observers.parts import linear_filter, reordering
+from pcbench.observers.parts import linear_filter, reorder_buffer
 from pcbench.observers.parts.prediction import Memory
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, Gains, InnovationStats, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -29,7 +29,7 @@ Options = linear_filter.Options
 
 def shifted(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
     """Return what arrives as a sample of now with the note of its own time."""
-    return reordering.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
+    return reorder_buffer.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:

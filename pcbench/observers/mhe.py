@@ -6,7 +6,7 @@ over z_0 .. z_M at the times of the M newest samples and of the one before them.
 it was the newest, P what an extended filter believes of that (the arrival cost). f_i goes from sample to sample tick by tick,
 Q_i is its process noise, carried by the slopes. Gauss-Newton: a fixed number of times f_i and h are replaced by their slopes,
 and what is left is a quadratic program along a chain (`parts/structured_qp`). The estimate is z_M; from there mean and
-covariance go on to now as those of `ekf-iterated`, so a sample of any age is used at its own time (`parts/tick_by_tick`).
+covariance go on to now as those of `ekf-iterated`, so a sample of any age is used at its own time (`parts/repropagation`).
 
 `lower`, `upper` are of the states; what is unknown beside them keeps to the plant's range.
 Source: Rao, Rawlings, Mayne 2003, with an arrival cost that is filtered.
@@ -27,9 +27,9 @@ from pydantic import Field
 
 from pcbench.errors import UserError, shown
 from pcbench.observers import ekf_iterated
-from pcbench.observers.parts import nonlinear_model, reordering, structured_qp, tick_by_tick
+from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
 from pcbench.observers.parts.nonlinear_model import Gains, at, seen, started, value_of, within
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -77,7 +77,7 @@ class Options(nonlinear_model.Options):
 def first(gains: Gains, xhat0: Array) -> Window:
     """Return an empty window after the prior."""
     z, M = started(gains, xhat0), gains.own.window.shape[0]
-    none = reordering.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
+    none = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
     return Window(
         mean=z,
@@ -145,8 +145,8 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
 
 
-OBSERVER = tick_by_tick.observer(
-    tick_by_tick.Way(first, ekf_iterated.tick, update, ekf_iterated.mean, ekf_iterated.spread, ekf_iterated.expected)
+OBSERVER = repropagation.observer(
+    repropagation.Way(first, ekf_iterated.tick, update, ekf_iterated.mean, ekf_iterated.spread, ekf_iterated.expected)
 )
 
 

@@ -10,9 +10,10 @@ and the covariance is that of the mixture. At the start w_j is the prior's densi
 and true noise this is the posterior mean: no causal estimator has a smaller mean square over the prior that the d_j are.
 Not claimed: anything of a delay between two of them; the weights then settle on one of its neighbours, and the filter believes
 to know it. Nor of delays that vary and no stamp tells of. A step between delays should be below the spread that the samples
-can tell (`statistics.delay_bound`), and a finer one costs in proportion.
+can tell (`statistics.crlb_delay`), and a finer one costs in proportion.
 Time index: the estimate is of now, after the jump. A sample that comes after a newer one is put in its place
-(`parts/reordering`), and weighs as if it had come in order. One that would be of a tick that has not been is of its arrival's.
+(`parts/reorder_buffer`), and weighs as if it had come in order. One that would be of a tick that has not been is of its
+arrival's.
 Source: Magill, IEEE Trans. Automatic Control 10 (1965), 434.
 """
 
@@ -27,8 +28,8 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import kalman, reordering, unknown_delay
-from pcbench.observers.parts.reordering import Buffer, Measurement
+from pcbench.observers.parts import kalman, reorder_buffer, unknown_delay
+from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.observers.parts.unknown_delay import Gains, read, spread
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
@@ -73,7 +74,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
         at=jnp.zeros(many, int),
         weight=weight,
     )
-    return Memory(reordering.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
+    return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
@@ -119,7 +120,7 @@ def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filter
 def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     came = jnp.asarray(now.tick, float)[None]
     sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
-    buffer, at = reordering.replay(partial(step, gains, now), memory.buffer, sample)
+    buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
     present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
     return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
 
@@ -147,7 +148,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
 
 def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
-    at = reordering.newest(partial(step, gains, now), memory.buffer)
+    at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
     x, P = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
     share, n = jnp.exp(at.weight), gains.C.shape[1]
     z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)

@@ -16,15 +16,15 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.observers.parts import believed_age
+from pcbench.observers.parts import assumed_age
 from pcbench.observers.parts.options import tunable
-from pcbench.observers.parts.per_sample import Pole
+from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled import by_poles, delayed_radius, sampled
+from pcbench.synthesis.sampled_model import by_poles, delayed_radius, sampled
 
-OBSERVER = believed_age.OBSERVER
+OBSERVER = assumed_age.OBSERVER
 
 
 class Options(BaseModel):
@@ -52,4 +52,4 @@ def design(setting: DesignContext, options: Options) -> Design:
     else:
         found = f"{delayed:.4g}, not below 1" if np.isfinite(delayed) else "not computed"
         proof = no_certificate(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
-    return Design(believed_age.corrected_next(setting, plant.A, K, ages), proof)
+    return Design(assumed_age.corrected_next(setting, plant.A, K, ages), proof)

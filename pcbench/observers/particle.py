@@ -4,8 +4,8 @@
 
 and where 1 / sum W_i^2, the effective number of particles, falls below a share of them: systematic resampling, particle i taken
 from where (i + U) / N falls in the sum of the weights, U one uniform number. The estimate is the weighted mean, P the weighted
-covariance. Particles go on to now tick by tick, and a sample of any age is used at its own time (`parts/tick_by_tick`): one
-that comes after a newer one moves the same particles by the same draws again (`parts/own_draws`). What a sample was expected to
+covariance. Particles go on to now tick by tick, and a sample of any age is used at its own time (`parts/repropagation`): one
+that comes after a newer one moves the same particles by the same draws again (`parts/rng`). What a sample was expected to
 say is judged by the particles' mean and covariance. p is clipped to the plant's range after every tick.
 Source: Gordon, Salmond, Smith 1993; systematic resampling: Kitagawa 1996.
 Found: on a linear plant its difference from `kf` falls as 1/N in mean square. Where Q is 0 resampling leaves copies of few
@@ -23,14 +23,14 @@ from jaxtyping import Float, Int, UInt32
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.machine import memory as machine
-from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
+from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
 from pcbench.observers.parts.nonlinear_model import Gains, started, value_of, within
 from pcbench.observers.parts.options import tunable
-from pcbench.observers.parts.own_draws import normals, uniforms
-from pcbench.observers.parts.reordering import Measurement
-from pcbench.observers.parts.tick_by_tick import Memory
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.observers.parts.repropagation import Memory
+from pcbench.observers.parts.rng import normals, uniforms
 from pcbench.protocols import InnovationStats, Leaf, Now, Room, vmap_as_unit
+from pcbench.runtime import memory as machine
 from pcbench.synthesis.certificate import Design, DesignContext
 
 START, PROCESS, RESAMPLING = 0, 1, 2  # kinds of draws; resampling has one for each channel
@@ -143,10 +143,10 @@ def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Innov
     left = jnp.where(lost, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
     both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
-    return corrections.by_points(gains, *weighted(weight, both), sample)[2]
+    return kalman_update.by_points(gains, *weighted(weight, both), sample)[2]
 
 
-OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))._replace(
+OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))._replace(
     init_random=init_random
 )
 

@@ -8,7 +8,7 @@
 As piecewise continuous systems: one integrates the input, the other is the estimate, re-initialised at each arrival.
 Without noise and with a true model the error is e(t) = e^{A (t - t_m)} e_m, e_m = (I - L C) Phi e_(m-1), whatever u is.
 
-(11) and (12) are in `parts/prediction`. A sample that comes after a newer one is put in its place (`parts/reordering`); one
+(11) and (12) are in `parts/prediction`. A sample that comes after a newer one is put in its place (`parts/reorder_buffer`); one
 that is lost lengthens the interval of (8a).
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
@@ -29,11 +29,11 @@ from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
-from pcbench.synthesis import current_gains, ranges
+from pcbench.synthesis import current_gains, parameter_ranges
 from pcbench.synthesis.certificate import Design, DesignContext, one_clock
-from pcbench.synthesis.ranges import Range
+from pcbench.synthesis.parameter_ranges import Range
 
 
 class Gains(NamedTuple):
@@ -92,7 +92,11 @@ def design(setting: DesignContext, options: Options) -> Design:
     shape = setting.model.C.T.shape
     given = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
     wide = options.period_range is not None or options.parameter_range is not None
-    maps = ranges.maps(setting, options.period_range, options.parameter_range, options.q, where) if wide else None
+    maps = (
+        parameter_ranges.maps(setting, options.period_range, options.parameter_range, options.q, where)
+        if wide
+        else None
+    )
     L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
     moves = prediction.motion_of(setting.model, setting)
     return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.room), certificate)

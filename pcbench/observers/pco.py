@@ -12,8 +12,8 @@ re-initialised at every arrival t_i, where sample i-1 comes to hand:
 
 PCO is Ki = 0. w_0 is the unmeasured part of the estimate at the first sample (at tick 0: of xhat(0)), L_0 = 0.
 Here the age of a sample need not be the interval: samples may be late by any age, jittered, lost (the interval is that between
-samples that came) or out of order (`parts/reordering`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a current
-estimator: PCO is PCCEBO with the gain inv(T) [I; Kp], except at the first sample.
+samples that came) or out of order (`parts/reorder_buffer`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a
+current estimator: PCO is PCCEBO with the gain inv(T) [I; Kp], except at the first sample.
 
 Source: Li, Wang, Tian, PI Piecewise Continuous Observer Design. Different from print: y_i has not arrived at t_i, so (12) is
 shifted by one sample; L_(t-1) is L_(i-1). Sign: on the cart a Kp < 0 smooths, a Kp > 0 amplifies noise. All channels share
@@ -33,11 +33,11 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
-from pcbench.synthesis import ranges, reduced_order, units
+from pcbench.synthesis import parameter_ranges, reduced_order, units
 from pcbench.synthesis.certificate import Design, DesignContext, one_clock, require_certified
-from pcbench.synthesis.ranges import Range
+from pcbench.synthesis.parameter_ranges import Range
 
 Given = Literal["lmi"] | float | list[list[float]] | None
 
@@ -110,7 +110,7 @@ def design(setting: DesignContext, options: Proportional) -> Design:
     name = "pi-pco" if integral else "pco"
     where = f"{name} in {setting.scenario}"
     one_clock(setting, name)
-    maps = ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
+    maps = parameter_ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
     plant = reduced_order.partition(setting.model, units.prior_size(setting), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})

@@ -6,8 +6,8 @@
 
 of N states and unknowns; the same for what a sample is expected to say, from points drawn anew at its own time. With
 `form = "cubature"` g^2 = N and the centre has no weight: the cubature rule of degree 3. The points go on to now tick by tick,
-and a sample of any age is used at its own time (`parts/tick_by_tick`). L is Cholesky's factor; a direction without variance has
-no points. p is clipped to the plant's range after every update and tick.
+and a sample of any age is used at its own time (`parts/repropagation`). L is Cholesky's factor; a direction without variance
+has no points. p is clipped to the plant's range after every update and tick.
 Source: Julier, Uhlmann 1997; weights as in Wan, van der Merwe 2000; cubature: Arasaratnam, Haykin 2009.
 Found: on a linear plant both are `kf` to rounding. A small alpha loses digits: weights grow as 1/alpha^2.
 Time index: the estimate is of now, after the jump. Not claimed: that P stays positive where the centre's weight is negative.
@@ -24,12 +24,12 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.ekf_iterated import first, mean, spread
-from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
-from pcbench.observers.parts.corrections import Linear
+from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.kalman_update import Linear
 from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
 from pcbench.observers.parts.options import tunable
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -92,12 +92,12 @@ def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tup
     n = gains.C.shape[1]
     if gains.sensor is None:  # linear: no points are needed
         sensor = Linear(*seen(gains, now, state.mean), state.mean)
-        return corrections.by_slope(gains, state.mean, state.P, sensor, sample)
+        return kalman_update.by_slope(gains, state.mean, state.P, sensor, sample)
 
     def output(z: Array) -> Array:
         return jnp.concatenate([z, value_of(gains, gains.sensor(now, z[:n], z[n:]))])
 
-    return corrections.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
+    return kalman_update.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:
@@ -111,7 +111,7 @@ def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> I
     return looked(gains, now, state, sample)[2]
 
 
-OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))
+OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))
 
 
 def points_of(options: Options, N: int, where: str) -> Points:

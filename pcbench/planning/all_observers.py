@@ -6,25 +6,25 @@ An observer is tried as a run would plan it, with its gains. What is refused in 
 from typing import Any
 
 from pcbench.errors import UserError
-from pcbench.machine import process
 from pcbench.observers import OBSERVERS
-from pcbench.planning.arrays import draft
-from pcbench.study import Study, read
-from pcbench.study.cells import Cell, Grid
-from pcbench.study.names import entry_in
-from pcbench.study.raw import Described, raw_of, where_of
-from pcbench.study.read import ALL, FROM_HERE
+from pcbench.planning.build import draft
+from pcbench.runtime import config
+from pcbench.study import Study, parse
+from pcbench.study.grid import Cell, Grid
+from pcbench.study.load import Described, raw_of, where_of
+from pcbench.study.lookup import entry_in
+from pcbench.study.parse import ALL, FROM_HERE
 
 
 def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
-    """Return a study with its cells, as `read.grid_of`; "all" among its observers becomes those that can run."""
-    raw, where = read.changed(study, changes, overrides)
-    return read.grid(resolved(raw, where), where, FROM_HERE)
+    """Return a study with its cells, as `parse.grid_of`; "all" among its observers becomes those that can run."""
+    raw, where = parse.changed(study, changes, overrides)
+    return parse.grid(resolved(raw, where), where, FROM_HERE)
 
 
 def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
     """Return a raw study with every observer that can run in place of "all", and with the reasons of the others."""
-    if not read.names_all(raw):
+    if not parse.names_all(raw):
         return raw
     given = raw["observers"]
     kept, excluded = [name for name in given if name != ALL] if isinstance(given, list) else [], {}
@@ -33,7 +33,7 @@ def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
         if label in kept:
             continue
         try:
-            with process.float64():
+            with config.float64():
                 _try(raw | {"observers": [label]}, where, label)
         except UserError as error:
             excluded[label] = str(error)
@@ -47,29 +47,29 @@ def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
 
 def _try(raw: dict[str, Any], where: str, label: str) -> None:
     """Plan the one observer of a study in every cell, and by its own design if the study compares gains; or raise UserError."""
-    grid = read.grid(raw, where, FROM_HERE)
+    grid = parse.grid(raw, where, FROM_HERE)
     grids, designed = [grid], entry_in(grid.study, label).designed
     if grid.study.tunings != ["published"] and designed:
         options = raw.get("options") or {}
         grids.append(
-            read.grid(raw | {"options": options | {label: options.get(label, {}) | dict(designed)}}, where, FROM_HERE)
+            parse.grid(raw | {"options": options | {label: options.get(label, {}) | dict(designed)}}, where, FROM_HERE)
         )
     for cell in (cell for each in grids for cell in each.cells):
         draft(cell, cell.options)
 
 
 def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
-    """Return a study of these observers with its one cell, as `read.one_cell`; "all" becomes those that can run."""
+    """Return a study of these observers with its one cell, as `parse.one_cell`; "all" becomes those that can run."""
     if ALL not in observers:
-        return read.one_cell(study, observers, overrides)
+        return parse.one_cell(study, observers, overrides)
     raw = raw_of(study, overrides, FROM_HERE)
     found = resolved(raw | {"observers": observers}, where_of(study, raw))
-    return read.one_cell(found, found["observers"], [])
+    return parse.one_cell(found, found["observers"], [])
 
 
 def outline(what: str, overrides: list[str]) -> Study:
-    """Return the study that the user names, as `read.outline`; "all" among its observers becomes those that can run."""
-    return read.described(resolved(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
+    """Return the study that the user names, as `parse.outline`; "all" among its observers becomes those that can run."""
+    return parse.described(resolved(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
 
 
 def sentences(excluded: dict[str, str] | None) -> list[str]:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import DigitsError
-from pcbench.machine import program_cache
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
-from pcbench.simulation.problem import Layout, Outcome, Problem, present
+from pcbench.runtime import program_cache
+from pcbench.simulation.types import Layout, Outcome, Problem, present
 
 EPS = float(np.finfo(np.float64).eps)
 PART = 1e-2

@@ -1,6 +1,6 @@
 """Past inputs that a user's own observer asks for although its closed loop no longer stores them.
 
-A loop stores the inputs since the oldest sample that may still be used (`planning.controller.oldest`). For an older one
+A loop stores the inputs since the oldest sample that may still be used (`planning.loop_setup.oldest`). For an older one
 `past_u` returns NaN: the estimate is NaN from there on, and all runs count as diverged. To name the cause, one run is simulated
 by the definition with observers that report each NaN that `past_u` returns.
 """
@@ -15,11 +15,11 @@ import numpy as np
 from jax import lax
 
 from pcbench.planning import padding
-from pcbench.planning.arrays import alone, drafts
+from pcbench.planning.build import alone, drafts
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Now, Observer
-from pcbench.simulation import trace
-from pcbench.study.cells import Cell, Grid
+from pcbench.simulation import trajectory
+from pcbench.study.grid import Cell, Grid
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,7 +60,7 @@ def oldest_missing_input(cell: Cell, label: str, study: Any) -> int | None:
             ages.append(int(age))
 
     observers = tuple((name, _reporting(o, report)) for name, o in p.layout.observers)
-    record = jax.jit(partial(trace.record, p.layout._replace(observers=observers)))
+    record = jax.jit(partial(trajectory.record, p.layout._replace(observers=observers)))
     jax.block_until_ready(record(p.problem, np.asarray(study.root_seed), np.asarray(study.first_seed)))
     jax.effects_barrier()
     return max(ages, default=None)

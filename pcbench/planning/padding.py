@@ -14,13 +14,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.planning import controller, once
+from pcbench.planning import loop_setup, memo
 from pcbench.protocols import Plant
-from pcbench.simulation import conformance
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.sample_noise import Outliers, Rounding
-from pcbench.simulation.schedule import per_lane, shared
-from pcbench.study.cells import Cell
+from pcbench.simulation import shape_checks
+from pcbench.simulation.measurement_noise import Outliers, Rounding
+from pcbench.simulation.schedule import common_times, random_times
+from pcbench.simulation.types import Layout, Problem
+from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import Certificate, power_of_2
 
 
@@ -34,7 +34,7 @@ class Plan(NamedTuple):
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
     predicts_unknown_input: dict[str, bool | None]  # by observer, of its prediction to now
     labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
-    reach: controller.Reach | None  # of a closed loop
+    reach: loop_setup.Reach | None  # of a closed loop
 
 
 class Capacity(NamedTuple):
@@ -59,7 +59,7 @@ class Capacity(NamedTuple):
 
 def room_of(p: Plan) -> Capacity:
     """Return the room that one draft needs."""
-    schedule, common = p.problem.schedule, isinstance(p.problem.schedule, shared.Schedule)
+    schedule, common = p.problem.schedule, isinstance(p.problem.schedule, common_times.Schedule)
     rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
     back, ahead = p.reach or (0, 0)
     return Capacity(
@@ -89,7 +89,7 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
     return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
+def fitted(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
     """Give a draft the shape that `room` asks for."""
     drafted, rows = p.problem.schedule, dict(room.rows)
     _, schedule = ask(
@@ -100,12 +100,12 @@ def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
         np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
         for i, a in enumerate(leaves)
     ]
-    falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
+    falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=common_times.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
     problem = problem if p.layout.defined else _with_neutral(problem, room)
     layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
     if p.reach:
-        law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
+        law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.ahead), p.cell.times.ticks)
         pending = room.pending if layout.pending else 0
         problem = problem._replace(control=law, line=line)
         layout = layout._replace(commands=room.back, pending=pending)
@@ -121,21 +121,25 @@ def _with_neutral(p: Problem, room: Capacity) -> Problem:
     )
 
 
-def stacked(each: list[shared.Schedule]) -> shared.Schedule:
+def stacked(each: list[common_times.Schedule]) -> common_times.Schedule:
     """Return schedules of runs in one, every array with the runs first."""
     room = Capacity(
         slots=power_of_2(max(s.arrive.shape[1] for s in each)),
         early=power_of_2(max(len(s.early) for s in each)),
         notes=power_of_2(max(s.also.shape[1] for s in each)),
     )
-    stacked: shared.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_padded(s, room) for s in each))
+    stacked: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_padded(s, room) for s in each))
     return stacked
 
 
-def _padded(schedule: shared.Schedule | per_lane.Times, room: Capacity) -> shared.Schedule | per_lane.Times:
-    if isinstance(schedule, shared.Schedule):
-        return shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)
-    return per_lane.padded(schedule, room.due, room.shares)
+def _padded(
+    schedule: common_times.Schedule | random_times.Times, room: Capacity
+) -> common_times.Schedule | random_times.Times:
+    if isinstance(schedule, common_times.Schedule):
+        return common_times.pad_notes(
+            common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early), room.notes
+        )
+    return random_times.padded(schedule, room.due, room.shares)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
@@ -156,7 +160,7 @@ def checked(drafts: Iterable[Plan]) -> Iterator[Plan]:
         for label, observer in p.layout.observers:
             if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
                 seen.add(key)
-                conformance.check(label, observer, p.problem, p.layout.continuous)
+                shape_checks.check(label, observer, p.problem, p.layout.continuous)
         yield p
 
 

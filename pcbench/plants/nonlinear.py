@@ -22,8 +22,8 @@ from jaxtyping import Float
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError
-from pcbench.machine import process
 from pcbench.protocols import Leaf, Now
+from pcbench.runtime import config
 from pcbench.scenarios.signals import inputs
 
 REST = 1e-9  # what dx/dt at an equilibrium may be by rounding, as a part of the operating point's size
@@ -151,7 +151,7 @@ class Slopes(NamedTuple):
 def slopes(equations: Equations, numbers: Any) -> Slopes:
     """Return the linear model at the operating point, by jax, for numbers as observers know them."""
     e, n, m, r = equations, len(equations.x0), len(equations.u0), len(equations.inputs)
-    with process.float64():
+    with config.float64():
         params = jax.tree.map(jnp.asarray, prepare(e, numbers, e.tick or 0.0, 0))
         # unknown inputs are 0 there, whatever signal they are
         rest = jnp.concatenate([jnp.zeros(r), unknown(e, params, _now(e, jnp.zeros(m)), jnp.zeros(n))[r:]])

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.errors import UserError, raised, shown
-from pcbench.machine import process
 from pcbench.plants import nonlinear
 from pcbench.plants.nonlinear import Equations
 from pcbench.protocols import Now
+from pcbench.runtime import config
 
 WHERE = "pcbench.make_plant"
 
@@ -17,7 +17,7 @@ WHERE = "pcbench.make_plant"
 def tried(e: Equations, numbers: Any) -> tuple[float, ...]:
     """The output at the operating point; raise UserError where a function or its slope is not as it must be."""
     n = len(e.x0)
-    with process.float64():
+    with config.float64():
         given, x = nonlinear.own(e, numbers), jnp.array(e.x0)
         u, dt = jnp.array(e.u0), jnp.asarray(e.tick or 0.0)
         now = Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)

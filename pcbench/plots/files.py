@@ -8,7 +8,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from pcbench.dataset import as_file
+from pcbench.dataset import write_table
 from pcbench.errors import UserError
 
 KINDS = ("svg", "pdf", "png")
@@ -34,7 +34,7 @@ def save(figure: Figure, file: str | Path) -> None:
     kind = Path(file).suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; give one.")
-    as_file.put_content(file, saved(figure, kind))
+    write_table.put_content(file, saved(figure, kind))
 
 
 def inline(figure: Figure, name: str) -> str:

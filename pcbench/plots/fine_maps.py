@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pcbench.plots import scales
+from pcbench.plots.canvas import Paper, drawn_on, width_of
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.palette import INK
-from pcbench.plots.paper import Paper, drawn_on, width_of
-from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.small_maps import Map, Over, grid_of, levels_of
 
 FINE = 24  # values of an axis beyond which a map is an image

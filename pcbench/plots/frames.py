@@ -14,10 +14,10 @@ from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.plants import states_of
-from pcbench.plots import outputs, scales
-from pcbench.statistics import winning
-from pcbench.statistics.stack import SIGNED
-from pcbench.statistics.wording import ROUNDING
+from pcbench.plots import output_units, scales
+from pcbench.statistics import ranking
+from pcbench.statistics.metric_matrix import SIGNED
+from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
 
 METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
@@ -107,7 +107,7 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     """Return the units of a scenario's axes that depend on its plant: of noise, of process noise."""
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
     states = [unit for _, unit in states_of(scenario)]
-    seen = outputs.units(scenario)
+    seen = output_units.units(scenario)
     each = {"noise_std": seen, "quantization_step": seen, "process_std": states}
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
 
@@ -187,7 +187,7 @@ def standings(
     """Return for each cell its axes, the `winner` (empty where it is not sure), `leaders`, `best`, `alike`, `p`, `factor`, ...
 
     `best` has the least `mean`, `alike` names those it is not surely better than, `leaders` are both if a test compares them;
-    see `statistics.winning.standing`. `text` is a word for a cell.
+    see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
     key, known = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
@@ -201,9 +201,9 @@ _STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] 
 
 def _standings(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
     part, pairs, out = rows(result, scenario, signal, metric), result.pairs_of(scenario, signal), []
-    axes, met = varying(part), winning.by_cell(pairs[pairs.metric == metric])
-    for cell, mine in winning.by_cell(part).items():
-        found = winning.stood(mine, met.get(cell, []))
+    axes, met = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
+    for cell, mine in ranking.by_cell(part).items():
+        found = ranking.stood(mine, met.get(cell, []))
         best = next(row for row in mine if row["observer"] == found.order[0])
         lost = not np.isfinite(best["mean"])
         known = {name: best[name] for name in axes}

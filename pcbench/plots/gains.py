@@ -6,10 +6,10 @@ from matplotlib.figure import Figure
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.plots import scales
+from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots.labels import title_of
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.palette import COLOURS, SOFT, Style, styles
-from pcbench.plots.paper import PAPER, Paper, drawn_on
-from pcbench.plots.sheet import Key, Panel, sheet
-from pcbench.plots.words import title_of
 
 MARKS = {"published": "o", "design": "s", "tuned": "D"}
 WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}

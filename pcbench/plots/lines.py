@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, scales
+from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots.labels import about, title_of, unit_of
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.palette import SOFT, Style, styles
-from pcbench.plots.paper import PAPER, Paper, drawn_on
-from pcbench.plots.sheet import Key, Panel, sheet
-from pcbench.plots.words import about, title_of, unit_of
 
 APART = 0.012  # of an axis' length, between points of observers at one value
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed

@@ -6,11 +6,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError
-from pcbench.logs.survey import Survey
 from pcbench.plots import scales
+from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots.layout import Panel, sheet
 from pcbench.plots.lines import keys_of
-from pcbench.plots.paper import PAPER, Paper, drawn_on
-from pcbench.plots.sheet import Panel, sheet
+from pcbench.recordings.survey import Survey
 
 BINS = 40
 DIGITS = 9  # of a second: what is less is rounding

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import fine_maps, frames, scales, small_maps
+from pcbench.plots.canvas import PAPER, Paper
 from pcbench.plots.fine_maps import Marks
+from pcbench.plots.labels import about, named, times, title_of, unit_of
+from pcbench.plots.layout import Key
 from pcbench.plots.palette import Style, pale, styles
-from pcbench.plots.paper import PAPER, Paper
-from pcbench.plots.sheet import Key
 from pcbench.plots.small_maps import Cell, Map, Over
-from pcbench.plots.words import about, named, times, title_of, unit_of
 
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
 LOST = LinearSegmentedColormap.from_list("lost", ["#FFFFFF", "#F0C9A8", "#C77B3B", "#7A3E0C"])

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from pcbench.machine import process
-from pcbench.planning import cost, drafts
-from pcbench.plots.kept import Thing, kept
+from pcbench.planning import drafts, operation_counts
+from pcbench.plots.example_cache import Thing, kept
+from pcbench.runtime import config
 from pcbench.study import Study
-from pcbench.study.cells import Cell, cells
+from pcbench.study.grid import Cell, cells
 
 
 def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
@@ -24,6 +24,6 @@ def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd
 
 def _made(cell: Cell) -> pd.DataFrame:
     head = {"scenario": cell.scenario.name, "cell": cell.number}
-    with process.float64():
-        found = {label: each for p in drafts([cell]) for label, each in cost.costs(p).items()}
+    with config.float64():
+        found = {label: each for p in drafts([cell]) for label, each in operation_counts.costs(p).items()}
     return pd.DataFrame([head | {"observer": label, **each._asdict()} for label, each in found.items()])

@@ -10,11 +10,11 @@ from pathlib import Path
 import pandas as pd
 
 from pcbench.errors import UserError
-from pcbench.machine.progress import SILENT, Progress
-from pcbench.plots import kept, recorded
-from pcbench.plots.recorded import POINTS, RUNS
+from pcbench.plots import example_cache, example_runs
+from pcbench.plots.example_runs import POINTS, RUNS
+from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study
-from pcbench.study.cells import Cell, cells
+from pcbench.study.grid import Cell, cells
 
 FORM = 3  # of the file
 
@@ -46,11 +46,11 @@ def several(
     if not 0 <= seed < 2**32 - RUNS:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     about = [seed, POINTS, RUNS, FORM]
-    things = {scenario: kept.Thing(scenario, cell, about) for scenario, cell in chosen.items()}
-    found = {scenario: kept.found(out, thing) for scenario, thing in things.items()}
+    things = {scenario: example_cache.Thing(scenario, cell, about) for scenario, cell in chosen.items()}
+    found = {scenario: example_cache.found(out, thing) for scenario, thing in things.items()}
     missing = {name: t.cell for name, t in things.items() if found[name] is None and t.can_be_made}
-    for scenario, made in recorded.several(missing, study.root_seed, seed, progress).items():
-        found[scenario] = kept.keep(out, things[scenario], made)
+    for scenario, made in example_runs.several(missing, study.root_seed, seed, progress).items():
+        found[scenario] = example_cache.keep(out, things[scenario], made)
     return found
 
 

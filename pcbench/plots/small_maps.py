@@ -9,9 +9,9 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from pcbench.plots import scales
+from pcbench.plots.canvas import Paper, drawn_on, width_of
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.palette import INK, on
-from pcbench.plots.paper import Paper, drawn_on, width_of
-from pcbench.plots.sheet import Key, Panel, sheet
 
 FINE = 6  # values of both axes from which on contour lines are drawn
 ROW = 0.42  # inches of a cell, where there are few

@@ -10,11 +10,11 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run, scales
+from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots.labels import title_of_scenario
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.lines import keys_of, line
 from pcbench.plots.palette import MEASURED, PLANT, SOFT, Style, pale
-from pcbench.plots.paper import PAPER, Paper, drawn_on
-from pcbench.plots.sheet import Key, Panel, sheet
-from pcbench.plots.words import title_of_scenario
 from pcbench.study import scenarios_of
 
 ROOM = 0.35  # of the plant's range, above and below it: an estimate that goes farther leaves the picture

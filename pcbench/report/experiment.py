@@ -8,13 +8,13 @@ import numpy as np
 
 from pcbench.dataset.result import Result
 from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
-from pcbench.plots import outputs
+from pcbench.plots import output_units
+from pcbench.plots.labels import LTI
 from pcbench.plots.scales import number
-from pcbench.plots.words import LTI
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.scenarios.sources import Table, Wave
-from pcbench.study.cells import Cell, cells
-from pcbench.study.own_observers import ABSENT, is_absent
+from pcbench.study.grid import Cell, cells
+from pcbench.study.plugins.user_observers import ABSENT, is_absent
 
 TOLD = (  # fields of which is said that they are not as published
     *(
@@ -72,7 +72,7 @@ class Field(NamedTuple):
 
 def _facts(s: Scenario) -> list[Field]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
-    signals, seen = signals_of(s), outputs.units(s)
+    signals, seen = signals_of(s), output_units.units(s)
 
     def with_units(units: list[str]) -> Callable[[Any], str]:
         return lambda values: _each(values, units)

@@ -1,46 +1,155 @@
-"""The page's pictures as files for a paper: SVG and PDF whose text is text, PNG."""
+"""The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any, NamedTuple
 
-from pcbench.dataset import store
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pcbench import plots
 from pcbench.dataset.result import Result
-from pcbench.errors import unknown
-from pcbench.machine.progress import SILENT, Progress
-from pcbench.plots import frames
-from pcbench.plots.files import KINDS, saved
-from pcbench.report import pictures
-from pcbench.report.pictures import SHOWN, Picture, Shown
+from pcbench.plants import signals_of
+from pcbench.plots import consistency, fault_tolerance, frames, observer_costs, one_run, time_series
+from pcbench.plots.canvas import PAPER, Paper
+from pcbench.plots.labels import named, unit_of
+from pcbench.report import captions, limit_sentence
+from pcbench.runtime import thread_pools
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study import scenarios_of
 
 
-def write(
-    result: Result, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN, formats: tuple[str, ...] = KINDS
-) -> list[str]:
-    """Write every picture of the page, and return the names of the files, without their kind."""
-    target, names = store.target(str(out)), []
-    store.make(target)
-    places = pictures.places(result, result.scenarios, shown, progress)
-    progress.begin("figures", None)
-    for picture in drawn(places):
-        for kind in formats:
-            store.put(target, f"{picture.name}.{kind}", saved(picture.figure, kind))
-        names.append(picture.name)
-        progress.step(1)
-    return names
+class Shown(NamedTuple):
+    """What is to be looked at."""
+
+    metric: str = frames.METRIC  # by which observers are ranked
+    signals: list[str] | None = None  # of every scenario that has them; None: those it is known by; []: all
+    cell: int | None = None  # at whose values axes stand that a picture does not show; None: the one that tells most
+    seed: int | None = None  # of the run in time; None: the study's first
+    paper: Paper = PAPER
+    threshold: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
 
 
-def drawn(places: dict[str, pictures.Place]) -> Iterator[Picture]:
-    """Yield every picture, scenario after scenario."""
-    for scenario, here in places.items():
-        for signal in frames.ranked(here.result, scenario, here.shown.signals, here.shown.metric):
-            yield from pictures.of_signal(here, signal)
-        yield from pictures.of_all_signals(here)
+SHOWN = Shown()
 
 
-def kinds_of(text: str) -> tuple[str, ...]:
-    """Return the kinds of files that a list with commas names; raise UserError for one that is none."""
-    found = tuple(dict.fromkeys(kind.strip().lower() for kind in text.split(",")))
-    for kind in found:
-        if kind not in KINDS:
-            raise unknown("--formats", "kind of file", kind, KINDS)
-    return found
+class Picture(NamedTuple):
+    """A figure with its words."""
+
+    name: str  # of a file, without its kind
+    title: str
+    figure: Figure
+    text: str  # what it shows, for those who do not see it
+    note: str = ""  # how to read it
+
+
+def cell_of(result: Result, scenario: str, shown: Shown) -> int:
+    """Return the number of the cell at which pictures stand."""
+    if shown.cell is not None:
+        return shown.cell
+    if result.study.vary == "one-at-a-time":  # where the others stand while one varies
+        return 0
+    signals = frames.ranked(result, scenario, shown.signals, shown.metric)
+    return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
+
+
+class Place(NamedTuple):
+    """A scenario with what all its pictures need."""
+
+    result: Result
+    scenario: str
+    cell: int
+    run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
+    costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
+    shown: Shown
+
+
+def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
+    """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
+    at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
+    with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
+        costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
+        runs = one_run.several(result.study, at, result.out, shown.seed, progress)
+        return {name: Place(result, name, cell, runs[name], costs[name].result(), shown) for name, cell in at.items()}
+
+
+def of_signal(where: Place, signal: str) -> Iterator[Picture]:
+    """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
+    result, scenario, cell, run, costs, shown = where
+    here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
+    name = f"{scenario.replace('/', '-')}-{signal}"
+    whole = frames.rows(result, scenario, signal, shown.metric)
+    mine, axes = whole[whole.cell == cell], frames.varying(whole)
+    at, units = frames.values_at(whole, cell), frames.units(result, whole)
+    words, unit, spread = named(shown.metric, signal), unit_of(whole), frames.distributed(mine)
+    if run is not None:
+        seed = result.study.first_seed if shown.seed is None else shown.seed
+        figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
+        exact = time_series.exactly(result, scenario, cell)
+        text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
+        yield Picture(f"{name}-time", "One run in time", figure, text, note)
+    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(whole.observer):
+        figure = plots.bearing(result, **here)
+        text = captions.borne(
+            fault_tolerance.borne(fault_tolerance.part_of_alone(result, scenario, signal, shown.metric))
+        )
+        yield Picture(f"{name}-bearing", "How much of each fault is borne", figure, text, captions.BEARING)
+    if len(axes) >= 2 and result.study.vary == "all":
+        x, y = frames.map_axes(whole)
+        over = f"{frames.label(x, units)} and {frames.label(y, units)}"
+        figure = plots.winners(result, **here)
+        text = captions.winners(frames.standings(result, scenario, signal, shown.metric))
+        yield Picture(f"{name}-winners", f"Who wins over {over}", figure, text, captions.WINNERS)
+        rest = {a: v for a, v in at.items() if a not in (x, y)}
+        figure = plots.heatmaps(result, at=rest, **here)
+        text = captions.ranges(frames.fixed(whole, [x, y], rest), unit)
+        yield Picture(f"{name}-map", f"{_upper(words)} over {over}", figure, text, "Dark is worse; one scale for all.")
+    for axis in axes:
+        rest = {a: v for a, v in at.items() if a != axis}
+        figure = plots.curves(result, axis, at=rest, **here)
+        part = frames.fixed(whole, [axis], rest)
+        note = " ".join(
+            filter(None, [limit_sentence.said(part, axis, unit, shown.threshold), "Bars: 95 % intervals of the mean."])
+        )
+        title = f"{_upper(words)} over {frames.label(axis, units)}"
+        yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, captions.curve(part, axis, unit), note)
+    if spread:
+        figure = plots.distributions(result, cell=cell, **here)
+        text = captions.medians(mine, unit)
+        yield Picture(f"{name}-distribution", f"How {words} is distributed over runs", figure, text, "Left is better.")
+        figure = plots.convergence(result, cell=cell, **here)
+        text = captions.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
+        yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, captions.CONVERGENCE)
+    if costs is not None and (costs["sample"] > 0).sum() > 1:
+        figure = plots.cost(result, costs, cell=cell, **here)
+        title = f"{_upper(words)} against cost"
+        yield Picture(f"{name}-cost", title, figure, captions.costs(costs), captions.COSTS)
+
+
+def of_all_signals(where: Place) -> Iterator[Picture]:
+    """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
+    result, scenario, cell, run, _, shown = where
+    lost = frames.rows(result, scenario, None, "divergence_rate")
+    if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
+        x, y = frames.map_axes(lost)
+        rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
+        figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
+        part = frames.fixed(lost, [x, y], rest)
+        title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
+        text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
+        yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
+    if run is not None and consistency.judged(run):
+        figure = consistency.drawn(result, run, scenario, cell, shown.paper)
+        name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
+        yield Picture(name, title, figure, captions.honesty(run), captions.HONESTY)
+    if result.fair is not None and scenario in set(result.fair.scenario):
+        figure = plots.fair(result, paper=shown.paper)
+        yield Picture("fair", "Gains as printed, by design and tuned", figure, captions.fair(result.fair))
+
+
+def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
+    """Return the unit of a signal."""
+    return dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]

@@ -8,8 +8,8 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.plots import frames, scales
 from pcbench.plots.palette import styles
-from pcbench.statistics import wording
-from pcbench.statistics.winning import diverges_more
+from pcbench.statistics import number_format
+from pcbench.statistics.ranking import diverges_more
 
 MOST = 4  # cells that stand in full; of more, wins are counted
 COSTS = {"sample": "products a sample", "tick": "products a tick", "memory": "bytes"}
@@ -61,14 +61,14 @@ def _cell(
     rows: list[dict[str, Any]] = []
     for observer in order:
         row = wide.loc[observer]
-        against = "" if observer == order[0] else wording.difference(met, observer, order[0])
+        against = "" if observer == order[0] else number_format.difference(met, observer, order[0])
         if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
             against = "diverges more often"
         lost = row.loc["divergence_rate"]
-        name = wording.marked(observer, [row.loc[metric].certified])
-        cells = [name, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
-        cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
-        cells += ["-" if np.isnan(lost["mean"]) else "none" if lost["mean"] == 0 else wording.fraction(lost)]
+        name = number_format.marked(observer, [row.loc[metric].certified])
+        cells = [name, number_format.interval(row.loc[metric]), "not surely different" if against == "=" else against]
+        cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
+        cells += ["-" if np.isnan(lost["mean"]) else "none" if lost["mean"] == 0 else number_format.fraction(lost)]
         cells += _costs(costs, observer)
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer in leaders})
     here = part[part.cell == cell].iloc[0]
@@ -104,7 +104,7 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     for observer, mine in part.groupby("observer", sort=False):
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
         median = scales.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
-        name = wording.marked(str(observer), mine.certified)
+        name = number_format.marked(str(observer), mine.certified)
         led = sum(observer in each for each in won.leaders)
         cells = [name, str(wins.get(observer, 0)), str(led), median, "none" if not share else f"{share:.3g} %"]
         rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}

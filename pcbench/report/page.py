@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import jinja2
 from markupsafe import Markup
 
-from pcbench.dataset import store
+from pcbench.dataset import storage
 from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
-from pcbench.machine.progress import SILENT, Progress
 from pcbench.plots import frames
 from pcbench.plots.files import inline
-from pcbench.plots.words import title_of_scenario
-from pcbench.report import headline, pictures, sentences, set_options, summary
+from pcbench.plots.labels import title_of_scenario
+from pcbench.report import captions, figures, headline, set_options, summary
 from pcbench.report.experiment import Experiment, experiment
-from pcbench.report.pictures import SHOWN, Picture, Shown
+from pcbench.report.figures import SHOWN, Picture, Shown
+from pcbench.runtime.progress import SILENT, Progress
 
 WORDS = {
     "surely": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
@@ -56,9 +56,9 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
     the folder has none of these yet, and kept there. Raises UserError where the folder holds no finished study.
     """
     content = page(open_result(folder), progress, shown).encode()
-    target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
-    store.make(target)
-    store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
+    target = storage.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
+    storage.make(target)
+    storage.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
     return len(content)
 
 
@@ -68,7 +68,7 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
     stood = summary.stood(result, shown.metric, shown.signals)
     rows, won = summary.rows(result, stood), summary.tally(stood)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
-    places = pictures.places(result, names, shown, progress)
+    places = figures.places(result, names, shown, progress)
     progress.begin("scenarios", len(names))
     sections = []
     for number, name in enumerate(names):
@@ -108,17 +108,17 @@ _OF_STATS = {
 }
 
 
-def _section(here: pictures.Place, anchor: str) -> Section:
+def _section(here: figures.Place, anchor: str) -> Section:
     (result, scenario, _, _, _, shown), parts = here, []
     for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
         tables = headline.headlines(result, scenario, signal, shown.metric, here.cell, here.costs)
         whole = frames.rows(result, scenario, signal, shown.metric)
-        at = sentences.where(whole, here.cell)
-        drawn = [_drawn(p) for p in pictures.of_signal(here, signal)]
-        unit = pictures.unit_of_signal(result, scenario, signal)
+        at = captions.where(whole, here.cell)
+        drawn = [_drawn(p) for p in figures.of_signal(here, signal)]
+        unit = figures.unit_of_signal(result, scenario, signal)
         title = f"Error of {signal.replace('_', ' ')} [{unit}]"
         parts.append(Part(title, tables, at, drawn))
-    besides = [_drawn(p) for p in pictures.of_all_signals(here)]
+    besides = [_drawn(p) for p in figures.of_all_signals(here)]
     parts += [Part("All signals", [], "", besides)] if besides else []
     return Section(anchor, title_of_scenario(result, scenario), experiment(result, scenario), parts)
 
@@ -158,7 +158,7 @@ def _command(result: Result) -> str:
 def _said(result: Result) -> str:
     import tomli_w
 
-    from pcbench.study.as_toml import as_dict
+    from pcbench.study.serialize import as_dict
 
     return tomli_w.dumps(as_dict(result.study)).strip()
 

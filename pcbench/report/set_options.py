@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 from pcbench.dataset.result import Result
 from pcbench.plots.scales import number
 from pcbench.study import Study, dashes, given, observers_of, scenarios_of
-from pcbench.study.names import base_in, entry_in
-from pcbench.study.own_observers import ABSENT
+from pcbench.study.lookup import base_in, entry_in
+from pcbench.study.plugins.user_observers import ABSENT
 
 LONG = 120  # letters of a value at most
 

@@ -8,11 +8,11 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
+from pcbench.plots.labels import times, title_of_scenario
 from pcbench.plots.palette import styles
-from pcbench.plots.words import times, title_of_scenario
-from pcbench.report.sentences import number
-from pcbench.statistics import wording
-from pcbench.statistics.winning import most_often
+from pcbench.report.captions import number
+from pcbench.statistics import number_format
+from pcbench.statistics.ranking import most_often
 
 MOST = 7  # others that are named in a row
 SURE = 1e-3  # a p-value below it is written as that
@@ -135,14 +135,14 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
         return "surely: the values are exact"
     if row.winner:
         return "surely" + (f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else "")
-    return wording.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
+    return number_format.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 
 def _as_good(found: pd.DataFrame, runs: int) -> str:
     """Which observers are as good as the best in the most cells, where none is surely the best."""
     names, most = most_often(found.leaders)
     if most:
-        return wording.as_good(names, most, len(found))
+        return number_format.as_good(names, most, len(found))
     return "all diverge" if not any(found.best) else "one run: nothing is sure" if runs == 1 else "not compared"
 
 
@@ -166,4 +166,4 @@ def _value(part: pd.DataFrame, best: str, several: bool) -> str:
     if several:
         low, high = mine["mean"].min(), mine["mean"].max()
         return f"{number(low)} to {number(high)} {unit}" if np.isfinite(low) else "-"
-    return f"{wording.interval(mine.iloc[0])} {unit}"
+    return f"{number_format.interval(mine.iloc[0])} {unit}"

@@ -1,7 +1,8 @@
 """The closed loop in a run: commands made of the estimate, the input that they become, and what is off the set point.
 
 In a closed loop there is one observer, with a plant of its own. A run that has diverged is frozen. Commands go to the plant on
-a line that is the same for all runs (`actuator`), or over a network with delays and losses of each run's own (`network`).
+a line that is the same for all runs (`actuator_delay`), or over a network with delays and losses of each run's own
+(`command_network`).
 """
 
 from typing import Any, NamedTuple, TypeVar
@@ -11,8 +12,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.protocols import Controller, Now
-from pcbench.simulation import metrics, network
-from pcbench.simulation.problem import Layout, Memories, Problem
+from pcbench.simulation import command_network, metrics
+from pcbench.simulation.types import Layout, Memories, Problem
 
 Tree = TypeVar("Tree")
 
@@ -33,7 +34,7 @@ def before(layout: Layout, p: Problem, memories: Memories) -> Started:
     ((label, observer),), controller = layout.observers, layout.controller
     xhat = observer.estimate(p.gains[label], memories[label])
     if layout.pending:
-        commands: Any = network.empty(layout.commands, layout.pending, p.network.std.shape[0])
+        commands: Any = command_network.empty(layout.commands, layout.pending, p.network.std.shape[0])
     else:
         ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
         commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a row at a time, not R copies
@@ -47,7 +48,7 @@ def before(layout: Layout, p: Problem, memories: Memories) -> Started:
 
 def pushed(now: Now, commands: Any) -> Now:
     """Return the present as it is for the plant: its input with the noise that no observer is told."""
-    return now._replace(u=now.u + commands.noise) if isinstance(commands, network.Commands) else now
+    return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 
 
 def aims(layout: Layout, p: Problem, k: Array) -> Array:

@@ -25,8 +25,17 @@ from jax import Array, lax
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.protocols import Arrival, Now
-from pcbench.simulation import actuator, closed_loop, consistency, draws, judging, metrics, network, sample_noise
-from pcbench.simulation.problem import Layout, Outcome, Packet, Problem, params_of, present, truth
+from pcbench.simulation import (
+    actuator_delay,
+    closed_loop,
+    command_network,
+    innovation_stats,
+    measurement_noise,
+    metrics,
+    nees,
+    rng,
+)
+from pcbench.simulation.types import Layout, Outcome, Packet, Problem, params_of, present, truth
 
 Tree = Any  # of arrays
 
@@ -78,7 +87,7 @@ def simulate_runs(layout: Layout, p: Problem, root_seed: Array, seeds: Array, sc
 
 def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Outcome:
     """Return what one run leaves."""
-    layout = judging.watched(layout) if layout.consistency else layout
+    layout = innovation_stats.watched(layout) if layout.consistency else layout
     drawn = draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
@@ -146,21 +155,21 @@ def events(
 
 
 def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
-    """Return the random numbers of one run, by their addresses (`draws`)."""
+    """Return the random numbers of one run, by their addresses (`rng`)."""
     n, q, one = p.x0.shape[0], p.noise_std.shape[0], seed[None]
-    normal = draws.normals(draws.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
-    uniform = partial(draws.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
-    process = draws.run_keys(root_seed, one, "process", p.process_std.shape[0])
-    noise = sample_noise.drawing(p, root_seed, one)
-    sent = network.drawing(p.network, root_seed, one) if layout.pending else None
+    normal = rng.normals(rng.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
+    uniform = partial(rng.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
+    process = rng.run_keys(root_seed, one, "process", p.process_std.shape[0])
+    noise = measurement_noise.drawing(p, root_seed, one)
+    sent = command_network.drawing(p.network, root_seed, one) if layout.pending else None
 
     return Draws(
         start=normal[:, 0],
         box=uniform(stream="initial", numbers=n)[0, :, 0],
         plant=uniform(stream="drift", numbers=layout.plant.drawn)[0, :, 0] if layout.drifting else (),
-        words=draws.words(root_seed, one)[:, 0],
+        words=rng.words(root_seed, one)[:, 0],
         sample=lambda numbers: noise(list(range(q)), numbers)[:, 0],
-        process=lambda k: draws.normals(process, [k for _ in process])[:, 0] if process else jnp.zeros(0),
+        process=lambda k: rng.normals(process, [k for _ in process])[:, 0] if process else jnp.zeros(0),
         command=lambda k: jax.tree.map(lambda a: a[..., 0], sent(k)) if sent else (),
     )
 
@@ -207,7 +216,7 @@ def measure(layout: Layout, p: Problem, params: Any, k: Array, x: Array, v: Arra
     if layout.continuous:
         return y
     y = y + p.noise_std * v[: y.shape[0]]
-    return sample_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
+    return measurement_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
 def take_notes(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
@@ -309,7 +318,7 @@ def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     sent = run.commands.sent if layout.pending else run.commands
 
     def coming(i: Array) -> Array:
-        return actuator.read(p.line, sent, k + i, k - 1)
+        return actuator_delay.read(p.line, sent, k + i, k - 1)
 
     if controller.start:
         c, law = controller.command(p.control, now, xhat, coming, run.law)
@@ -317,9 +326,9 @@ def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
         c, law = controller.command(p.control, now, xhat, coming), run.law
     commands: Any
     if layout.pending:
-        commands = network.send(p.network, k, run.commands, c, drawn)
+        commands = command_network.send(p.network, k, run.commands, c, drawn)
     else:
-        commands = actuator.write(run.commands, k, c)
+        commands = actuator_delay.write(run.commands, k, c)
     return run._replace(commands=commands, law=law)
 
 
@@ -357,14 +366,12 @@ def as_one_field(layout: Layout, p: Problem, params: Any, now: Now, run: Run) ->
     return moved
 
 
-def normalized_errors(
-    layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]
-) -> dict[str, consistency.Squares]:
+def normalized_errors(layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]) -> dict[str, nees.Squares]:
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
-    prior, found = jnp.diagonal(p.spread0), consistency.covariances(layout, p, k, run.memories, run.commands)
+    prior, found = jnp.diagonal(p.spread0), nees.covariances(layout, p, k, run.memories, run.commands)
     return {
-        label: consistency.normalised(e[label][: len(prior)], P, prior)._replace(
-            innovation=judging.sums(run.memories[label])
+        label: nees.normalised(e[label][: len(prior)], P, prior)._replace(
+            innovation=innovation_stats.sums(run.memories[label])
         )
         for label, P in found.items()
     }

@@ -1,26 +1,39 @@
 """Numbers over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
 
 The face of the modules below, each one idea:
-`moments` (means in parts), `estimates` (intervals of means and of fractions), `selection` (order statistics in two passes),
-`order_statistics` (their intervals), `stack` (which metrics there are), `description` (rows of `stats`), `comparison` (tests),
-`pairing` (rows of `pairs`), `winning` (who wins on a map), `wording` (numbers as a person reads them).
+`moments` (means in parts), `estimates` (intervals of means and of fractions), `streaming_quantiles` (order statistics in two
+passes), `quantile_intervals` (their intervals), `metric_matrix` (which metrics there are), `aggregate` (rows of `stats`),
+`comparison` (tests), `pairing` (rows of `pairs`), `ranking` (who wins on a map), `number_format` (numbers as a person reads
+them).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
 interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
-grow with their number (quantiles: hardly, see `selection`). The functions of whole arrays [n] are the case of one chunk.
+grow with their number (quantiles: hardly, see `streaming_quantiles`). The functions of whole arrays [n] are the case of one
+chunk.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import unknown
+from pcbench.statistics.aggregate import ESTIMATED, Aggregate, Described, Row, columns, described, rows, see, spread
 from pcbench.statistics.comparison import SAME, contest, holm
-from pcbench.statistics.description import ESTIMATED, Aggregate, Described, Row, columns, described, rows, see, spread
 from pcbench.statistics.estimates import Z95, positive, reached, root, student, wilson
+from pcbench.statistics.metric_matrix import (
+    ASKED,
+    CHUNK,
+    COMPARED,
+    OF_RUN,
+    POOLED,
+    RUN_METRICS,
+    Chunks,
+    Results,
+    joined,
+    stack,
+)
 from pcbench.statistics.moments import Values, moments
-from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, positions, ranks, read
 from pcbench.statistics.pairing import VERDICT, ZERO, Judged, Meeting, Pair, meet, settled, verdict, verdicts
-from pcbench.statistics.stack import ASKED, CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, joined, stack
+from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES, positions, ranks, read
 
 __all__ = [
     "ASKED", "CHUNK", "COLUMNS", "COMPARED", "ESTIMATED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN",

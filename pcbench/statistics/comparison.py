@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pcbench.statistics.distributions import student_below
 from pcbench.statistics.estimates import Estimate, student
+from pcbench.statistics.metric_matrix import kept
 from pcbench.statistics.moments import Moments, Values, merge, moments
-from pcbench.statistics.stack import kept
 
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.statistics.comparison import Contest, beside, contest, join, judged
+from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack
 from pcbench.statistics.moments import Values
-from pcbench.statistics.stack import COMPARED, POOLED, SignalMetric, Stack
 
 ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
 BLOCK = 4 * 4096  # values at a time: what is computed on the way stays in the cache; measured 2 times faster

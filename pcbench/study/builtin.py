@@ -4,7 +4,7 @@ from math import inf
 from typing import Any
 
 from pcbench.scenarios import SCENARIOS
-from pcbench.study.scenario_table import ScenarioTable
+from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
 
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`

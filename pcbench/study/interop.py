@@ -17,8 +17,8 @@ from pcbench.errors import UserError, said, unknown
 from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
-from pcbench.study.own_scenarios import plain
-from pcbench.study.read import parse
+from pcbench.study.parse import parse
+from pcbench.study.plugins.user_scenarios import plain
 
 
 def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:

@@ -14,8 +14,8 @@ from typing import Any
 
 from pcbench.errors import UserError, short, shown
 from pcbench.observers import LONGEST, OBSERVERS, base_of
-from pcbench.study import own
-from pcbench.study.own_entries import installed
+from pcbench.study.plugins import user_code
+from pcbench.study.plugins.registry import installed
 
 LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
@@ -46,7 +46,7 @@ def labelled(raw: dict[str, Any], where: str) -> dict[str, Any]:
 
 def label_of(name: str) -> str:
     """Return the label that a name has in a list of observers."""
-    return name.rpartition(":")[2] if own.is_reference(name) else name
+    return name.rpartition(":")[2] if user_code.is_reference(name) else name
 
 
 def _inside(raw: dict[str, Any], key: str, use: dict[str, str], where: str) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
             out.append(name)  # the model says what is wrong
             continue
         label = label_of(name)
-        if own.is_reference(name):
-            own.split(name, where)
+        if user_code.is_reference(name):
+            user_code.split(name, where)
             _free(label, name, where)
             if use.get(label, name) != name or label in out:
                 raise UserError(
@@ -93,8 +93,8 @@ def _options(given: dict[str, Any], options: Any, use: dict[str, str], where: st
         if (text := mine.pop("use", None)) is not None:
             if not isinstance(text, str):
                 raise UserError(f'{here}.use: got {shown(text)}, expected MODULE:NAME such as "mine.py:nudge".')
-            if own.is_reference(text):
-                own.split(text, f"{here}.use")
+            if user_code.is_reference(text):
+                user_code.split(text, f"{here}.use")
                 _free(label, text, where)
                 use[label] = text
             elif text in OBSERVERS and label != text and not label.startswith(text + "-"):

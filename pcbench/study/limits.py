@@ -9,7 +9,7 @@ and SCENARIOS scenarios.
 from collections.abc import Collection
 
 from pcbench.errors import UserError
-from pcbench.simulation.schedule import per_lane, sampling
+from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock
 
 TICKS = 1_000_000
@@ -53,7 +53,7 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
                 f"{where}: got samples up to {longest * dt:g} s late and only {least * dt:g} s apart, expected at most "
                 f"{IN_FLIGHT:,} of a channel on their way at a time; shorten the delay or sample less often."
             )
-    most = per_lane.overtaking(clocks, ticks)
+    most = random_times.overtaking(clocks, ticks)
     if most > OVERTAKING:
         raise UserError(
             f"{where}: got samples that up to {most:,} newer ones may overtake, expected at most {OVERTAKING:,}; take a "

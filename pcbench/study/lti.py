@@ -27,7 +27,7 @@ from pcbench.study.lti_shapes import (
     signals,
     vector,
 )
-from pcbench.study.scenario_table import Degrees
+from pcbench.study.scenario_schema import Degrees
 
 
 class Lti(BaseModel):

@@ -12,7 +12,7 @@ from pcbench.plants import PLANTS, PlantSpec, signals_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS
 from pcbench.signal_names import names_and_units, require_different
-from pcbench.study.sentences import sentence
+from pcbench.study.pydantic_errors import sentence
 
 # by field: how many numbers, and whether none is allowed as well
 SIZES = {

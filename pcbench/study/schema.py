@@ -6,8 +6,8 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator,
 
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
-from pcbench.study.own import Own
-from pcbench.study.scenario_table import ScenarioTable
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.scenario_schema import ScenarioTable
 
 Values = list[Any]
 TUNINGS = ("published", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning

@@ -23,7 +23,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import rank
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
+from pcbench.synthesis.sampled_model import Sampled, by_poles, invertible, noise_over, power, require_seen
 
 LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
 

@@ -5,7 +5,7 @@
     riccati   a stationary Kalman filter's
     decay     the fastest rate of decay that one P proves over a range (up to e^-5 a sample), or a rate that is asked for
     h2        the least covariance, and
-    hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust`
+    hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust_lmi`
 
 The first three are found at the (mean) sampling period, in units of 1000^k (k whole) near the size of x(0), as the solution
 of (23) depends on the units. If a range or a rate is asked for, one P of its own proves over it what they found. All report
@@ -24,16 +24,16 @@ from pcbench.synthesis import (
     common_lyapunov,
     current_estimator,
     error_bounds,
-    remembered,
     riccati,
-    robust,
+    robust_lmi,
+    solver_cache,
     solvers,
     units,
 )
-from pcbench.synthesis.again import Again
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
-from pcbench.synthesis.ranges import Maps
+from pcbench.synthesis.memo import Again
+from pcbench.synthesis.parameter_ranges import Maps
 
 ROBUST = ("decay", "h2", "hinf")
 
@@ -64,8 +64,8 @@ def find(
     into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
-        task = robust.RobustTask(maps or mean, C, R, ahead / units.prior_size(setting)[:, None], size)
-        found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
+        task = robust_lmi.RobustTask(maps or mean, C, R, ahead / units.prior_size(setting)[:, None], size)
+        found, certificate = robust_lmi.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
         start = None if given is None else given / S[:, None] * s
@@ -93,7 +93,7 @@ def _at_the_mean(
 
     def ask(solver: str) -> current_estimator.CurrentGain:
         name = f"lmi23-{solver.lower()}"
-        return remembered.remembered(
+        return solver_cache.remembered(
             current_estimator.CurrentGain, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
         )
 

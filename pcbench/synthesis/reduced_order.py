@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.synthesis import common_lyapunov, error_bounds, units
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import ErrorMaps
-from pcbench.synthesis.ranges import Maps
+from pcbench.synthesis.parameter_ranges import Maps
 
 
 class Partition(NamedTuple):

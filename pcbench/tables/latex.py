@@ -109,7 +109,7 @@ def _entry(entry: Entry | None, plain: bool) -> str:
 
 
 def _estimate(text: str, plain: bool) -> str:
-    """An estimate as `wording` writes it, in LaTeX."""
+    """An estimate as `number_format` writes it, in LaTeX."""
     if leaning := LEANING.fullmatch(text):
         value, low, high = (_number(leaning[k], plain) for k in ("value", "low", "high"))
         return f"{value} ({low} to {high})"

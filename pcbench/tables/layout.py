@@ -12,8 +12,8 @@ import pandas as pd
 from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
 from pcbench.plots import frames
-from pcbench.statistics.winning import standing
-from pcbench.statistics.wording import estimate
+from pcbench.statistics.number_format import estimate
+from pcbench.statistics.ranking import standing
 
 WIDE = 4  # values of an axis that stand beside one another
 

@@ -11,13 +11,14 @@ from pydantic import BaseModel, Field
 from scipy.linalg import expm
 
 import pcbench
-from pcbench.checking import controller_trial
+from pcbench.checking import controller_fixtures
 from pcbench.checking.controller import CHECKS, findings
-from pcbench.checking.finding import Skipped
+from pcbench.checking.result import Skipped
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import loops, own_controllers
-from pcbench.study.own import Code, Own
+from pcbench.study import controller_table
+from pcbench.study.plugins import user_controllers
+from pcbench.study.plugins.user_code import Code, Own
 
 CART, COUNT = SCENARIOS["cart/white"], itertools.count()
 
@@ -53,13 +54,13 @@ def command(params, now, estimate, coming, kept):
 LAW = pcbench.Controller(lambda params, tick: jnp.zeros(1), lambda params, tick, estimate: jnp.zeros(1), command, start)
 
 
-def own(make=prepare, check=own_controllers.anything, **functions):
+def own(make=prepare, check=user_controllers.anything, **functions):
     entry = pcbench.ControllerSpec(LAW._replace(**functions), Options, make, "yours", check)
-    return Own(own_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
+    return Own(user_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
 
 
 def trial(mine, **options):
-    return controller_trial.trial("pull", mine, CART, options)[0]
+    return controller_fixtures.trial("pull", mine, CART, options)[0]
 
 
 def changed(u=lambda u, now, estimate, params: u):
@@ -122,7 +123,7 @@ def test_its_eigenvalue_is_that_of_the_loop_written_out():
     whole = expm(T * np.block([[model.A, model.B], [np.zeros((1, 3))]]))
     Phi, Gamma, K = whole[:2, :2], whole[:2, 2:], np.array([[2.0 + 0.5 * T, 0.1]])
     loop = np.block([[Phi - Gamma @ K, -Gamma], [np.array([[0.5 * T, 0.0]]), np.eye(1)]])
-    found = loops.slowest(t.scenario, "t")
+    found = controller_table.slowest(t.scenario, "t")
     assert abs(found.mode) == pytest.approx(np.abs(np.linalg.eigvals(loop)).max(), rel=1e-10)
     assert (found.late, found.period) == (0.0, pytest.approx(0.05))
 
@@ -140,6 +141,6 @@ def test_a_law_that_looks_at_what_is_on_its_way_is_not_linearised():
 def test_a_scenario_whose_loop_it_closes_keeps_its_options_and_its_network():
     mine = own()
     closed = trial(mine, gain=3.0).scenario.having(actuator_delay=0.02, command_loss=0.1)
-    again, why = controller_trial.trial("pull", mine, closed, {"period": 0.01})
+    again, why = controller_fixtures.trial("pull", mine, closed, {"period": 0.01})
     assert why == "gain = 3.0, period = 0.01"
     assert (again.told.late, again.scenario.loop.command_loss) == (20, 0.1)

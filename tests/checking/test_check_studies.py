@@ -7,13 +7,13 @@ import pytest
 from loops import Q1, Q2, study
 
 from pcbench import checking
-from pcbench.checking import in_loop, kinds
+from pcbench.checking import closed_loop, targets
 from pcbench.checking import study as of_studies
-from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.loading import Candidate
+from pcbench.checking.result import Noted, Skipped
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
-from pcbench.study import read
+from pcbench.study import parse
 
 SHORT = {"duration": 0.4, "steady_start": 0.1}
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
@@ -30,7 +30,7 @@ def free(observers=("kf", "model-only"), **lti):
 
 
 def asked(check, raw):
-    return of_studies.CHECKS[check](read.grid_of(raw, {}, []))
+    return of_studies.CHECKS[check](parse.grid_of(raw, {}, []))
 
 
 def test_a_sound_study_passes_every_check():
@@ -83,8 +83,8 @@ def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(
 
 
 def in_lqr(entry, **changes):
-    s = read.grid_of(study(LQR, **SHORT), {}, []).cells[0].scenario
-    return in_loop.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
+    s = parse.grid_of(study(LQR, **SHORT), {}, []).cells[0].scenario
+    return closed_loop.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
 
 
 def test_an_observer_that_slips_in_a_loop_has_an_error_or_says_so_and_stays_within_the_bound():
@@ -129,8 +129,8 @@ def folder(tmp_path, monkeypatch):
 
 def test_what_a_name_stands_for_is_found_out(folder):
     for name, kind in (("watch", "observer"), ("law", "controller"), ("fall", "plant"), ("late", "scenario")):
-        assert kinds.kind_of(f"four.py:{name}") == kind
-    assert {kinds.kind_of(name) for name in ("motor.toml", "cart/white", "quick")} == {"study"}
+        assert targets.kind_of(f"four.py:{name}") == kind
+    assert {targets.kind_of(name) for name in ("motor.toml", "cart/white", "quick")} == {"study"}
     with pytest.raises(UserError) as said:
         checking.check("four.py:number")
     each = str(said.value)

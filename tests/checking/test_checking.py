@@ -10,10 +10,10 @@ import own_observer as own
 import pytest
 
 from pcbench.checking import tracing
+from pcbench.checking.fixtures import trial
 from pcbench.checking.loading import Candidate
 from pcbench.checking.observer import CHECKS, findings
 from pcbench.checking.replay import none, replay
-from pcbench.checking.trial import trial
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.scenarios import SCENARIOS

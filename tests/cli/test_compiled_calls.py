@@ -92,7 +92,7 @@ def test_ctrl_c_ends_a_call_that_python_cannot_interrupt(tmp_path):
     code = (
         "import hashlib, os, signal, sys, threading, time\n"
         "from pathlib import Path\nfrom pcbench import cli\nfrom pcbench.cli import catalogue\n"
-        "from pcbench.machine import ending\n"
+        "from pcbench.runtime import ending\n"
         "def write():\n    with ending.uncut():\n        time.sleep(2.5); Path('file').write_text('complete')\n"
         "    with ending.uncut():\n        Path('later').write_text('begun after that')\n"
         "def plant(name):\n"

@@ -16,13 +16,13 @@ from rich.progress import Progress, TextColumn
 
 import pcbench
 from pcbench.cli.commands import app
-from pcbench.cli.screen import listing
-from pcbench.cli.screen.tables import Column, Screen, printed
+from pcbench.cli.render import listing
+from pcbench.cli.render.tables import Column, Screen, printed
 from pcbench.errors import UserError
-from pcbench.plots.paper import PAPER
+from pcbench.plots.canvas import PAPER
+from pcbench.plots.layout import Key, Panel, sheet
 from pcbench.plots.scales import Scale
-from pcbench.plots.sheet import Key, Panel, sheet
-from pcbench.study import read, scenario_toml, scenarios_of
+from pcbench.study import parse, scenario_template, scenarios_of
 from pcbench.tables import latex, text
 from pcbench.tables.layout import Entry, Head, Table
 
@@ -104,7 +104,7 @@ def test_a_table_for_a_terminal_has_no_codes_but_those_of_its_styles():
 
 
 def test_progress_says_labels_as_text():
-    from pcbench.cli.screen.progress import drawn
+    from pcbench.cli.render.progress import drawn
 
     with Progress(TextColumn("{task.description}", markup=False), disable=True) as lines:
         progress = drawn(lines)
@@ -149,10 +149,10 @@ def _style():
 
 
 def test_a_study_is_printed_as_toml_that_is_the_same_study():
-    found = read.parse(STUDY, "hostile")
+    found = parse.parse(STUDY, "hostile")
     scenario = scenarios_of(found)["s/../../x"]
     assert scenario.summary == SHOWN
-    again = read.parse(tomllib.loads(scenario_toml.as_study(scenario)), "again")
+    again = parse.parse(tomllib.loads(scenario_template.as_study(scenario)), "again")
     (own,) = (s for name, s in scenarios_of(again).items() if name == again.scenarios[0])
     assert own.options == scenario.options
     assert own.source == scenario.source

@@ -19,11 +19,11 @@ from logged import MOTOR, plain, rows
 
 import pcbench
 from pcbench import plots
-from pcbench.cli import exporting
-from pcbench.dataset import store, together
+from pcbench.cli import export
+from pcbench.dataset import atomic_files, storage
 from pcbench.export import files
+from pcbench.playback import output
 from pcbench.plots.log_delays import BINS, edges_of
-from pcbench.replaying import folder
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
 
@@ -96,7 +96,7 @@ def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, mon
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "shut")  # root may write everywhere
     (here / "shut").mkdir()
     with pytest.raises(pcbench.UserError, match=r"^--out .*: got .*, expected a folder .*; give another\.$"):
-        exporting.export("motor.toml", "kf", place)
+        export.export("motor.toml", "kf", place)
     assert not list((here / "shut").iterdir())
 
 
@@ -116,14 +116,14 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
         (tmp_path / name).write_text(text)
 
     def replayed():
-        with folder.draft(tmp_path) as draft:
+        with output.draft(tmp_path) as draft:
             draft.write(pa.table({"t": [0.0, 1.0]}))
             if at == "estimates":
                 stopped()
             draft.close()
-            folder.finish(draft, {})
+            output.finish(draft, {})
 
-    monkeypatch.setattr(store, "put_json", stopped)
+    monkeypatch.setattr(storage, "put_json", stopped)
     with pytest.raises(KeyboardInterrupt):
         replayed()
     assert standing(tmp_path) == before
@@ -132,9 +132,9 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
 @pytest.mark.parametrize(("at", "left"), [("put", "old"), ("replace", "new")])
 def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
     """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
-    target, names, calls = store.target(tmp_path), ("a", "b/b", "c"), []
-    together.put_all(target, dict.fromkeys(names, b"old"))
-    module = store if at == "put" else os
+    target, names, calls = storage.target(tmp_path), ("a", "b/b", "c"), []
+    atomic_files.put_all(target, dict.fromkeys(names, b"old"))
+    module = storage if at == "put" else os
     does = getattr(module, at)
 
     def stopped_at_the_second(*given):
@@ -144,7 +144,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
 
     monkeypatch.setattr(module, at, stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
-        together.put_all(target, dict.fromkeys(names, b"new"))
+        atomic_files.put_all(target, dict.fromkeys(names, b"new"))
     assert standing(tmp_path) == dict.fromkeys(names, left)
 
 

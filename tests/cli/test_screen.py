@@ -15,15 +15,15 @@ from small_study import STUDY
 
 import pcbench
 from pcbench.cli import shared
-from pcbench.cli.screen import consistency, replays, results
-from pcbench.cli.screen.tables import Column, Screen, aligned, printed
+from pcbench.cli.render import consistency, replay, results
+from pcbench.cli.render.tables import Column, Screen, aligned, printed
 from pcbench.controllers import CONTROLLERS
 from pcbench.export.files import Line
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.report import headline
 from pcbench.scenarios import SCENARIOS
-from pcbench.statistics import wording
+from pcbench.statistics import number_format
 from pcbench.study.builtin import STUDIES
 
 OWN = Path(__file__).parents[1] / "support" / "own_observer.py"
@@ -48,7 +48,7 @@ def shown(result, width=80, metric="steady_rmse", signals=None):
 
 
 def number(row):
-    return wording.interval(row)
+    return number_format.interval(row)
 
 
 @pytest.mark.parametrize("width", [60, 80, 100, 160])
@@ -113,7 +113,7 @@ def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whol
         pairs = result.pairs[
             (result.pairs.metric == metric) & (result.pairs.signal == "position") & (result.pairs.cell == 1)
         ]
-        said = wording.difference(pairs, worse, best)
+        said = number_format.difference(pairs, worse, best)
         assert said.startswith("+") or said == "="
         assert said.split(" ± ")[0] in shown(result, 160, metric)
 
@@ -180,7 +180,7 @@ def digits(text):
 def test_value_and_interval_end_at_one_digit(value, part, lean):
     """Two digits of the half interval, and the value is the nearest with as many."""
     half = value * part
-    text = wording.estimate(value, value - half * lean, value + half / lean)
+    text = number_format.estimate(value, value - half * lean, value + half / lean)
     whole = text.startswith("(")
     mean, sign, width = text.strip("()").partition(" ± ")
     power = "e" + text.rpartition("e")[2] if whole else ""
@@ -193,14 +193,14 @@ def test_value_and_interval_end_at_one_digit(value, part, lean):
 
 def test_what_an_interval_cannot_say_is_said_otherwise():
     nan = float("nan")
-    assert wording.estimate(nan, nan, nan) == "-"
-    assert wording.estimate(3e-12, 1e-12, 9e-12) == "0"
-    assert wording.estimate(0.5, nan, nan) == "0.5 ± ?"
-    assert wording.estimate(5.082, 5.082, 5.082) == "5.082"
-    assert wording.estimate(0.0047, 0.0011, 0.0203) == "0.0047 (0.0011 .. 0.02)", "it leans to one side"
-    assert wording.estimate(36000, 34800, 37200) == "36000 ± 1200"
-    assert wording.estimate(3.9e-10, 3.8e-10, 4.0e-10) == "(3.90 ± 0.10)e-10"
-    assert wording.estimate(0.337, 0.328, 0.346, "+") == "+0.3370 ± 0.0090"
+    assert number_format.estimate(nan, nan, nan) == "-"
+    assert number_format.estimate(3e-12, 1e-12, 9e-12) == "0"
+    assert number_format.estimate(0.5, nan, nan) == "0.5 ± ?"
+    assert number_format.estimate(5.082, 5.082, 5.082) == "5.082"
+    assert number_format.estimate(0.0047, 0.0011, 0.0203) == "0.0047 (0.0011 .. 0.02)", "it leans to one side"
+    assert number_format.estimate(36000, 34800, 37200) == "36000 ± 1200"
+    assert number_format.estimate(3.9e-10, 3.8e-10, 4.0e-10) == "(3.90 ± 0.10)e-10"
+    assert number_format.estimate(0.337, 0.328, 0.346, "+") == "+0.3370 ± 0.0090"
 
 
 @given(st.lists(st.sampled_from(["0.22 ± 0.01", "1.2600 ± 0.0068", "5", "", "never", "0.5 (0.1 .. 2)"]), min_size=1))
@@ -248,7 +248,7 @@ def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
 @pytest.mark.parametrize("kind", ["observers", "scenarios", "plants", "studies", "axes", "metrics", "choices"])
 def test_everything_there_is_can_be_told_whole(kind):
     from pcbench.cli.catalogue import found
-    from pcbench.cli.screen import listing
+    from pcbench.cli.render import listing
 
     for name, said in found(kind).items():
         console = Screen(file=io.StringIO(), width=80)
@@ -360,6 +360,6 @@ def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
         found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
         console = shared.console()
         console.file = io.StringIO()
-        replays.table(SimpleNamespace(about=about), found, found, "the recording", console)
+        replay.table(SimpleNamespace(about=about), found, found, "the recording", console)
         assert ("rms error" in console.file.getvalue()) == shown
         assert "nan" not in console.file.getvalue()

@@ -11,15 +11,15 @@ import pcbench
 from pcbench.cli.catalogue import scenario
 from pcbench.cli.commands import app
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import cells, observers_of, read, scenario_toml
-from pcbench.study.cells import cell_of, identity
+from pcbench.study import grid, observers_of, parse, scenario_template
+from pcbench.study.grid import cell_of, identity
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_printed_as_a_study_is_the_scenario(name):
     """Equal in every field, as the digests see them."""
-    found = read.parse(tomllib.loads(scenario_toml.as_study(SCENARIOS[name])), "mine.toml")
-    (own,) = cells.cells_of(found)
+    found = parse.parse(tomllib.loads(scenario_template.as_study(SCENARIOS[name])), "mine.toml")
+    (own,) = grid.cells_of(found)
     assert own.scenario.name == "my-" + name.replace("/", "-")
     published = cell_of(SCENARIOS[name], parameters=dict(SCENARIOS[name].truth.parameters))
     assert identity(own._replace(scenario=own.scenario.having(name=name)), 0) == identity(published, 0)
@@ -27,16 +27,16 @@ def test_a_scenario_printed_as_a_study_is_the_scenario(name):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_what_stands_there_as_a_comment_is_a_value_that_changes_nothing(name):
-    text = scenario_toml.as_study(SCENARIOS[name])
+    text = scenario_template.as_study(SCENARIOS[name])
     bare = "\n".join(line.removeprefix("# ") if " = " in line else line for line in text.splitlines())
-    a, b = (read.parse(tomllib.loads(each), "mine.toml") for each in (text, bare))
-    (one,), (other,) = cells.cells_of(a), cells.cells_of(b)
+    a, b = (parse.parse(tomllib.loads(each), "mine.toml") for each in (text, bare))
+    (one,), (other,) = grid.cells_of(a), grid.cells_of(b)
     assert one.digest == other.digest
 
 
 def test_a_tail_is_said_even_where_it_is_the_records_default():
     """Left out of a table, it would begin after 30 % of the horizon."""
-    assert "\nsteady_start = 3.0" in scenario_toml.as_study(SCENARIOS["cart/white"].having(duration=20.0))
+    assert "\nsteady_start = 3.0" in scenario_template.as_study(SCENARIOS["cart/white"].having(duration=20.0))
 
 
 @pytest.mark.nightly  # by default its identity is enough: equal in every field that a number depends on
@@ -79,7 +79,7 @@ def test_what_is_no_scenario_is_one_sentence(words, sentence):
 def test_a_study_with_options_of_labels_is_printed_with_them(tmp_path, capsys):
     text = """observers = ["kfbo", 'kfbo-"]x']\n[scenario]\nbase = "cart/white"\n[options.'kfbo-"]x']\nR = 0.3\n"""
     (tmp_path / "own.toml").write_text(text + "[options.scenario]\nrandom_initial_state = true\n")
-    again = read.parse(tomllib.loads(shown(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
+    again = parse.parse(tomllib.loads(shown(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
     assert again.options == {'kfbo-"]x': {"R": 0.3}, "scenario": {"random_initial_state": True}}
 
 
@@ -132,8 +132,8 @@ def test_what_show_says_to_type_is_accepted(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize("name", ["delayed-measurements", "reactor/batch"])
 def test_a_study_is_printed_with_its_observers_and_axes(name, capsys):
-    study = read.load(name)
-    again = read.parse(tomllib.loads(shown(capsys, name, "--toml")), "mine.toml")
+    study = parse.load(name)
+    again = parse.parse(tomllib.loads(shown(capsys, name, "--toml")), "mine.toml")
     (printed,), (own,) = again.scenarios, study.scenarios
     assert observers_of(again, printed) == observers_of(study, own)
     assert again.axes == study.axes

@@ -6,8 +6,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pcbench.controllers import pd
-from pcbench.machine import process
 from pcbench.protocols import Now
+from pcbench.runtime import config
 from pcbench.scenarios.signals import PATHS
 
 DT, ROWS, TICKS = 0.01, 20, 400
@@ -40,7 +40,7 @@ def unasked(i):
 
 def command(options, params, k, estimate, coming=unasked):
     now = Now(jnp.asarray(k * DT), jnp.asarray(k), jnp.asarray(DT), jnp.zeros(2), lambda age: age)
-    with process.float64():
+    with config.float64():
         return np.asarray(pd.controller(options).command(params, now, jnp.asarray(estimate), coming))
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from pcbench import UserError
-from pcbench.dataset import executors, store
+from pcbench.dataset import executors, storage
 from pcbench.errors import shown_address
 
 SHOWN = {  # by address: what is shown of it
@@ -30,13 +30,13 @@ def test_an_address_is_shown_without_its_secrets(address):
 @pytest.mark.parametrize("address", ["nowhere://K:secr/et@b/a", "s3://K:secr@et@", "nowhere://b?client_secret=secret"])
 def test_a_place_that_cannot_be_reached_is_named_without_its_secrets(address):
     with pytest.raises(UserError, match="is no place that can be reached") as error:
-        store.target(address)
+        storage.target(address)
     assert "secr" not in str(error.value)
 
 
 def test_a_dataset_calls_its_place_without_secrets():
     pytest.importorskip("pyarrow")
-    found = store.target("s3://K:se%2Fcret@bucket/a?region=eu-west-1")
+    found = storage.target("s3://K:se%2Fcret@bucket/a?region=eu-west-1")
     assert found.name == "s3://bucket/a?region=eu-west-1"
     assert "cret" in found.uri, "another process reaches it"
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pcbench
-from pcbench.dataset import block_files, parquet, store
+from pcbench.dataset import block_files, parquet_io, storage
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.seeds import Seeds, counted, gaps
+from pcbench.dataset.seed_ranges import Seeds, counted, gaps
 from pcbench.errors import UserError
 
 
@@ -71,13 +71,13 @@ def dataset(tmp_path_factory):
 
 def damaged(dataset, tmp_path, change):
     """What is found wrong with a block that was changed."""
-    place, b = store.target(dataset), block_files.present(store.target(dataset))[0]
+    place, b = storage.target(dataset), block_files.present(storage.target(dataset))[0]
     cell = block_files.about(block_files.read(place, b))["cell"]
     assert block_files.damage(place, b, cell) is None
     path = tmp_path / b.name
     path.parent.mkdir(parents=True)
     path.write_bytes(change((dataset / b.name).read_bytes()))
-    found = block_files.damage(store.target(tmp_path), b, cell)
+    found = block_files.damage(storage.target(tmp_path), b, cell)
     if found is not None:
         assert "\n" not in found
     return found
@@ -100,21 +100,21 @@ def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, whe
         return bytes(changed)
 
     if damaged(dataset, tmp_path, flip) is None:
-        b = block_files.present(store.target(tmp_path))[0]
-        found, want = block_files.read(store.target(tmp_path), b), pq.read_table(dataset / b.name, partitioning=None)
+        b = block_files.present(storage.target(tmp_path))[0]
+        found, want = block_files.read(storage.target(tmp_path), b), pq.read_table(dataset / b.name, partitioning=None)
         assert found.equals(want)
         assert block_files.about(found) == block_files.about(want)
 
 
 def test_no_flipped_bit_ends_the_process(dataset):
     """Every 29th: pyarrow aborted the process in about 300 of all, where a column's description was damaged."""
-    (name,) = {b.name for b in block_files.present(store.target(dataset)) if b.seeds.first == 0}
+    (name,) = {b.name for b in block_files.present(storage.target(dataset)) if b.seeds.first == 0}
     content, found = (dataset / name).read_bytes(), []
     for at in range(0, 8 * len(content), 29):
         changed = bytearray(content)
         changed[at // 8] ^= 1 << at % 8
         try:
-            parquet.parsed(pa.py_buffer(bytes(changed)))
+            parquet_io.parsed(pa.py_buffer(bytes(changed)))
         except (pa.ArrowException, OSError, ValueError) as error:
             found.append(error)
     assert len(found) > 1000
@@ -126,7 +126,7 @@ def rewritten(change):
     def rewrite(content):
         table = pq.read_table(pa.BufferReader(content))
         said = block_files.about(table)
-        return parquet.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
+        return parquet_io.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
 
     return rewrite
 
@@ -136,7 +136,7 @@ def unsealed(content):
     table = pq.read_table(pa.BufferReader(content))
     i, values = table.schema.get_field_index("mae"), table["mae"].to_numpy().copy()
     values[3] = np.nextafter(values[3], 1.0)
-    return parquet.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
+    return parquet_io.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
 
 
 CHANGES = {
@@ -162,7 +162,7 @@ def test_a_table_that_is_no_block_is_named(dataset, tmp_path):
     stray.parent.mkdir(parents=True)
     stray.write_bytes(Path(next((dataset / "runs").rglob("*.parquet"))).read_bytes())
     with pytest.raises(UserError, match=r"mine.parquet: is no block"):
-        block_files.present(store.target(tmp_path))
+        block_files.present(storage.target(tmp_path))
 
 
 def test_a_column_of_lists_is_as_it_was_written(tmp_path):
@@ -194,6 +194,6 @@ def test_a_block_with_a_list_for_each_channel_is_whole_once_read():
     """Parquet has another name for what is in a list; a study over the delays of channels goes on where it stands."""
     column = pa.array([[20.0, 50.0], [20.0, 50.0]], pa.list_(pa.float64()))
     made = block_files.sealed(pa.table({"delay": column, "mae": [0.1, 0.2]}), {})
-    read = pq.read_table(pa.BufferReader(parquet.encoded(made)))
+    read = pq.read_table(pa.BufferReader(parquet_io.encoded(made)))
     said = block_files.about(read)
     assert block_files.digest(read, said) == said["digest"]

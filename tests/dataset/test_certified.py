@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.screen import comparison, folder, results
-from pcbench.dataset import summary, verify
+from pcbench.cli.render import comparison, folder, results
+from pcbench.dataset import close, verify
 from pcbench.dataset.compare import compare
 from pcbench.report import headline
 from pcbench.synthesis.certificate import NO_GAIN, Certificate, is_certified, no_certificate
@@ -78,4 +78,4 @@ def test_of_several_cells_the_weakest_proof_is_kept():
     some = {"inequality": "radius < 1", "margin": 0.2, "status": "solved"}
     none = {"inequality": "none: by hand", "margin": None, "status": "uncertified"}
     nothing = {"inequality": NO_GAIN, "margin": None, "status": "not needed"}
-    assert sorted([nothing, some, none], key=summary._strength) == [none, some, nothing]
+    assert sorted([nothing, some, none], key=close._strength) == [none, some, nothing]

@@ -14,7 +14,7 @@ from scipy.stats import ttest_ind_from_stats
 from small_study import STUDY, sealed_again
 
 import pcbench
-from pcbench.dataset import compare, merge, parquet, store
+from pcbench.dataset import compare, merge, parquet_io, storage
 from pcbench.errors import UserError
 
 
@@ -37,14 +37,16 @@ def stepwise(p):
 
 def change(out, column, factor, rows):
     """Multiply numbers of stats.parquet, as another release might."""
-    place = store.target(out)
-    table = parquet.parsed(store.get(place, "stats.parquet"))
+    place = storage.target(out)
+    table = parquet_io.parsed(storage.get(place, "stats.parquet"))
     frame = table.to_pandas()
     chosen = frame.eval(rows)
     assert chosen.any()
     values = frame[column].where(~chosen, frame[column] * factor)
     i = table.schema.get_field_index(column)
-    store.put_table(place, "stats.parquet", table.set_column(i, table.schema.field(i), pa.array(values, pa.float64())))
+    storage.put_table(
+        place, "stats.parquet", table.set_column(i, table.schema.field(i), pa.array(values, pa.float64()))
+    )
     sealed_again(out)
 
 

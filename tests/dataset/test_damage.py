@@ -14,7 +14,7 @@ from commands import call
 from small_study import STUDY, same, tables
 
 import pcbench
-from pcbench.dataset import block_files, parquet, store, verify
+from pcbench.dataset import block_files, parquet_io, storage, verify
 from pcbench.errors import UserError
 from pcbench.plots import one_run
 
@@ -85,11 +85,11 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.open_result(copy).study
     made = one_run.of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
-    content, table = path.read_bytes(), parquet.parsed(store.get(store.target(copy), f"examples/{path.name}"))
+    content, table = path.read_bytes(), parquet_io.parsed(storage.get(storage.target(copy), f"examples/{path.name}"))
     values = table["value"].to_numpy().copy()
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
-    store.put_table(store.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
+    storage.put_table(storage.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
     (wrong,) = verify.verify(copy, 0, 0).wrong
     assert wrong.startswith("examples/")
     assert one_run.of(study, "cart/slow", copy).equals(made)
@@ -117,7 +117,7 @@ def test_a_block_that_takes_much_memory_is_one_sentence_before_it_takes_it(copy)
     pq.write_table(zeros, block)
     assert block.stat().st_size < 300_000
     with pytest.raises(pa.ArrowInvalid, match="320 MB in memory"):
-        parquet.parsed(pa.py_buffer(block.read_bytes()))
+        parquet_io.parsed(pa.py_buffer(block.read_bytes()))
     done = call("verify", copy)
     assert done.returncode == 1
     assert "MB that take 320 MB in memory" in done.stdout

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcbench.dataset import parquet
+from pcbench.dataset import parquet_io
 
 WORDS = st.lists(
     st.none() | st.sampled_from(["position", "it's", 'so "called"', "two\nlines", "größer", ""]), max_size=40
@@ -30,11 +30,13 @@ def by_definition(table):
 def test_a_digest_is_that_of_the_words_themselves_in_whatever_pieces_they_are(words, at):
     column = pa.chunked_array([pa.array(part, pa.string()) for part in (words[:at], words[at:])])
     table = pa.table({"signal": column, "mean": np.arange(len(words)) / 3, "certified": pa.array([True] * len(words))})
-    assert parquet.sealed(table).schema.metadata[parquet.SEAL] == by_definition(table)
+    assert parquet_io.sealed(table).schema.metadata[parquet_io.SEAL] == by_definition(table)
 
 
 @pytest.mark.parametrize("change", [{"signal": ["b", "a"]}, {"signal": ["a", None]}, {"mean": [1.0, 2.5]}])
 def test_any_other_word_or_number_is_another_digest(change):
     columns = {"signal": ["a", "b"], "mean": [1.0, 2.0]}
-    digests = {parquet.sealed(pa.table(each)).schema.metadata[parquet.SEAL] for each in (columns, columns | change)}
+    digests = {
+        parquet_io.sealed(pa.table(each)).schema.metadata[parquet_io.SEAL] for each in (columns, columns | change)
+    }
     assert len(digests) == 2

@@ -8,10 +8,10 @@ import pyarrow as pa
 import pytest
 
 import pcbench
-from pcbench.dataset import block_files, compare, merge, ownership, rows_apart, store, verify
+from pcbench.dataset import block_files, compare, manifest, merge, storage, table_diff, verify
 from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
-from pcbench.study import cells, read
+from pcbench.study import grid, parse
 
 KEYS = ["cell", "observer", "seed", "signal"]
 RANDOM = {
@@ -36,11 +36,11 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 
 def claimed(folder, **changes):
-    return ownership.claim(store.target(str(folder)), read.grid_of(STUDY | changes, {}, []))
+    return manifest.claim(storage.target(str(folder)), parse.grid_of(STUDY | changes, {}, []))
 
 
 def test_products_are_for_studies_of_many_runs(tmp_path):
-    few, many = cells.MANY // 2 - 1, cells.MANY // 2
+    few, many = grid.MANY // 2 - 1, grid.MANY // 2
     two = {"axes": {"delay": [0.1, 0.2]}}
     assert claimed(tmp_path, seeds=few, **two).study.engine == "steps"
     found = claimed(tmp_path, seeds=many, **two)
@@ -55,7 +55,7 @@ def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkey
         pcbench.run(STUDY | {"engine": engine}, out=tmp_path / engine)
         rows = pd.read_parquet(tmp_path / engine / "runs")
         assert len(rows)
-    monkeypatch.setattr(cells, "MANY", 1)
+    monkeypatch.setattr(grid, "MANY", 1)
     assert pcbench.run(STUDY, out=tmp_path / "steps").cost.runs == 0
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "steps")
     assert (grown.cost.runs, grown.study.engine) == (2, "steps")
@@ -71,7 +71,7 @@ def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkey
 
 def test_an_engine_that_is_none_is_refused():
     with pytest.raises(UserError, match="engine: got 'plain', expected 'definition', 'steps' or 'products'"):
-        read.grid_of(STUDY | {"engine": "plain"}, {}, [])
+        parse.grid_of(STUDY | {"engine": "plain"}, {}, [])
 
 
 def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
@@ -177,7 +177,7 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     assert ["computed by their definition" in sentence for sentence in said] == [True, True]
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
     assert (grown.study.engine, len(said)) == ("steps", 3)
-    place = store.target(tmp_path / "begun")
+    place = storage.target(tmp_path / "begun")
     flows = [block_files.about_block(place, b)["flow"] for b in sorted(block_files.present(place))]
     assert flows == ["stepped", "defined"]
 
@@ -186,12 +186,12 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
     for name, engine in (("a", "definition"), ("b", "steps")):
         pcbench.run(STUDY | {"engine": engine}, out=tmp_path / name)
     shutil.copytree(tmp_path / "b", tmp_path / "c")
-    place = store.target(tmp_path / "c")
+    place = storage.target(tmp_path / "c")
     (block,) = block_files.present(place)
     table = block_files.read(place, block)
     i = table.schema.get_field_index("mae")
     moved = table.set_column(i, table.schema.field(i), pa.array(table["mae"].to_numpy() * (1 + 1e-13)))
-    store.put_table(place, block.name, block_files.sealed(moved, block_files.about(table)))
+    storage.put_table(place, block.name, block_files.sealed(moved, block_files.about(table)))
     for order in ("abc", "cba"):
         with pytest.raises(UserError, match="expected equal rows"):
             merge.merge([tmp_path / name for name in order], tmp_path / order)
@@ -213,4 +213,4 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
 )
 def test_a_number_is_held_against_the_largest_of_its_column_an_error_against_its_peak(column, before, after, same):
     tables = [pa.table({"signal": ["x", "x"], "max_abs_error": [1e3, 1e3], column: each}) for each in (before, after)]
-    assert rows_apart.of_one_run(*tables, within=1e-11) == same
+    assert table_diff.of_one_run(*tables, within=1e-11) == same

@@ -12,12 +12,12 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.screen import folder, results, took
-from pcbench.dataset import columns, compare, exact_part, parquet, store, verify
+from pcbench.cli.render import folder, results, timing
+from pcbench.dataset import columns, compare, moments_tables, parquet_io, storage, verify
 from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
 from pcbench.plots import time_series
-from pcbench.report import page, sentences
+from pcbench.report import captions, page
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -107,13 +107,13 @@ def test_verify_status_and_compare_take_them(out, tmp_path):
 def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     """One mean is 1e-6 of itself off, in a file that is whole."""
     copy = shutil.copytree(out, tmp_path / "copy")
-    table = exact_part.whole(store.target(copy))
+    table = moments_tables.whole(storage.target(copy))
     i, at = table.schema.get_field_index("mean"), table["metric"].to_pylist().index("mse")
     means = table["mean"].to_pylist()
     means[at] *= 1 + 1e-6
     column = pa.array(means, table.schema.field(i).type)
-    store.put_table(
-        store.target(copy), exact_part.NAME, parquet.sealed(table.set_column(i, table.schema.field(i), column))
+    storage.put_table(
+        storage.target(copy), moments_tables.NAME, parquet_io.sealed(table.set_column(i, table.schema.field(i), column))
     )
     found, said = verify.verify(copy, None, 0), io.StringIO()
     folder.verdict(found, "copy", Console(file=said, width=200))
@@ -153,15 +153,15 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
     assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of kf, and of signed"
-    assert took.sentence(done, "there") == "Exact numbers of one cell are in there."
+    assert timing.sentence(done, "there") == "Exact numbers of one cell are in there."
 
 
 def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
-    assert exact_part.whole(store.target(tmp_path / "out")) is not None
-    said = took.sentence(result, "out")
+    assert moments_tables.whole(storage.target(tmp_path / "out")) is not None
+    said = timing.sentence(result, "out")
     assert said.startswith("The tables in out are of its runs")
     assert "pcbench verify out --exact" in said
 
@@ -169,11 +169,14 @@ def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(
 def test_a_sealed_table_with_lists_is_known_again():
     """Parquet calls what is in a list by another name than Arrow does: an exact study with such an axis read as damaged."""
     table = columns.table({"process_std": [[0.1, 0.0], [0.2, 0.0]], "delay": [0.1, 0.2]})
-    back = parquet.whole(parquet.encoded(parquet.sealed(table)))
+    back = parquet_io.whole(parquet_io.encoded(parquet_io.sealed(table)))
     assert back is not None
     assert back["process_std"].to_pylist() == [[0.1, 0.0], [0.2, 0.0]]
     spoilt = table.set_column(0, "process_std", pa.array([[0.1, 0.0], [0.3, 0.0]]))
-    assert parquet.whole(parquet.encoded(spoilt.replace_schema_metadata(parquet.sealed(table).schema.metadata))) is None
+    assert (
+        parquet_io.whole(parquet_io.encoded(spoilt.replace_schema_metadata(parquet_io.sealed(table).schema.metadata)))
+        is None
+    )
 
 
 def test_of_a_plant_that_is_not_affine_it_is_said_who_and_by_how_much_in_every_row(tmp_path):
@@ -205,4 +208,4 @@ def test_a_picture_in_time_says_over_what_errors_are_taken(exact, of):
     assert time_series.over(frozenset("ab"), frozenset(exact)) == of
     rows = [(series, kind, 1.0) for series in "ab" for kind in ("estimate", "rms")]
     run = pd.DataFrame(rows, columns=["series", "kind", "value"])
-    assert f"nine in ten errors over {of}" in sentences.time(run, "m", frozenset(exact))[1]
+    assert f"nine in ten errors over {of}" in captions.time(run, "m", frozenset(exact))[1]

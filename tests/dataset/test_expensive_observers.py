@@ -8,14 +8,14 @@ import pytest
 import pcbench
 from pcbench import planning
 from pcbench.dataset import task
-from pcbench.study import read
+from pcbench.study import parse
 
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 AXES = {"noise_std": [0.5, 0.6]}
 
 
 def test_particle_and_mhe_have_programs_of_their_own():
-    cells = read.grid_of("cart/white", {"observers": ["kf", "particle", "model-only", "mhe"]}, []).cells
+    cells = parse.grid_of("cart/white", {"observers": ["kf", "particle", "model-only", "mhe"]}, []).cells
     assert [p.labels for p in planning.drafts(cells, apart=True)] == [("kf", "model-only"), ("particle",), ("mhe",)]
     assert [p.labels for p in planning.drafts(cells, (), apart=True)] == [()], "what is not computed has one draft"
 

@@ -6,7 +6,7 @@ import pytest
 from small_study import STUDY, tables
 
 import pcbench
-from pcbench.dataset import store, task, verify
+from pcbench.dataset import storage, task, verify
 from pcbench.errors import UserError
 
 
@@ -29,7 +29,7 @@ def test_a_disk_that_fills_up_keeps_every_finished_block(whole, tmp_path, monkey
             raise OSError(28, "No space left on device")
         sync(handle)
 
-    monkeypatch.setattr(store.os, "fsync", fill_up)
+    monkeypatch.setattr(storage.os, "fsync", fill_up)
     with pytest.raises(UserError, match=r"No space left on device\); every file already written is complete"):
         pcbench.run(STUDY, out=tmp_path / "out", block_size=16)
     monkeypatch.undo()

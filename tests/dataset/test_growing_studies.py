@@ -9,7 +9,7 @@ from small_study import STUDY, rows, same, tables
 
 import pcbench
 from pcbench.dataset import executors, verify
-from pcbench.dataset.ownership import changes
+from pcbench.dataset.manifest import changes
 from pcbench.errors import UserError
 
 

@@ -9,13 +9,13 @@ from rich.console import Console
 
 import pcbench
 from pcbench import planning
-from pcbench.cli.screen import results
+from pcbench.cli.render import results
 from pcbench.engine import runner
-from pcbench.planning import in_memory
-from pcbench.reproduce import arm, arm_table
+from pcbench.papers import arm, arm_table
+from pcbench.planning import run_local
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import metrics
-from pcbench.study import read
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -103,11 +103,11 @@ def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift
         "noise_std": [0.0, 1e-3],
         "parameter_drift": [0.0, 0.05],
     }
-    chosen = read.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
+    chosen = parse.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
     short = [p._replace(problem=p.problem._replace(windows=np.array([[0, 600], [600, 900], [900, 901]])))
              for p in planning.plan(chosen)]  # fmt: skip
     before = runner.compilations()
-    results = [d.results["smo"]["steady_max_abs_error"] for d in in_memory.execute(chosen, short, seeds=np.arange(2))]
+    results = [d.results["smo"]["steady_max_abs_error"] for d in run_local.execute(chosen, short, seeds=np.arange(2))]
     assert runner.compilations() - before == 2, "with drift every run draws its plant's numbers"
     assert len({r[0, 0].item() for r in results}) == 16, "every cell has its own numbers"
 

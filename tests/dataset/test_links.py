@@ -7,8 +7,8 @@ from contextlib import suppress
 import pytest
 
 import pcbench
-from pcbench.dataset import exact_part, store, verify
-from pcbench.gains import versions
+from pcbench.dataset import moments_tables, storage, verify
+from pcbench.gains import gain_variants
 from pcbench.study import STUDIES
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -106,7 +106,7 @@ def test_fresh_removes_only_what_a_run_has_written(ds):
 
 def test_forms_of_what_is_removed_leave_names_of_users_alone(tmp_path):
     ours = "moments/scenario=cart%2Fslow/cell=0.parquet"
-    assert [n for n in (ours, "moments.md", "moments/mine.parquet") if exact_part.OVER_TIME.fullmatch(n)] == [ours]
+    assert [n for n in (ours, "moments.md", "moments/mine.parquet") if moments_tables.OVER_TIME.fullmatch(n)] == [ours]
     for name in (
         "tuning/mine/notes.txt",
         "tuning/kf/history.parquet",
@@ -115,29 +115,29 @@ def test_forms_of_what_is_removed_leave_names_of_users_alone(tmp_path):
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
-    versions._ours(STUDIES["quick"], tmp_path, True)
-    assert store.names(store.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
+    gain_variants._ours(STUDIES["quick"], tmp_path, True)
+    assert storage.names(storage.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
 
 
 def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
     """Whoever may write into the folder cannot choose by a link where the next unfinished file is written."""
-    victim, target = tmp_path / "victim", store.target(tmp_path / "ds")
+    victim, target = tmp_path / "victim", storage.target(tmp_path / "ds")
     victim.write_text("mine")
-    store.make(target)
-    monkeypatch.setattr(store, "_COUNT", iter([7, 7, 8, 9]))
-    store.put(target, "first", b"1")
-    unfinished = next(iter(store._partial(target.root)[:1]))
+    storage.make(target)
+    monkeypatch.setattr(storage, "_COUNT", iter([7, 7, 8, 9]))
+    storage.put(target, "first", b"1")
+    unfinished = next(iter(storage._partial(target.root)[:1]))
     assert "-7.partial" in unfinished
     os.unlink(unfinished)
-    monkeypatch.setattr(store, "_COUNT", iter([7, 8]))
+    monkeypatch.setattr(storage, "_COUNT", iter([7, 8]))
     os.symlink(victim, unfinished)
-    store.put(target, "second", b"2")
+    storage.put(target, "second", b"2")
     assert (tmp_path / "ds" / "second").read_bytes() == b"2"
     assert victim.read_text() == "mine"
 
 
 def test_fresh_accepts_the_report_beside_exact_results(ds):
-    for name in store.names(store.target(ds), "runs"):
+    for name in storage.names(storage.target(ds), "runs"):
         (ds / name).unlink()
     (ds / "report.html").write_text("a page of pcbench report")
     pcbench.run(**ASKED, out=ds, overwrite=True)

@@ -9,7 +9,7 @@ from commands import call
 from small_study import STUDY, same, tables
 
 import pcbench
-from pcbench.dataset import block_files, exact_part, merge, ownership, parquet, store, verify
+from pcbench.dataset import block_files, manifest, merge, moments_tables, parquet_io, storage, verify
 from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
 
@@ -27,7 +27,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     made = merge.merge([b, a], tmp_path / "both")
     assert (made.missing, made.doubled) == (0, 2 * 2 * 9)
     same(tmp_path / "both", whole)
-    named = ownership.opened(store.target(tmp_path / "both")).study
+    named = manifest.opened(storage.target(tmp_path / "both")).study
     assert (named.first_seed, named.seeds) == (0, 40)
     again = pcbench.run(STUDY, out=tmp_path / "both")
     assert again.provenance["merged"]
@@ -56,12 +56,12 @@ def test_a_gap_between_merged_parts_is_said_and_can_be_filled(whole, tmp_path):
 
 
 def test_parts_that_disagree_are_not_merged(copy, whole, tmp_path):
-    place = store.target(copy)
+    place = storage.target(copy)
     b = block_files.present(place)[0]
     table = block_files.read(place, b)
     i = table.schema.get_field_index("mae")
     changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 1e-12)])
-    store.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
+    storage.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
     with pytest.raises(UserError, match=r"differ by 1.0e-12 of themselves"):
         merge.merge([whole, copy], tmp_path / "both")
     assert not (tmp_path / "both").exists()
@@ -97,17 +97,17 @@ def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
     assert before["exact.parquet"]
     assert len([name for name in before if name.startswith("moments/")]) == 2
     assert not verify.verify(tmp_path / "both", None, 0).wrong
-    owned = ownership.opened(store.target(tmp_path / "both"))
-    assert not exact_part.made(store.target(tmp_path / "both"), owned, pytest.fail)
+    owned = manifest.opened(storage.target(tmp_path / "both"))
+    assert not moments_tables.made(storage.target(tmp_path / "both"), owned, pytest.fail)
 
 
 @pytest.mark.parametrize(("factor", "refused"), [(1 + 1e-12, False), (1 + 1e-6, True)])
 def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
-    b = store.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
-    table = exact_part.whole(b)
+    b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
+    table = moments_tables.whole(b)
     i = table.schema.get_field_index("mean")
     column = pc.multiply(table["mean"], factor)
-    store.put_table(b, "exact.parquet", parquet.sealed(table.set_column(i, table.schema.field(i), column)))
+    storage.put_table(b, "exact.parquet", parquet_io.sealed(table.set_column(i, table.schema.field(i), column)))
     if refused:
         with pytest.raises(UserError, match=r"exact.parquet: differs from .*by more than rounding"):
             merge.merge([exact_parts[0], b.root], tmp_path / "both")

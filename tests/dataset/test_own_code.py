@@ -11,10 +11,10 @@ from small_study import tables
 
 import pcbench
 from pcbench.cli.commands import app
-from pcbench.dataset import merge, store, verify
+from pcbench.dataset import merge, storage, verify
 from pcbench.dataset.compare import compare
 from pcbench.report import page
-from pcbench.study import read
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -72,7 +72,7 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     assert tables(here / "merged")["stats.parquet"]
     assert not verify.verify(out, 0, 0).wrong
     assert not (here / "mark").exists(), "nothing of it was run"
-    read.load(str(out / "study.toml"))
+    parse.load(str(out / "study.toml"))
     assert (here / "mark").exists(), "as a study file it is"
     copy.unlink()
     assert set(pcbench.open_result(out).stats.observer) == {"nudge", "kfbo"}
@@ -164,7 +164,7 @@ def test_a_study_whose_text_is_lost_knows_blocks_by_their_code(here, out):
 def test_only_what_is_named_is_copied(here):
     pcbench.run(STUDY | {"observers": ["kfbo"], "seeds": 4}, out="plain")
     assert not (here / "plain" / "code").exists()
-    assert store.names(store.target("plain"), "code") == []
+    assert storage.names(storage.target("plain"), "code") == []
 
 
 LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "kf"], "seeds": 4}

@@ -13,7 +13,7 @@ import pytest
 import pcbench
 from pcbench import study
 from pcbench.dataset import columns
-from pcbench.study import as_toml, cells, read
+from pcbench.study import grid, parse, serialize
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -151,11 +151,11 @@ def test_every_metric_has_its_own_unit(done):
 
 
 def hashed(chosen):
-    return as_toml.digest(chosen, cells.cells_of(chosen))
+    return serialize.digest(chosen, grid.cells_of(chosen))
 
 
 def test_the_study_on_disk_can_be_run_again(done):
-    again = read.load(str(done.out / "study.toml"))
+    again = parse.load(str(done.out / "study.toml"))
     assert hashed(again) == hashed(done.study)
     assert tomllib.loads((done.out / "study.toml").read_text())["resolved"]["options"]["cart/slow"]["kfbo"]["R"] == 0.3
 
@@ -170,14 +170,14 @@ def test_provenance_says_what_made_the_numbers(done):
 def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     """sampled-innovation at te = d = 3 s and R = 0.004 grows past a bound of 20 m: every lane, at the same tick as a trace."""
     from pcbench import planning
-    from pcbench.planning import in_memory, padding
+    from pcbench.planning import padding, run_local
     from pcbench.scenarios import SCENARIOS
-    from pcbench.study.cells import cell_of
+    from pcbench.study.grid import cell_of
 
     s = SCENARIOS["cart/slow"].having(divergence_threshold=20.0)
     options = {
         "kfbo": study.options_of(
-            read.parse(
+            parse.parse(
                 {
                     "name": "x",
                     "scenarios": ["cart/slow"],
@@ -190,7 +190,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
         )
     }
     (p,) = padding.fit([planning.draft(cell_of(s), options)])
-    (done,) = in_memory.execute(read.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
+    (done,) = run_local.execute(parse.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
     trace = pcbench.simulate(
         "cart/slow", "kfbo", overrides=["options.kfbo.sampled-innovation=true", "options.kfbo.R=0.0001"]

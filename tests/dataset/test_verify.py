@@ -7,7 +7,7 @@ from commands import call
 from small_study import STUDY
 
 import pcbench
-from pcbench.dataset import block_files, store, verify
+from pcbench.dataset import block_files, storage, verify
 
 
 def test_status_says_how_far_a_study_is(copy):
@@ -36,14 +36,14 @@ def mine(tmp_path):
 def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
     found = verify.verify(mine, None, 0)
     assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
-    place = store.target(mine)
+    place = storage.target(mine)
     b = block_files.present(place)[5]
     table = block_files.read(place, b)
     i = table.schema.get_field_index("rmse")
     values = table["rmse"].to_numpy().copy()
     values[7] = np.nextafter(values[7], 1e9)
     changed = table.set_column(i, table.schema.field(i), [values])
-    store.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
+    storage.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
     found = verify.verify(mine, None, 0)
     assert len(found.differing) == 1
     assert b.name in found.differing[0]

@@ -12,9 +12,9 @@ from commands import call
 import pcbench
 from pcbench.errors import UserError
 from pcbench.gains import design
-from pcbench.machine import process
 from pcbench.observers import OBSERVERS
-from pcbench.study import read
+from pcbench.runtime import config
+from pcbench.study import parse
 
 IN = {
     "chain": "csth/10s-noise",
@@ -41,7 +41,7 @@ ALWAYS = ("rate", "margin", "solver", "fallback", "certified", "refused")  # col
 
 
 def written(observer, scenario, **how):
-    with process.float64():
+    with config.float64():
         study, cell, found = design.design(scenario, observer, **how)
         return design.as_study(study, cell, observer, found), found
 
@@ -168,7 +168,7 @@ TRADES = {
 @pytest.mark.parametrize("observer", TRADES)
 def test_a_faster_promise_costs_something(observer):
     scenario, option, values, options, cost = TRADES[observer]
-    study = read.study_of(scenario, {"options": {observer: options}}, [])
+    study = parse.study_of(scenario, {"options": {observer: options}}, [])
     table = pcbench.trade_off(study, observer, option, values)
     assert table.rate[1] > table.rate[0]
     assert table[cost][1] > table[cost][0]

@@ -11,11 +11,11 @@ from reference import linear, moments
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.gains import expected, tune
+from pcbench.gains import expected_objective, tune
 from pcbench.gains.objective import objective_of
-from pcbench.machine import process
 from pcbench.planning import padding
-from pcbench.study import read
+from pcbench.runtime import config
+from pcbench.study import parse
 from pcbench.study.labels import label_of
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -47,7 +47,7 @@ OWN = {"name": "own", "lti": LOOP["lti"] | {"input": "sine"}}
 
 def asked(study, observer, objective, signal=None, only=None):
     """What evaluates an exact objective, and where it starts."""
-    study, cell = read.one_cell(study, [observer], [])
+    study, cell = parse.one_cell(study, [observer], [])
     observer = label_of(observer)
     known, options, entry = planning.setting(cell), cell.options[observer], cell.entry(observer)
     designed = planning.designed(observer, entry, known, options)
@@ -58,7 +58,9 @@ def asked(study, observer, objective, signal=None, only=None):
 
     (p,) = padding.fit(list(planning.drafts([cell])))
     aim = objective_of(objective, cell.scenario, signal, "test")
-    return expected.evaluator(p, expected.check(aim, p, "test"), aim, len(start), design, "test"), start
+    return expected_objective.evaluator(
+        p, expected_objective.check(aim, p, "test"), aim, len(start), design, "test"
+    ), start
 
 
 def by_impulses(gain):
@@ -87,7 +89,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     of = KNOWN[metric]
     step, there, way = 1e-5, np.array(L), np.array([[0.4, -0.3], [1.0, 0.2], [-0.6, 0.7]])
     up, down = by_impulses(there + step * way), by_impulses(there - step * way)
-    with process.float64():
+    with config.float64():
         evaluate, start = asked(STUDY, "pccebo", metric, "b")
         value, slope = evaluate(start)
     assert value == pytest.approx(of(*by_impulses(there)), rel=1e-10)
@@ -98,7 +100,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
 @pytest.mark.nightly
 def test_a_loops_gradient_is_that_of_its_values():
     """Where tuning by runs has none."""
-    with process.float64():
+    with config.float64():
         evaluate, start = asked(LOOP, "kf", "pooled_rmse")
         _, slope = evaluate(start)
         step = 1e-4
@@ -110,7 +112,7 @@ def test_a_loops_gradient_is_that_of_its_values():
 
 
 def test_a_gain_of_zero_has_its_slope_though_a_tick_is_the_same_without_it():
-    with process.float64():
+    with config.float64():
         evaluate, start = asked(OWN, f"{Path(follower.__file__)}:follow", "mse")
         slope, step = evaluate(start)[1], 1e-6
         apart = (evaluate(start + step)[0] - evaluate(start - step)[0]) / (2 * step)
@@ -139,13 +141,13 @@ def test_what_has_no_exact_value_says_so_and_what_to_do():
 
 
 def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
-    with process.float64():
-        _, cell = read.one_cell(OWN, ["model-only"], [])
+    with config.float64():
+        _, cell = parse.one_cell(OWN, ["model-only"], [])
         (p,) = padding.fit(list(planning.drafts([cell])))
     boxed = p._replace(layout=p.layout._replace(scattered=True))
-    expected.check(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
+    expected_objective.check(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
     with pytest.raises(UserError, match="got steady_mae of an error that is not normal"):
-        expected.check(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
+        expected_objective.check(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
 
 
 def test_an_observer_that_is_not_affine_is_tuned_on_runs():

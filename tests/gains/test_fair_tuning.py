@@ -5,11 +5,11 @@ import pytest
 
 import pcbench
 from pcbench import planning
-from pcbench.gains import evaluation
+from pcbench.gains import objective_eval
 from pcbench.gains.objective import objective_of
-from pcbench.machine import process
 from pcbench.observers import entry_of
-from pcbench.study import options_of, read
+from pcbench.runtime import config
+from pcbench.study import options_of, parse
 
 pytestmark = pytest.mark.nightly
 HALF = {"training": (3_000_000_000, 3_000_000_256), "judges": (3_500_000_000, 3_500_000_256)}
@@ -17,8 +17,8 @@ HALF = {"training": (3_000_000_000, 3_000_000_256), "judges": (3_500_000_000, 3_
 
 def brute_force(grid):
     """The least tail RMSE in cart/gaussian over a grid of gains L, on the training seeds."""
-    with process.float64():
-        study, cell = read.one_cell("cart/gaussian", ["pccebo"], [])
+    with config.float64():
+        study, cell = parse.one_cell("cart/gaussian", ["pccebo"], [])
         known, options = planning.setting(cell), options_of(study, cell.scenario, "pccebo")
 
         def gains(L):
@@ -26,7 +26,7 @@ def brute_force(grid):
 
         (p,) = planning.plan(study)
         seeds = np.arange(*HALF["training"])
-        value = evaluation.evaluator(
+        value = objective_eval.evaluator(
             "search", p, objective_of("steady_rmse", cell.scenario, None, "test"), 0, seeds, gains
         )
         return min((value(np.array(L))[0], L) for L in grid)

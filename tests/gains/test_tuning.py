@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from interruptions import stop_tuning_at
 
 import pcbench
-from pcbench.dataset.seeds import counted
+from pcbench.dataset.seed_ranges import counted
 from pcbench.errors import UserError
-from pcbench.gains import gradient, minimise, parameters, tune
-from pcbench.gains.held_out import against
+from pcbench.gains import gradient, optimizers, parameters, tune
 from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
+from pcbench.gains.validation import against
 from pcbench.observers import OBSERVERS, entry_of
 
 SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "steady_rmse"}
@@ -112,7 +112,7 @@ def asked(way, start, budget, value_only=False):
     "start", [(2.9, -4.0), *(pytest.param(p, marks=pytest.mark.nightly) for p in ((0.0, 0.0), (-3.0, 2.9)))]
 )
 def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
-    for way, alone, budget in ((minimise.descent, False, 60), (minimise.search, True, 150)):
+    for way, alone, budget in ((optimizers.descent, False, 60), (optimizers.search, True, 150)):
         points = asked(way, start, budget, alone)
         assert len(points) <= budget
         assert min(value for _, value in points) < 1e-5, way

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import pcbench
-from pcbench.cli import creating
+from pcbench.cli import new
 
 
 def test_type_checkers_see_the_names_that_programs_get():
@@ -34,7 +34,7 @@ def test_every_name_has_a_docstring_that_stands_alone():
 @pytest.mark.nightly
 def test_a_type_checker_reads_a_users_module(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    creating.new("observer", "mine")
+    new.new("observer", "mine")
     check = [sys.executable, "-m", "mypy", "--ignore-missing-imports", "mine.py"]
     good = subprocess.run(check, capture_output=True, text=True)
     assert good.returncode == 0, good.stdout

@@ -9,7 +9,7 @@ import pytest
 from small_study import sealed_again, tables
 
 import pcbench
-from pcbench.dataset import block_files, store, verify
+from pcbench.dataset import block_files, storage, verify
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
 RUN = ["run", "cart/slow", "--observers", "pccebo,kfbo", "--seeds", "3"]
@@ -65,7 +65,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
         assert command(*RUN, "--out", name, cwd=tmp_path, XLA_FLAGS=flags).returncode == 0
     said = {name: pcbench.open_result(tmp_path / name).provenance["compiler"] for name in ("plain", "fast")}
     assert said == {"plain": "defaults", "fast": "--xla_cpu_enable_fast_math=true"}
-    place = store.target(tmp_path / "plain")
+    place = storage.target(tmp_path / "plain")
     for b in block_files.present(place):
         table = block_files.read(place, b)
         assert block_files.about(table)["versions"]["compiler"] == "defaults"
@@ -73,7 +73,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
         changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 3e-15)])
         about = block_files.about(table)
         about["versions"]["compiler"] = "--xla_cpu_max_isa=SSE4_2"
-        store.put_table(place, b.name, block_files.sealed(changed, about))
+        storage.put_table(place, b.name, block_files.sealed(changed, about))
     for sentence in verify.verify(tmp_path / "plain", None, 0).differing:
         assert "made with compiler --xla_cpu_max_isa=SSE4_2, now defaults; numbers differ by " in sentence
         assert sentence.endswith("(rounding).")

@@ -9,7 +9,7 @@ from documents import PAGES, blocks
 
 import pcbench
 from pcbench.planning import plan
-from pcbench.study import read
+from pcbench.study import parse
 
 PAGE = "a_loop_of_your_own.md"
 LOOP = PAGES[PAGE]
@@ -24,11 +24,11 @@ def pendulum(tmp_path, monkeypatch):
 
 
 def test_the_pendulums_file_is_a_study(pendulum):
-    (cell,) = read.grid_of("pendulum.py:late_camera", {}, []).cells
+    (cell,) = parse.grid_of("pendulum.py:late_camera", {}, []).cells
     assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]
-    (p,) = plan(read.study_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []))
+    (p,) = plan(parse.study_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []))
     assert p.certificates["shortcut"].status == "uncertified"
-    assert not read.unstable(read.grid_of("pendulum.py:late_camera", {}, []))
+    assert not parse.unstable(parse.grid_of("pendulum.py:late_camera", {}, []))
 
 
 @pytest.mark.nightly

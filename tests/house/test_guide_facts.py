@@ -8,12 +8,12 @@ from documents import PAGES
 from pcbench import plots
 from pcbench.checking import observer
 from pcbench.engine import runner
-from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
 from pcbench.protocols import Observer
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, read
+from pcbench.study import STUDIES, parse
 from pcbench.synthesis.certificate import is_certified
 
 
@@ -48,9 +48,9 @@ def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
     for name, scenario in elsewhere.items():
         asked.setdefault(scenario, []).append(name)
     proofs = {}
-    with process.float64():
+    with config.float64():
         for scenario, names in asked.items():
-            (planned,) = plan(read.study_of(scenario, {"observers": names}, []))
+            (planned,) = plan(parse.study_of(scenario, {"observers": names}, []))
             proofs |= planned.certificates
     unproven = [name for name, proof in proofs.items() if is_certified(proof._asdict()) is False]
     assert len(proofs) == len(OBSERVERS)

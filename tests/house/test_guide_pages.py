@@ -14,7 +14,7 @@ from logged import plain, rows
 
 from pcbench.cli.commands import app
 from pcbench.cli.guide import pages, title
-from pcbench.study import read
+from pcbench.study import parse
 
 LONGEST = 150  # lines beside code
 REFERENCE = "tables.md"  # made from the code, with a line for each column, which are not counted
@@ -75,7 +75,7 @@ def test_every_study_is_whole_or_part_of_one(tmp_path, monkeypatch):
     for block in blocks("toml"):
         raw = tomllib.loads(block)
         if not block.startswith(MENTIONED):
-            assert read.grid_of(raw, {}, []).cells
+            assert parse.grid_of(raw, {}, []).cells
 
 
 def test_the_guide_is_listed_and_shown_in_the_terminal():

@@ -9,11 +9,11 @@ from documents import PAGES, blocks
 
 import pcbench
 from pcbench import checking
-from pcbench.dataset.seeds import counted
+from pcbench.dataset.seed_ranges import counted
 from pcbench.gains import tune
 from pcbench.scenarios import SCENARIOS
-from pcbench.statistics import wording
-from pcbench.study import cells, read
+from pcbench.statistics import number_format
+from pcbench.study import grid, parse
 
 OBSERVERS_PAGE = PAGES["which_observer.md"]
 
@@ -23,15 +23,15 @@ def test_the_study_runs_as_written(tmp_path):
     (text,) = [b for b in blocks("toml") if "noise-map" in b]
     path = tmp_path / "noise-map.toml"
     path.write_text(text)
-    found = read.load(str(path))
+    found = parse.load(str(path))
     assert len(pcbench.run(str(path), seeds=2).stats.cell.unique()) == 16
-    assert len(cells.cells(found, "cart/gaussian")) == 16
+    assert len(grid.cells(found, "cart/gaussian")) == 16
     assert tomllib.loads(text)["name"] == "noise-map"
 
 
 def test_the_slower_camera_is_a_scenario_as_written(tmp_path):
     (text,) = [b for b in blocks("toml") if "slower-camera" in b]
-    (cell,) = cells.cells_of(read.parse(tomllib.loads(text), "guide"))
+    (cell,) = grid.cells_of(parse.parse(tomllib.loads(text), "guide"))
     measured, base = cell.scenario.sampling, SCENARIOS["cart/white"]
     assert (cell.scenario.name, measured.sampling_period, measured.delay) == ("slower-camera", (0.4,), (0.6,))
     assert (measured.noise_std, cell.scenario.plant) == (base.sampling.noise_std, base.plant)
@@ -85,7 +85,7 @@ def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
     found = pcbench.find_limit("cart/white", axis="sampling_period", threshold=0.15, observers=["kf", "pccebo"])
     (shown,) = [b for b in blocks("text") if b.startswith("cart/white: steady_rmse of position below")]
     for row, line in zip(found.to_dict("records"), shown.split("─\n")[1].splitlines(), strict=True):
-        ends = [wording.estimate(row["exceeds_mean"], row["exceeds_ci_low"], row["exceeds_ci_high"])]
+        ends = [number_format.estimate(row["exceeds_mean"], row["exceeds_ci_low"], row["exceeds_ci_high"])]
         ends += [f" {row['exceeds']:g} "] + ([f" {row['largest']:g} "] if row["answer"] == "up to" else [" none "])
         assert all(end in line for end in ends)
         assert line.split()[0] == row["observer"]
@@ -166,7 +166,7 @@ BELIEVED = re.compile(r"^\| `([a-z-]+)` \| ((?:[\d.]+ \| ){6}[\d.]+) \|$", re.M)
 
 
 def test_the_table_of_beliefs_has_what_the_study_has():
-    study = read.study_of("model-mismatch", {}, [])
+    study = parse.study_of("model-mismatch", {}, [])
     assert [name for name, _ in BELIEVED.findall(OBSERVERS_PAGE)] == study.observers
     told = {name: study.tables[name].given() for name in study.scenarios}
     late = [told[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
@@ -185,7 +185,9 @@ def test_the_table_of_beliefs_is_what_comes_out():
     wide = rows.set_index(["observer", "scenario"])
     rms = wide["mean"].unstack()
     for observer, numbers in BELIEVED.findall(OBSERVERS_PAGE):
-        for scenario, said in zip(read.study_of("model-mismatch", {}, []).scenarios, numbers.split(" | "), strict=True):
+        for scenario, said in zip(
+            parse.study_of("model-mismatch", {}, []).scenarios, numbers.split(" | "), strict=True
+        ):
             one = wide.loc[observer, scenario]
             assert abs(one["mean"] - float(said)) < max(one["se"], 0.005 * one["mean"]), (observer, scenario)
     assert rms["as-assumed"].idxmin() == "kf"

@@ -8,11 +8,11 @@ from pathlib import Path
 import pcbench
 
 ROOT = Path(pcbench.__file__).parent
-NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled",
+NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled_model",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
           "synthesis.sliding_mode", "synthesis.pi_lmi", "dynamics.linear", "dynamics.observability", "statistics",
-          "dataset.columns", "dataset.store", "dataset.block_files", "scenarios", "simulation.schedule.shared",
-          "machine.cache", "machine.memory"]  # fmt: skip
+          "dataset.columns", "dataset.storage", "dataset.block_files", "scenarios", "simulation.schedule.common_times",
+          "runtime.cache", "runtime.memory"]  # fmt: skip
 
 
 def test_no_jax_here():
@@ -38,7 +38,7 @@ def test_the_insides_of_jax_are_taken_in_one_file_only():
         for p in ROOT.rglob("*.py")
         if re.search(r"jax\.(extend|_src|core|interpreters)\b|[.]params[.[]", p.read_text())
     ]
-    assert sorted(users) == ["engine/jaxpr_compat.py", "simulation/generator.py"]
+    assert sorted(users) == ["engine/jaxpr_compat.py", "simulation/threefry.py"]
 
 
 def test_cvxpy_is_imported_by_synthesis_only():

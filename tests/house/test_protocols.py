@@ -13,7 +13,7 @@ from pcbench.observers import OBSERVERS, base_of
 from pcbench.plants import PLANTS, signals_of, states_of
 from pcbench.protocols import Arrival
 from pcbench.scenarios import INTERVAL, SCENARIOS
-from pcbench.simulation.problem import present
+from pcbench.simulation.types import present
 
 SIGNATURES = {
     "init": ["gains", "xhat0"],

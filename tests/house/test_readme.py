@@ -12,8 +12,8 @@ from pcbench.cli.commands import ALL
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
-from pcbench.statistics import wording
-from pcbench.study import read
+from pcbench.statistics import number_format
+from pcbench.study import parse
 
 RANKED = "scenario == 'cart/white' and signal == 'position' and metric == 'steady_rmse'"
 LONGEST = 150  # lines: one screen, and what leads on
@@ -34,7 +34,7 @@ def test_it_is_short():
 
 def test_its_study_is_the_one_it_says(tmp_path):
     (text,) = blocks("toml", "README.md")
-    found = read.grid_of(tomllib.loads(text), {}, [])
+    found = parse.grid_of(tomllib.loads(text), {}, [])
     assert [cell.values["delay"] for cell in found.cells] == [0.2, 0.4, 0.6]
     assert {cell.scenario.sampling.sampling_period for cell in found.cells} == {(0.4,)}
     assert {cell.scenario.sampling.noise_std for cell in found.cells} == {SCENARIOS["cart/white"].sampling.noise_std}
@@ -65,8 +65,8 @@ def test_the_table_shown_is_the_one_that_comes_out():
     for line in rows:
         observer = line.split()[0]
         for metric in ("steady_rmse", "rms_efficiency"):
-            assert f" {wording.interval(stats.loc[(observer, metric)])}" in line, (observer, metric)
-        best = wording.difference(result.pairs.query(RANKED), observer, "kf") if observer != "kf" else ""
+            assert f" {number_format.interval(stats.loc[(observer, metric)])}" in line, (observer, metric)
+        best = number_format.difference(result.pairs.query(RANKED), observer, "kf") if observer != "kf" else ""
         assert best in line
         assert observer == "kf" or best.startswith("+")
 

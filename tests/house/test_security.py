@@ -14,16 +14,16 @@ ROOT = PACKAGE.parent
 TEXT = (ROOT / "SECURITY.md").read_text()
 PAGE = PAGES["your_own_observer.md"]
 RUNS = {  # calls that run code of others, and where they may stand
-    "exec": ("study/own",),
-    "import_module": ("study/own", "__init__.py", "cli/ahead.py"),  # of the package's own names
-    "loads of pickle": ("dataset/pickled.py",),
+    "exec": ("study/plugins/user_code", "study/plugins/user_imports"),
+    "import_module": ("study/plugins/user_code", "__init__.py", "cli/prefetch.py"),  # of the package's own names
+    "loads of pickle": ("dataset/serialize.py",),
     "load of pickle": (),
     "eval": (),
     "__import__": (),
     "loads of tomllib": ("toml_text",),  # one reader for every TOML: what is nested too deeply is a sentence
-    "module_of": ("study/own_entries", "checking/kinds", "guests/worker"),  # what the user names in a command
+    "module_of": ("study/plugins/registry", "checking/targets", "external/worker"),  # what the user names in a command
     "_from_here": (
-        "study/read",
+        "study/parse",
     ),  # the gate of a study that the user gives is handed in by name, and called nowhere else
 }
 

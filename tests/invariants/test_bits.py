@@ -9,10 +9,10 @@ import pcbench
 from pcbench import planning
 from pcbench.dataset import verify
 from pcbench.engine import runner
-from pcbench.planning import in_memory
+from pcbench.planning import run_local
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation.draws import measurement_noise, normals, run_keys
-from pcbench.study import read
+from pcbench.simulation.rng import measurement_noise, normals, run_keys
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
 EVERYONE = ["pccebo", "kfbo", "kf", "model-only"]
@@ -31,8 +31,8 @@ def results(
 ):
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}, "engine": engine}
     raw |= {"seeds": len(seeds)}  # calls are as wide as they ask for
-    chosen = read.parse(raw | {"options": {"scenario": {"random_initial_state": random_initial_state}}}, "bits")
-    done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
+    chosen = parse.parse(raw | {"options": {"scenario": {"random_initial_state": random_initial_state}}}, "bits")
+    done = list(run_local.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
     return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
 
 

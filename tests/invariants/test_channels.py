@@ -8,8 +8,8 @@ from harness import LINEAR, ODD, Case, noise, problem
 
 from pcbench.engine import common_schedule, lane_array, steps
 from pcbench.protocols import Observer
-from pcbench.simulation.problem import Layout
-from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.types import Layout
 
 SHAPE = (2,)
 
@@ -57,9 +57,9 @@ def test_each_channel_gets_its_own_samples(period, delay):
     ticks = 120
     case = Case(ODD, 1, 0, ticks=ticks, h=0.01, noise_std=0.4)
     _, p = problem(case, {"model-only": {}})
-    plan = shared.periodic(list(period), list(delay), ticks)
+    plan = common_times.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
-    layout = Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)
+    layout = Layout(LINEAR, (("spy", SPY),), 1, common_times.in_flight(plan), False)
     happen, state = common_schedule.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
     step = jax.jit(lambda s, k: happen(k, s))

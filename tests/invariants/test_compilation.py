@@ -8,8 +8,8 @@ import pytest
 
 from pcbench import planning
 from pcbench.engine import runner
-from pcbench.planning import in_memory
-from pcbench.study import read
+from pcbench.planning import run_local
+from pcbench.study import parse
 
 AXES = {
     "sampling_period": [0.1, 0.25],
@@ -22,14 +22,14 @@ AXES = {
 def planned(few=(), **axes):
     raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
     raw |= {"observers": list(few)} if few else {}
-    chosen = read.parse(raw, "axes")
+    chosen = parse.parse(raw, "axes")
     return chosen, planning.plan(chosen)
 
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
         chosen, cells = planned(["kfbo", "kf"], **AXES)
-        done = list(in_memory.execute(chosen, cells))
+        done = list(run_local.execute(chosen, cells))
         assert runner.compilations() == 1
     assert len(done) == 24
     mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
@@ -42,8 +42,8 @@ def test_gains_are_traced():
     raw = {"name": "gains", "scenarios": ["cart/white"], "observers": ["kfbo"], "seeds": 2}
     with hurried.programs():
         for R in (0.1, 3.0):
-            chosen = read.parse(raw | {"options": {"kfbo": {"R": R}}}, "gains")
-            list(in_memory.execute(chosen, planning.plan(chosen)))
+            chosen = parse.parse(raw | {"options": {"kfbo": {"R": R}}}, "gains")
+            list(run_local.execute(chosen, planning.plan(chosen)))
             counts.append(runner.compilations())
     assert counts[0] == counts[1]
 

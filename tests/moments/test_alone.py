@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench.machine import program_cache
-from pcbench.moments import compiled, solve
+from pcbench.moments import programs, solve
+from pcbench.runtime import program_cache
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -30,9 +30,9 @@ def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_pr
     together = stats()
     assert together["kf", "a", "mse"] != together["kf-wary", "a", "mse"]
     monkeypatch.setattr(solve, "LARGE", 0)
-    monkeypatch.setattr(compiled, "_MADE", program_cache.Programs())
+    monkeypatch.setattr(programs, "_MADE", program_cache.Programs())
     np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
-    assert len(compiled._MADE) == 2, "kf and kf-wary are one"
+    assert len(programs._MADE) == 2, "kf and kf-wary are one"
 
 
 def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatch):

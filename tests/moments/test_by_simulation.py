@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from reference.propagation import Moments
 
-from pcbench.machine import process
-from pcbench.moments.compiled import compute
-from pcbench.moments.realised import Realised
+from pcbench.moments.programs import compute
+from pcbench.moments.realisations import Realised
 from pcbench.protocols import Controller, Observer, Plant
-from pcbench.simulation import actuator, metrics
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.schedule import shared
+from pcbench.runtime import config
+from pcbench.simulation import actuator_delay, metrics
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.types import Layout, Problem
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -62,13 +62,13 @@ PLANT = Plant(step=lambda params, now, x: A @ x + B @ now.u, output=lambda param
 
 def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
     p = Problem(
-        (), {"o": L}, shared.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
+        (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([noise]), np.ones(2), np.full(2, 1e6), np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]),
-        process_std=PROCESS, control=Law(K, np.asarray(limit)), line=actuator.held_line(AWAY, BACK, N + 4),
+        process_std=PROCESS, control=Law(K, np.asarray(limit)), line=actuator_delay.held_line(AWAY, BACK, N + 4),
         weights=metrics.Weights(Q1, Q2, X_REF, U_REF),
     )  # fmt: skip
     layout = Layout(PLANT, (("o", observer),), 1, 4, True, watch=False, controller=CONTROLLER, commands=BACK)
-    with process.float64():
+    with config.float64():
         return compute([Realised(layout, p, ())], "").sums
 
 

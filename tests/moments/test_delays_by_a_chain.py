@@ -7,10 +7,10 @@ from reference import irregular, linear, moments
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.moments import modes
-from pcbench.simulation.schedule import per_lane
+from pcbench.moments import delay_modes
+from pcbench.simulation.schedule import random_times
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.study import read
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -33,7 +33,7 @@ STUDY = {
 def by_impulses(seed, driven):
     """Mean square [3] over ticks 0 .. N-1 of kf's errors on the schedule of one run, and the ages of its samples."""
     clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
-    drawn = per_lane.realised([clock], N, 2, 0, seed)
+    drawn = random_times.realised([clock], N, 2, 0, seed)
     times = [[(s.taken, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
     ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
     return mean_square(times, driven), ages
@@ -56,7 +56,7 @@ def mean_square(times, driven):
 @pytest.mark.nightly
 def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatch):
     """As they are where there are too many modes for a recursion (`test_modes`)."""
-    monkeypatch.setattr(modes, "MOST", 0)
+    monkeypatch.setattr(delay_modes, "MOST", 0)
     stats = pcbench.exact_moments(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
     driven = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     each, ages = zip(*(by_impulses(seed, driven) for seed in range(SCHEDULES)), strict=True)
@@ -101,7 +101,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("changes", "sentence"), MISTAKES, ids=[s for _, s in MISTAKES])
 def test_mistakes_are_one_sentence(changes, sentence):
     with pytest.raises(UserError) as caught:
-        read.grid_of(STUDY | {"lti": STUDY["lti"] | changes}, {}, [])
+        parse.grid_of(STUDY | {"lti": STUDY["lti"] | changes}, {}, [])
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -109,15 +109,15 @@ def test_mistakes_are_one_sentence(changes, sentence):
 @pytest.mark.parametrize("observer", ["kfbo", "chain"])
 def test_who_works_with_constant_delays_alone_says_so(observer):
     with pytest.raises(UserError, match="got delay_values, expected"):
-        read.grid_of(STUDY | {"observers": [observer]}, {}, [])
+        parse.grid_of(STUDY | {"observers": [observer]}, {}, [])
 
 
 def test_as_an_axis_it_is_a_column_and_else_there_is_none():
-    plain = read.grid_of(STUDY, {}, []).cells[0]
+    plain = parse.grid_of(STUDY, {}, []).cells[0]
     assert "delay_self_transition" not in plain.values
     axes = {"delay_self_transition": [0.2, 0.8], "delay_values": [[0.0, 0.1]]}
     few = STUDY | {"axes": axes, "lti": {k: v for k, v in STUDY["lti"].items() if not k.startswith("delay_")}}
-    cells = read.grid_of(few, {}, []).cells
+    cells = parse.grid_of(few, {}, []).cells
     assert [(c.values["delay_self_transition"], c.values["delay_values"]) for c in cells] == [
         (0.2, "0, 0.1"),
         (0.8, "0, 0.1"),
@@ -127,7 +127,7 @@ def test_as_an_axis_it_is_a_column_and_else_there_is_none():
 
 def test_one_or_one_for_each_stand_in_one_column():
     axes = {"delay_self_transition": [0.2, [0.5, 0.6, 0.7]]}
-    assert [c.values["delay_self_transition"] for c in read.grid_of(STUDY | {"axes": axes}, {}, []).cells] == [
+    assert [c.values["delay_self_transition"] for c in parse.grid_of(STUDY | {"axes": axes}, {}, []).cells] == [
         [0.2],
         [0.5, 0.6, 0.7],
     ]

@@ -9,7 +9,7 @@ from reference import loop, superposition
 from scipy.linalg import expm
 
 import pcbench
-from pcbench.dataset import against_exact
+from pcbench.dataset import validate_exact
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -91,7 +91,7 @@ def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     stored = pcbench.run(study(name), evaluation="exact", out=tmp_path / "exact").stats
     np.testing.assert_allclose(stored["mean"], exact["mean"], rtol=1e-12, atol=1e-14)
     pcbench.run(study(name), out=tmp_path / "runs")
-    checked = against_exact.check(tmp_path / "runs")
+    checked = validate_exact.check(tmp_path / "runs")
     assert len(checked.rows) == (12 if name == "lqr" else 10)
     assert checked.wrong.empty, checked.verdict
     assert not checked.refused

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import pcbench
-from pcbench.dataset import against_exact
+from pcbench.dataset import validate_exact
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -70,5 +70,5 @@ def test_exact_errors_keep_their_digits_in_a_loop():
 @pytest.mark.nightly
 def test_runs_agree_with_exact_errors_beside_a_large_start(tmp_path):
     pcbench.run(study("integrator", seeds=256), out=tmp_path / "runs")
-    checked = against_exact.check(tmp_path / "runs")
+    checked = validate_exact.check(tmp_path / "runs")
     assert checked.wrong.empty, checked.verdict

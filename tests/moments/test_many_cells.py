@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench.moments import compiled
-from pcbench.moments.vector import steady, timed
+from pcbench.moments import programs
+from pcbench.moments.noise_state import steady, timed
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -16,7 +16,7 @@ TICKS, POINTS = 2000, 80  # of a study; at so many moments are kept, every 25 ti
 STUDY = {
     "name": "many",
     "scenarios": {"mine": {"base": "cart/gaussian", "duration": 2.0, "steady_start": 1.0}},
-    "axes": {"noise_std": [0.1 * i for i in range(1, compiled.FEW + 2)]},
+    "axes": {"noise_std": [0.1 * i for i in range(1, programs.FEW + 2)]},
 }
 
 
@@ -63,9 +63,9 @@ def test_where_a_matrix_changes_is_known_beforehand_where_it_reads_the_tick_but_
 
 def test_how_many_go_side_by_side_depends_on_the_cells_of_a_study_alone(monkeypatch):
     """The last cells of a study go by the program of those before; what another study had before decides no bit."""
-    monkeypatch.setattr(compiled, "own_of", lambda problem: ())
+    monkeypatch.setattr(programs, "own_of", lambda problem: ())
     cell, wide = SimpleNamespace(layout="one", problem=()), set()
-    assert compiled.width_of([cell] * compiled.MANY, wide) == compiled.MANY
-    assert compiled.width_of([cell] * compiled.SOME, wide) == compiled.MANY
-    assert compiled.width_of([cell] * compiled.SOME, set()) == compiled.SOME
-    assert compiled.width_of([cell] * compiled.FEW, wide) == compiled.FEW
+    assert programs.width_of([cell] * programs.MANY, wide) == programs.MANY
+    assert programs.width_of([cell] * programs.SOME, wide) == programs.MANY
+    assert programs.width_of([cell] * programs.SOME, set()) == programs.SOME
+    assert programs.width_of([cell] * programs.FEW, wide) == programs.FEW

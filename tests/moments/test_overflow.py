@@ -7,8 +7,8 @@ import pytest
 from support import own_observer
 
 import pcbench
-from pcbench.moments import affine
-from pcbench.study import read
+from pcbench.moments import exactness
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -49,11 +49,11 @@ def test_an_observer_that_overflows_leaves_the_others_as_they_are():
 )
 def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affine(run, said):
     """As of a sliding mode, whose slope is wild and whose runs are not: it was said to leave its bound."""
-    (m,) = pcbench.exact_moments(study({}, "kf")).solved(read.grid(study({}, "kf"), "", read.FROM_HERE).cells)
-    assert affine.refusal(m, "kf") == ""
+    (m,) = pcbench.exact_moments(study({}, "kf")).solved(parse.grid(study({}, "kf"), "", parse.FROM_HERE).cells)
+    assert exactness.refusal(m, "kf") == ""
     size, beyond = np.full_like(m.sums.size, run), np.full_like(m.sums.size, np.inf)
     sums = m.sums._replace(size=size, apart=beyond, reach=beyond)
-    assert said in affine.refusal(m._replace(sums=sums), "kf")
+    assert said in exactness.refusal(m._replace(sums=sums), "kf")
 
 
 @pytest.mark.nightly

@@ -14,11 +14,11 @@ from reference import chain as ref
 
 import pcbench
 from pcbench import planning
-from pcbench.machine import process
 from pcbench.observers import chain
-from pcbench.simulation import draws, trace
-from pcbench.simulation.schedule import shared
-from pcbench.simulation.schedule.shared import NEVER
+from pcbench.runtime import config
+from pcbench.simulation import rng, trajectory
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.schedule.common_times import NEVER
 
 CASES = [
     pytest.param(i, id=str(each), marks=[pytest.mark.nightly] if each in SLOW else []) for i, each in enumerate(DELAYS)
@@ -31,8 +31,8 @@ CASES = [
 def test_it_equals_the_index_based_reference(plant, case, label):
     cells, runs = recorded(plant)
     p, run, delays = cells[case], runs[case], DELAYS[case]
-    with process.float64():
-        v = np.asarray(draws.measurement_noise(0, 3, len(run.x), 3)).T * p.problem.noise_std
+    with config.float64():
+        v = np.asarray(rng.measurement_noise(0, 3, len(run.x), 3)).T * p.problem.noise_std
     u, model = p.problem.inputs, PLANTS[plant]
     x, y = ref.simulate(model, u, START[plant], None, v)
     size = np.abs(x).max(0)
@@ -62,8 +62,8 @@ def test_a_sample_of_slip_anywhere_is_caught(what, slip):
     links = gains.links if what == "tau" else gains.links._replace(**{what: getattr(gains.links, what) + one})
     slipped = gains._replace(links=links, tau=gains.tau + one if what == "tau" else gains.tau)
     wrong = p.problem._replace(gains=p.problem.gains | {"chain": slipped})
-    with process.float64():
-        run = jax.tree.map(np.asarray, trace.compiled()(p.layout, wrong, np.asarray(0), np.asarray(3)))
+    with config.float64():
+        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, wrong, np.asarray(0), np.asarray(3)))
     assert np.abs(run.estimates["chain"] - runs[0].estimates["chain"]).max() > 1e-3
 
 
@@ -131,14 +131,14 @@ def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     cells, _ = recorded("odd")
     p, model, delays = cells[0], PLANTS["odd"], [2, 0, 4]
     N = len(p.problem.inputs) - 1
-    sent = [shared.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
+    sent = [common_times.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
     believed = [d + older for d in delays]
     known = planning.setting(p.cell)._replace(delay=tuple(believed), reach=9, error=older)
     gains = p.problem.gains | {"chain": chain.design(known, chain.Options(pole=0.4)).gains}
-    plan = shared.pad_slots(shared.schedule(sent, N, 3, older), 3)
+    plan = common_times.pad_slots(common_times.schedule(sent, N, 3, older), 3)
     problem = p.problem._replace(gains=gains, schedule=plan, noise_std=np.zeros(3))
-    with process.float64():
-        run = jax.tree.map(np.asarray, trace.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+    with config.float64():
+        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
     _, y = ref.simulate(model, p.problem.inputs, START["odd"])
     links = links_of("odd", p._replace(problem=problem), "chain", believed)
     want = ref.chain(model, links, p.problem.inputs, ref.received(y, delays), believed, 0 * START["odd"])
@@ -159,14 +159,14 @@ def test_it_equals_the_reference_for_any_delays_and_losses(delays, loss, pole, s
     N = len(p.problem.inputs) - 1
     lost = rng.random((N + 1, 3)) < loss
     sent = [(j, k, NEVER if lost[k, j] else k + delays[j]) for k in range(N + 1) for j in range(3)]
-    plan = shared.schedule([shared.Sample(j, k, k, due) for j, k, due in sent], N, 3)
+    plan = common_times.schedule([common_times.Sample(j, k, k, due) for j, k, due in sent], N, 3)
     known = planning.setting(p.cell)._replace(delay=tuple(delays), reach=9)
     design = chain.design(known, chain.Options(pole=pole if abs(pole) > 0.05 else 0.05, gain="poles"))
     xhat0, x0 = rng.standard_normal(4), rng.standard_normal(4)
-    changed = {"schedule": shared.pad_slots(plan, 3), "xhat0": xhat0, "x0": x0, "noise_std": np.zeros(3)}
+    changed = {"schedule": common_times.pad_slots(plan, 3), "xhat0": xhat0, "x0": x0, "noise_std": np.zeros(3)}
     problem = p.problem._replace(gains=p.problem.gains | {"chain": design.gains}, **changed)
-    with process.float64():
-        run = jax.tree.map(np.asarray, trace.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+    with config.float64():
+        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
     u = p.problem.inputs
     _, y = ref.simulate(model, u, x0)
     links = links_of("odd", p._replace(problem=problem), "chain", delays)

@@ -10,9 +10,9 @@ from pcbench import planning
 from pcbench.observers import ekf
 from pcbench.planning import padding
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import draws, trace
+from pcbench.simulation import rng, trajectory
 from pcbench.study import Study, options_of
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 
 SECONDS = 0.4
 
@@ -34,9 +34,9 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
     (p,) = padding.fit([planning.draft(cell_of(s), {"ekf": options})])
-    got = jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
+    got = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
     N = p.cell.times.ticks
-    noise = np.asarray(draws.measurement_noise(0, 0, N // period + 1, 2)).T * s.sampling.noise_std
+    noise = np.asarray(rng.measurement_noise(0, 0, N // period + 1, 2)).T * s.sampling.noise_std
     arrivals = {
         i * period + delay: [(i * period, got.x[i * period, 1:3] + noise[i])] for i in range((N - delay) // period + 1)
     }

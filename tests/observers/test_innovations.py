@@ -15,7 +15,7 @@ from test_late_samples import CASE, KNOWN, MODEL, TICKS, TIMES, H, R, W, plant
 from pcbench import planning
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 
 SAYS = {name: e for name, e in OBSERVERS.items() if e.observer.innovation}
 SILENT = (

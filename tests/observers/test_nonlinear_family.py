@@ -20,7 +20,7 @@ from test_late_samples import found as of_linear
 import pcbench
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, particle
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Now
 
 CUBATURE = {"form": "cubature"}

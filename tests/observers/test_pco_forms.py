@@ -19,10 +19,10 @@ from pcbench.engine import event_loop
 from pcbench.errors import DesignError
 from pcbench.observers import OBSERVERS, pco
 from pcbench.observers.parts.prediction import Motion, Point
-from pcbench.observers.parts.reordering import Measurement
-from pcbench.simulation.schedule import sampling, shared
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.simulation.schedule import common_times, sampling
+from pcbench.simulation.schedule.common_times import NEVER
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.simulation.schedule.shared import NEVER
 from pcbench.synthesis import reduced_order
 
 SCHEDULES = {  # ticks: intervals in turn; the least and the largest age (None: one interval); the share that is lost
@@ -69,10 +69,12 @@ def run(plant, schedule):
     """The case, pcbench's recording of pco and pi-pco, and the reference's samples."""
     case = case_of(plant)
     q, times = len(case.model.C), times_of(schedule, case.ticks)
-    found = [shared.Sample(j, i, a, NEVER if b is None else b) for i, (a, b) in enumerate(times) for j in range(q)]
+    found = [
+        common_times.Sample(j, i, a, NEVER if b is None else b) for i, (a, b) in enumerate(times) for j in range(q)
+    ]
     layout, p = problem(case, {})
     layout = layout._replace(observers=tuple((name, OBSERVERS[name].observer) for name in GIVEN[plant]))
-    plan = shared.pad_slots(shared.schedule(found, case.ticks, q), SLOTS)
+    plan = common_times.pad_slots(common_times.schedule(found, case.ticks, q), SLOTS)
     p = p._replace(schedule=plan, gains=found_gains(plant))
     got = recorder()(layout, jax.tree.map(np.asarray, p), np.asarray(0), np.asarray(case.seed))
     model = linear.Model(case.model.A, case.model.B, case.model.C, case.h)

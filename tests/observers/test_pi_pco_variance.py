@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pcbench.machine import process
-from pcbench.reproduce import pi_pco
+from pcbench.papers import pi_pco
+from pcbench.runtime import config
 
 
 @pytest.fixture(scope="module")
 def found():
-    with process.float64():
+    with config.float64():
         return list(pi_pco.monte_carlo(pi_pco.GRID, 1024))
 
 
@@ -30,7 +30,7 @@ def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
 
 @pytest.mark.nightly
 def test_the_printed_ordering_holds_for_an_amplifying_gain_only():
-    with process.float64():
+    with config.float64():
         claims = pi_pco._ordering()
     assert [c.verdict for c in claims] == ["does not hold", "does not hold", "reproduced", "does not hold"]
 

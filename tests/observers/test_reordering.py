@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench.observers.parts import reordering
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts import reorder_buffer
+from pcbench.observers.parts.reorder_buffer import Measurement
 
 BASE = 7.0  # a state is the numbers of all samples used, in their order, as digits
 
@@ -17,8 +17,8 @@ def digits(state, sample):
 
 def replayed(arrivals, places):
     """The state after each arrival, where an arrival is (tick taken, number)."""
-    line, out = reordering.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
-    step = jax.jit(lambda line, sample: reordering.replay(digits, line, sample))
+    line, out = reorder_buffer.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
+    step = jax.jit(lambda line, sample: reorder_buffer.replay(digits, line, sample))
     for taken, number in arrivals:
         sample = Measurement(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
         line, state = step(line, sample)

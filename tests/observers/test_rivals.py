@@ -13,10 +13,10 @@ from reference import chain as ref
 
 import pcbench
 from pcbench import planning
-from pcbench.machine import process
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import trace
-from pcbench.study import read
+from pcbench.simulation import trajectory
+from pcbench.study import parse
 from pcbench.synthesis.certificate import is_certified
 
 NAMES = ["volume", "enthalpy", "jacket_temperature"]
@@ -49,9 +49,9 @@ def recorded():
         "axes": axes,
         "observers": [*LABELS, "chain"],
     }
-    with process.float64():
-        cells = planning.plan(read.parse(raw, "rivals"))
-        runs = [trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
+    with config.float64():
+        cells = planning.plan(parse.parse(raw, "rivals"))
+        runs = [trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
     found = [jax.tree.map(np.asarray, run.estimates) for run in runs]
     return {tuple(d): (p.problem.inputs, run) for d, p, run in zip(VECTORS, cells, found, strict=True)}
 

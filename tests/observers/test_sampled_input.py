@@ -17,12 +17,12 @@ from reference import unknown_input as ui
 import pcbench
 from pcbench import planning
 from pcbench.observers import entry_of
-from pcbench.planning import in_memory, padding
+from pcbench.planning import padding, run_local
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.signals import SIGNALS
-from pcbench.simulation import draws, trace
+from pcbench.simulation import rng, trajectory
 from pcbench.study import Study
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 
 OBSERVERS = ("smo", "pio", "kf")
 FINDERS = {"smo": ui.SMO, "pio": ui.PIO}
@@ -53,13 +53,13 @@ def layout():
 def recorded(p, seed=0):
     """One run, arrays [N+1, ...]."""
     problem = jax.tree.map(np.asarray, p.problem)
-    return jax.tree.map(np.asarray, trace.compiled()(layout(), problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trajectory.compiled()(layout(), problem, np.asarray(0), np.asarray(seed)))
 
 
 @cache
 def arm(parameter_drift=0.0, seed=0):
     """The arm's x by the reference [N+1, 1, 4]; a drift of size a has the pace and the phase that the library draws."""
-    pace, phase = np.asarray(draws.uniforms(0, np.array([seed]), "drift", 0, 1, 2))[0, :, 0] * [
+    pace, phase = np.asarray(rng.uniforms(0, np.array([seed]), "drift", 0, 1, 2))[0, :, 0] * [
         1.8,
         2 * np.pi,
     ] + [
@@ -74,7 +74,7 @@ def arm(parameter_drift=0.0, seed=0):
 @cache
 def noise(seed):
     """The noise of one run [samples, 1, 2] before scaling: addressed by sample, so more of it is the same and more."""
-    draw = jax.jit(draws.measurement_noise, static_argnums=(2, 3))
+    draw = jax.jit(rng.measurement_noise, static_argnums=(2, 3))
     return np.asarray(draw(0, seed, TICKS + 1, 2)).T[:, None]
 
 
@@ -143,7 +143,7 @@ def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
     p = planned(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3))
     (fitted,) = padding.fit([p])
-    (done,) = in_memory.execute(Study(name="parameter_drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
+    (done,) = run_local.execute(Study(name="parameter_drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
     for column, seed in enumerate([3, 0, 4]):
         got = recorded(p, seed)
         for name in OBSERVERS:

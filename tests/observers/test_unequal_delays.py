@@ -11,9 +11,9 @@ from reference import chain as ref
 import pcbench
 from pcbench.engine import runner
 from pcbench.errors import UserError
-from pcbench.reproduce import chain, chain_design
+from pcbench.papers import chain, chain_design
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import cells, read
+from pcbench.study import grid, parse
 
 MISPRINTS = {
     "chain 2: |L(1,2)|", "chain 2: |L(1,3)|", "chain 2: |H1(1,2)|",
@@ -215,13 +215,13 @@ def test_noise_free_designs_assume_the_noise_of_the_noisy_scenario():
 
 def test_where_channels_differ_in_one_cell_every_cell_of_the_study_holds_a_list():
     axes = {"delay": [[20.0, 20.0, 20.0], [10.0, 20.0, 40.0]]}
-    apart = read.parse({"name": "apart", "scenarios": ["csth/10s", "csth/10s-noise"], "axes": axes}, "apart")
-    values = [cell.values for name in apart.scenarios for cell in cells.cells(apart, name)]
+    apart = parse.parse({"name": "apart", "scenarios": ["csth/10s", "csth/10s-noise"], "axes": axes}, "apart")
+    values = [cell.values for name in apart.scenarios for cell in grid.cells(apart, name)]
     assert [v["delay"] for v in values] == [[20.0, 20.0, 20.0], [10.0, 20.0, 40.0]] * 2
     assert [v["noise_std"] for v in values] == [[0.0] * 3] * 2 + [[1.0, 0.1, 0.1]] * 2
     assert {v["sampling_period"] for v in values} == {10.0}, "channels that never differ are one number"
-    mixed = read.parse({"name": "mixed", "scenarios": ["cart/white", "csth/10s"]}, "mixed")
-    assert [c.values["delay"] for name in mixed.scenarios for c in cells.cells(mixed, name)] == [
+    mixed = parse.parse({"name": "mixed", "scenarios": ["cart/white", "csth/10s"]}, "mixed")
+    assert [c.values["delay"] for name in mixed.scenarios for c in grid.cells(mixed, name)] == [
         [0.2],
         [20.0, 50.0, 70.0],
     ]

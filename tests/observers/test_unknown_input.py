@@ -23,8 +23,8 @@ from pcbench.planning import padding
 from pcbench.plants import PLANTS, arm
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.signals import SIGNALS
-from pcbench.simulation import trace
-from pcbench.study.cells import cell_of
+from pcbench.simulation import trajectory
+from pcbench.study.grid import cell_of
 from pcbench.synthesis.unknown_input import injection, split
 
 SIGNAL_NAMES = ["link_angle", "link_velocity", "motor_angle", "motor_velocity", "input"]
@@ -73,7 +73,7 @@ def planned(scenario, observers, dt, ticks):
 
 def recorded(p, problem=None):
     """One run, arrays [N+1, ...]."""
-    out = trace.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
+    out = trajectory.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 
 

@@ -16,8 +16,8 @@ from reference import unknown_input as ui
 
 import pcbench
 from pcbench import planning
-from pcbench.simulation import trace
-from pcbench.study import read
+from pcbench.simulation import trajectory
+from pcbench.study import parse
 
 TICK, TICKS = 1e-3, 300
 D = np.array([[0.7, -0.3], [0.0, 1.1]])
@@ -47,12 +47,12 @@ def planned(variant="predict", observers=FINDERS, **changes):
     options = {name: VARIANTS[variant] for name in observers if name in FINDERS}
     given = {key: list(v) if isinstance(v, tuple) else v for key, v in changes.items()}
     raw = study(**given) | {"axes": axes, "observers": list(observers), "options": options}
-    return dict(zip(TIMES, planning.plan(read.parse(raw, "own")), strict=True))
+    return dict(zip(TIMES, planning.plan(parse.parse(raw, "own")), strict=True))
 
 
 def recorded(p, seed=0, problem=None):
     """One run, arrays [N+1, ...]."""
-    out = trace.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(seed))
+    out = trajectory.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(seed))
     return jax.tree.map(np.asarray, out)
 
 

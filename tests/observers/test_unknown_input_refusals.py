@@ -10,9 +10,9 @@ from commands import call
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.planning import in_memory
-from pcbench.study import read
+from pcbench.planning import run_local
+from pcbench.runtime import config
+from pcbench.study import parse
 
 ARM = {
     "A": [[0.0, 1, 0, 0], [-3.75, -0.0015, 3.75, 0], [0, 0, 0, 1], [3.75, 0, -3.75, -0.00125]],
@@ -205,19 +205,19 @@ def test_the_same_studies_without_the_mistake_are_planned():
         option("pio", xi=0.1, beta=0.5, gains="design"),
         option("smo", eps=1e-3, measurement="hold", gains="paper"),
     ]
-    with process.float64():
+    with config.float64():
         for study in good:
-            (p,) = planning.plan(read.parse(study, study["name"]))
+            (p,) = planning.plan(parse.parse(study, study["name"]))
             assert all(c.margin > 0 for c in p.certificates.values())
 
 
 def test_a_planned_cell_is_not_run_in_float32():
     """Whoever leaves the library's front doors has to switch float64 on: nothing is computed quietly in less."""
-    study = read.parse(published("arm/sampled", "smo"), "study")
-    with process.float64():
+    study = parse.parse(published("arm/sampled", "smo"), "study")
+    with config.float64():
         planned = planning.plan(study)
     with jax.enable_x64(False), pytest.raises(UserError, match="float64") as error:
-        next(in_memory.execute(study, planned, np.array([0])))
+        next(run_local.execute(study, planned, np.array([0])))
     assert "float32" in str(error.value)
 
 

@@ -11,12 +11,12 @@ import pcbench
 from pcbench import planning
 from pcbench.dynamics import linear as synthesis
 from pcbench.errors import UserError
-from pcbench.machine import process
 from pcbench.observers import OBSERVERS
-from pcbench.planning import in_memory
-from pcbench.simulation.schedule import per_lane, sampling, shared
+from pcbench.planning import run_local
+from pcbench.runtime import config
+from pcbench.simulation.schedule import common_times, random_times, sampling
 from pcbench.simulation.schedule.sampling import LOST, Clock
-from pcbench.study import read
+from pcbench.study import parse
 
 PAGE = {  # t: (x1, pco, pi-pco), noise off
     500: (6.0888233710, 6.0068561578, 6.0068561578),
@@ -62,18 +62,18 @@ def wild(case, clock, observer, options):
     """Layout and problem of a case on one run's draw of a clock, with the reference's times of that run."""
     channels = len(case.model.C)
     clock = clock._replace(channels=tuple(range(channels)))
-    with process.float64():
+    with config.float64():
         run = [clock], case.ticks
-        samples = per_lane.realised(*run, channels, 0, case.seed) if clock.random else shared.samples(*run)
-    plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
+        samples = random_times.realised(*run, channels, 0, case.seed) if clock.random else common_times.samples(*run)
+    plan = common_times.pad_slots(common_times.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
     known = setting(case)._replace(
-        overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
+        overtaking=random_times.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
     )
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
     layout, p = problem(case, {})
     layout = layout._replace(observers=((observer, OBSERVERS[observer].observer),))
     times = [
-        [(s.taken, s.arrives if s.arrives < shared.NEVER else None) for s in samples if s.channel == j]
+        [(s.taken, s.arrives if s.arrives < common_times.NEVER else None) for s in samples if s.channel == j]
         for j in range(channels)
     ]
     return layout, jax.tree.map(np.asarray, p._replace(schedule=plan, gains={observer: design.gains})), design, times
@@ -138,11 +138,11 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
     """`random_schedules` against `common_schedule` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "kf", "kf-bias"]
-    with process.float64():
-        chosen = read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
+    with config.float64():
+        chosen = parse.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
                               "options": {"kf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
         (planned,) = planning.plan(chosen)
-        (done,) = in_memory.execute(chosen, [planned], np.arange(3), 1)
+        (done,) = run_local.execute(chosen, [planned], np.arange(3), 1)
         for seed in range(3):
             p = planning.alone(planned, 0, seed)
             out = recorder()(p.layout, jax.tree.map(np.asarray, p.problem), np.asarray(0), np.asarray(seed))
@@ -173,13 +173,13 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
 )
 def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
     with pytest.raises(UserError, match=sentence):
-        read.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
+        parse.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
 
 
 def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
     with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
-        read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
-    read.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
+        parse.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
+    parse.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
 
 
 @pytest.mark.parametrize("observer", ["kf", "pccebo", "pco"])

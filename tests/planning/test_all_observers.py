@@ -8,9 +8,9 @@ from pcbench.cli.commands import app
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.planning import all_observers
-from pcbench.replaying import replay
+from pcbench.playback import replay
 from pcbench.report import page
-from pcbench.study import read
+from pcbench.study import parse
 
 STUDY = {
     "name": "everything",
@@ -134,7 +134,7 @@ def test_all_in_a_table_names_the_place_where_it_belongs():
     with pytest.raises(
         UserError, match=r'lti\.observers: got "all", .* write observers = "all" at the top of the study'
     ):
-        read.study_of(study, {}, [])
+        parse.study_of(study, {}, [])
 
 
 @pytest.mark.nightly

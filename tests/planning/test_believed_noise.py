@@ -7,15 +7,15 @@ from honest import STUDY
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.study import read
-from pcbench.study.cells import cells_of
+from pcbench.study import parse
+from pcbench.study.grid import cells_of
 
 AXIS = {"assumed_noise_scale": [0.5, 1.0, 3.0]}
 KNOWN = {"name": "known", "observers": ["kf"], "lti": STUDY["lti"], "options": {}}
 
 
 def cells(**given):
-    return cells_of(read.parse(KNOWN | given, "test"))
+    return cells_of(parse.parse(KNOWN | given, "test"))
 
 
 def test_designers_are_told_so_many_times_the_noise():
@@ -24,7 +24,7 @@ def test_designers_are_told_so_many_times_the_noise():
 
 
 def test_what_is_believed_changes_neither_the_samples_nor_the_bound():
-    plans = planning.plan(read.parse(KNOWN | {"axes": AXIS}, "test"))
+    plans = planning.plan(parse.parse(KNOWN | {"axes": AXIS}, "test"))
     for p in plans:
         np.testing.assert_array_equal(p.problem.noise_std, [0.3])
         np.testing.assert_allclose(p.bound, plans[1].bound, rtol=1e-12)

@@ -3,14 +3,14 @@
 import pytest
 
 import pcbench
-from pcbench.planning import arrays
-from pcbench.study import read
+from pcbench.planning import build
+from pcbench.study import parse
 
 
 def widths(observer):
     """Runs per call for studies of several sizes, and if the size is not known."""
-    (cell,) = read.grid_of("cart/white", {"observers": observer.split(",")}, []).cells
-    return {arrays.width(cell, runs) for runs in (1, 16, 128, 1000, None)}
+    (cell,) = parse.grid_of("cart/white", {"observers": observer.split(",")}, []).cells
+    return {build.width(cell, runs) for runs in (1, 16, 128, 1000, None)}
 
 
 def test_width_is_fixed_for_sums_over_points_only():

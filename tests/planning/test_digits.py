@@ -10,13 +10,13 @@ from reference.long_digits import steady_rms
 import pcbench
 from pcbench import planning
 from pcbench.cli.commands import app
-from pcbench.dataset import against_exact
+from pcbench.dataset import validate_exact
 from pcbench.errors import DigitsError
-from pcbench.guests import scored
+from pcbench.external import metrics
 from pcbench.observers import entry_of
 from pcbench.planning import digits
 from pcbench.plants import PLANTS
-from pcbench.study import as_toml, read
+from pcbench.study import parse, serialize
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -62,7 +62,7 @@ def test_numbers_are_right_as_long_as_a_double_has_digits(tmp_path):
         assert rms["mean"] * value(stats, "rms_efficiency")[observer] == pytest.approx(want, rel=1e-6)
         assert value(stats, "mse").notna().all()
         assert abs(value(stats, "nees")[observer] - 1) < 4 * np.sqrt(2 / 256)
-    checked = against_exact.check(tmp_path / "o")
+    checked = validate_exact.check(tmp_path / "o")
     assert checked.rows.empty
     assert all("has too few digits for an exact answer: x1 reaches" in sentence for sentence in checked.refused)
     assert last > 0
@@ -86,7 +86,7 @@ def test_no_observer_is_judged_where_a_double_has_no_digits_left(observer, horiz
 @pytest.mark.slow
 def test_the_command_ends_with_the_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(as_toml.to_toml(*read.grid_of(study(["kf"], duration=9.5), {}, [])))
+    (tmp_path / "s.toml").write_text(serialize.to_toml(*parse.grid_of(study(["kf"], duration=9.5), {}, [])))
     with pytest.raises(DigitsError, match="shorter horizon"):
         app(["run", "s.toml"], standalone_mode=False)
 
@@ -209,13 +209,13 @@ def test_nor_is_the_trace_of_a_run(observer):
 
 
 def test_estimates_that_are_made_elsewhere_are_not_judged_either():
-    (cell,) = read.grid_of(study(["kf"], duration=9.5), {}, []).cells
+    (cell,) = parse.grid_of(study(["kf"], duration=9.5), {}, []).cells
     p = planning.draft(cell, {"kf": entry_of("kf").options()})
     ticks = cell.times.ticks
     x = np.exp(A * H * np.arange(ticks + 1.0))[None, :, None] * np.ones((3, 1, 1))
     with pytest.raises(DigitsError, match=BLAMELESS):
-        scored.scored(p, x, x[:, :ticks] + 0.05)
-    assert scored.scored(p, x, 0.8 * x[:, :ticks])["diverged"].all()
+        metrics.scored(p, x, x[:, :ticks] + 0.05)
+    assert metrics.scored(p, x, 0.8 * x[:, :ticks])["diverged"].all()
 
 
 @pytest.mark.slow
@@ -246,7 +246,7 @@ duration = 2.0
 
 def test_a_state_that_is_known_at_the_start_has_a_settling_band_of_its_size(tmp_path):
     (tmp_path / "known.toml").write_text(TABLE)
-    (cell,) = read.grid_of(str(tmp_path / "known.toml"), {}, []).cells
+    (cell,) = parse.grid_of(str(tmp_path / "known.toml"), {}, []).cells
     assert min(cell.scenario.scoring.settle_band) > 0
     assert np.isfinite(pcbench.run(str(tmp_path / "known.toml")).stats["mean"].iloc[0])
 

@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from pcbench import planning
-from pcbench.machine import process
 from pcbench.planning import padding
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation.schedule import per_lane, shared
-from pcbench.study import read
-from pcbench.study.cells import cell_of, cells_of
+from pcbench.simulation.schedule import common_times, random_times
+from pcbench.study import parse
+from pcbench.study.grid import cell_of, cells_of
 
 
 def drafts(axes, observers=("pccebo", "kf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
-    study = read.parse(raw, "t")
-    with process.float64():
+    study = parse.parse(raw, "t")
+    with config.float64():
         return list(planning.drafts(cells_of(study)))
 
 
@@ -34,7 +34,7 @@ def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all
     after = padding.fit(before)
     assert len({(p.layout, *map(np.shape, jax.tree.leaves(p.problem))) for p in after}) == 1
     for small, p in zip(before, after, strict=True):
-        assert p.layout.ring >= shared.in_flight(p.problem.schedule)
+        assert p.layout.ring >= common_times.in_flight(p.problem.schedule)
         slots = small.problem.schedule.arrive.shape[1]
         np.testing.assert_array_equal(p.problem.schedule.arrive[:, :slots], small.problem.schedule.arrive)
         assert (p.problem.schedule.arrive[:, slots:] == -1).all()
@@ -49,8 +49,8 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
     for small, p in zip(before, after, strict=True):
         many = small.problem.schedule.due.shape[1]
         np.testing.assert_array_equal(p.problem.schedule.due[:, :many], small.problem.schedule.due)
-        assert (p.problem.schedule.due[:, many:] == shared.NEVER).all()
-        assert p.layout.ring >= per_lane.room(p.cell.times.clocks, p.cell.times.ticks, 0)
+        assert (p.problem.schedule.due[:, many:] == common_times.NEVER).all()
+        assert p.layout.ring >= random_times.room(p.cell.times.clocks, p.cell.times.ticks, 0)
 
 
 def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
@@ -60,8 +60,8 @@ def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
     assert before[0].problem.schedule.share.shape != before[1].problem.schedule.share.shape
     assert len({padding.key_of(p) for p in after}) == 1
     for small, p in zip(before, after, strict=True):
-        with process.float64():
-            one, other = (per_lane.clock_times(each.problem.schedule, 0, 3, np.arange(5)) for each in (small, p))
+        with config.float64():
+            one, other = (random_times.clock_times(each.problem.schedule, 0, 3, np.arange(5)) for each in (small, p))
         np.testing.assert_array_equal(one, np.asarray(other)[:, : len(one[0])])
 
 
@@ -71,7 +71,7 @@ def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     cells = [cell_of(arm.having(unknown_input=name)) for name in ("square", "arm-sine")]
     square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]
-    assert sine.problem.jumps.tolist() == [shared.NEVER] * 3
+    assert sine.problem.jumps.tolist() == [common_times.NEVER] * 3
 
 
 def test_room_is_the_larger_of_each():

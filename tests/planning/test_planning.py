@@ -9,7 +9,7 @@ from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.scenarios import INTERVAL, SCENARIOS
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 from pcbench.study.schema import Choices
 
 

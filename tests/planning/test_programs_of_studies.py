@@ -2,11 +2,11 @@
 
 import pytest
 
-from pcbench.machine import process
-from pcbench.planning import arrays, padding
-from pcbench.study import read
+from pcbench.planning import build, padding
+from pcbench.runtime import config
+from pcbench.study import parse
 from pcbench.study.builtin import STUDIES
-from pcbench.study.cells import cells_of
+from pcbench.study.grid import cells_of
 
 PROGRAMS = {
     "quick": 1,
@@ -31,8 +31,8 @@ def test_every_study_with_runs_has_its_count():
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_study_compiles_no_more_programs(name):
-    with process.float64():
-        study = read.study_of(name, {}, [])
-        drafts = arrays.drafts(cells_of(study), runs=lambda cell: study.seeds, apart=True)
+    with config.float64():
+        study = parse.study_of(name, {}, [])
+        drafts = build.drafts(cells_of(study), runs=lambda cell: study.seeds, apart=True)
         programs = {padding.key_of(p) for p in padding.fit(list(drafts))}
     assert len(programs) == PROGRAMS[name]

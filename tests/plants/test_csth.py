@@ -7,10 +7,10 @@ from scipy.linalg import solve_discrete_are
 
 import pcbench
 from pcbench.dynamics import linear
-from pcbench.machine import process
 from pcbench.plants import csth
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import draws
+from pcbench.simulation import rng
 
 STATES = [name for name, _ in csth.SIGNALS]
 KINDS = {"csth/literal": "literal", "csth/1s": "1s", "csth/10s": "10s"}
@@ -56,10 +56,10 @@ def noisy():
     """A run of seed 3 with its own process and measurement noise."""
     d = pcbench.simulate("csth/10s-noise", "kf", seed=3)
     s, N = SCENARIOS["csth/10s-noise"], len(d) - 1
-    with process.float64():
-        v = np.asarray(draws.measurement_noise(0, 3, N + 1, 3)).T * s.sampling.noise_std
-        keys = draws.run_keys(np.asarray(0), np.array([3]), "process", 3)
-        w = np.stack([np.asarray(draws.normals(keys, [k] * 3))[:, 0] for k in range(N + 1)]) * s.truth.process_std
+    with config.float64():
+        v = np.asarray(rng.measurement_noise(0, 3, N + 1, 3)).T * s.sampling.noise_std
+        keys = rng.run_keys(np.asarray(0), np.array([3]), "process", 3)
+        w = np.stack([np.asarray(rng.normals(keys, [k] * 3))[:, 0] for k in range(N + 1)]) * s.truth.process_std
     return d, v, w
 
 

@@ -9,9 +9,9 @@ from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.plants import PLANTS, entry_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import read
-from pcbench.study.cells import cell_of
-from pcbench.study.own import Code, Own
+from pcbench.study import parse
+from pcbench.study.grid import cell_of
+from pcbench.study.plugins.user_code import Code, Own
 
 TABLE = {
     "plant": "pendulum",
@@ -69,7 +69,7 @@ def test_observers_run_on_it_and_those_that_cannot_say_why(own):
     assert set(rms.index) == set(observers)
     assert max(rms["ekf"], rms["kf"]) < 0.5 * rms["model-only"]
     assert own()["scenario"].get("observers") is None
-    assert list(read.scenarios_of(read.parse(own(), "mine"))["mine"].observers) == ["ekf", "kf", "model-only"]
+    assert list(parse.scenarios_of(parse.parse(own(), "mine"))["mine"].observers) == ["ekf", "kf", "model-only"]
     with pytest.raises(UserError, match="got a plant that is not a chain of positions"):
         pcbench.run(own(observers=["high-gain"]))
 
@@ -129,7 +129,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
     stats = pcbench.run(own({"observers": ["ekf"], "noise_std": 1e-3}, slope)).stats
     assert (stats.query("metric == 'divergence_rate'")["mean"] == 0).all()
     with pytest.raises(UserError, match="got a parameter_drift of 1 in mine, where nothing drifts"):
-        read.parse(own({"parameter_drift": 1.0}), "mine.toml")
+        parse.parse(own({"parameter_drift": 1.0}), "mine.toml")
 
 
 @pytest.mark.nightly
@@ -220,9 +220,9 @@ def test_its_numbers_are_axes_and_observers_keep_the_nominal_ones(own):
     stats = pcbench.run(study).stats.query("metric == 'rmse' and signal == 'angle'")
     assert stats["mean"].nunique() == 2
     with pytest.raises(UserError, match=r"axes.plant.m\[0\]: got 0.0, expected a number greater than 0"):
-        read.parse(own(axes={"plant.m": [0.0]}), "mine.toml")
+        parse.parse(own(axes={"plant.m": [0.0]}), "mine.toml")
     with pytest.raises(UserError, match=r"'plant\.mass' is no axis of mine"):
-        read.parse(own(axes={"plant.mass": [1.0]}), "mine.toml")
+        parse.parse(own(axes={"plant.mass": [1.0]}), "mine.toml")
 
 
 @pytest.mark.nightly

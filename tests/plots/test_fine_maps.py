@@ -5,8 +5,8 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from pcbench.plots import fine_maps, small_maps
-from pcbench.plots.paper import PAPER
-from pcbench.plots.sheet import Key
+from pcbench.plots.canvas import PAPER
+from pcbench.plots.layout import Key
 from pcbench.plots.small_maps import Cell, Map, Over
 
 X = Over("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])

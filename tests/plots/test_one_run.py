@@ -6,18 +6,18 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.machine import process
 from pcbench.plots import one_run
-from pcbench.study import read
+from pcbench.runtime import config
+from pcbench.study import parse
 
 
 @pytest.fixture(scope="module")
 def shown():
     """Six runs beside one another, of the second value of an axis."""
     raw = {"name": "t", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 3, "first_seed": 6}
-    made = read.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
+    made = parse.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
     at = ["axes.noise_std=0.5", "axes.delay=0.1"]
-    with process.float64():
+    with config.float64():
         traces = [pcbench.simulate("cart/white", "pccebo", seed=6 + i, overrides=at) for i in range(one_run.RUNS)]
         return one_run.of(made, "cart/white", None, cell=1), traces
 
@@ -58,7 +58,7 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
 
 
 def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
-    study = read.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
+    study = parse.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
     assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
     with pytest.raises(UserError, match="--grid-point: got 7, expected one of 0"):
         one_run.of(study, "cart/nominal", None, cell=7)
@@ -67,7 +67,7 @@ def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentenc
 def test_scenarios_shown_together_are_those_shown_alone():
     """They share a program; a run is not another's for that."""
     raw = {"name": "t", "scenarios": ["cart/slow", "cart/nominal"], "observers": ["pccebo"]}
-    study = read.parse(raw, "t")
+    study = parse.parse(raw, "t")
     together = one_run.several(study, dict.fromkeys(study.scenarios, 0), None)
     assert list(together) == ["cart/slow", "cart/nominal"]
     assert not together["cart/slow"].equals(together["cart/nominal"])

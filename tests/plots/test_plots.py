@@ -10,8 +10,8 @@ from scipy import stats as scipy_stats
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import frames, scales, words
-from pcbench.report import sentences
+from pcbench.plots import frames, labels, scales
+from pcbench.report import captions
 
 STUDY = {
     "name": "map",
@@ -161,9 +161,7 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
     texts = [t.get_text() for t in figure.axes[1].texts]
     assert texts == ["100"] * 4
     drawn = frames.rows(result, None, None, "divergence_rate")
-    assert (
-        sentences.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
-    )
+    assert captions.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
     assert any("diverged runs [%]" in text for text in said(figure))
 
 
@@ -193,7 +191,7 @@ def test_a_map_of_winners_says_who_and_by_how_much_and_is_pale_where_that_is_not
     found = frames.standings(result, metric="steady_rmse")
     for row, text in zip(found.to_dict("records"), texts, strict=True):
         if row["winner"]:
-            assert text == f"{row['winner']}\n{words.times(row['factor'])}"
+            assert text == f"{row['winner']}\n{labels.times(row['factor'])}"
         else:
             assert text.startswith("tie")
 

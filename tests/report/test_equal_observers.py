@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcbench.cli.screen import results
-from pcbench.cli.screen.tables import Screen
-from pcbench.report import headline, sentences, summary
+from pcbench.cli.render import results
+from pcbench.cli.render.tables import Screen
+from pcbench.report import captions, headline, summary
 from pcbench.report.summary import _said
-from pcbench.statistics import winning
+from pcbench.statistics import ranking
 from pcbench.study import STUDIES
 from pcbench.tables import latex, layout, text
 
@@ -147,7 +147,7 @@ def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
     found = summary.stood(result, "steady_rmse", None)[0].found
     assert (
-        sentences.winners(found) == "Of 4 cells: tie 4. None is better than kf and kf-shifted-innovation in 4 of them."
+        captions.winners(found) == "Of 4 cells: tie 4. None is better than kf and kf-shifted-innovation in 4 of them."
     )
     (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
     assert one.won == "as good as the best: kf, kf-shifted-innovation"
@@ -169,5 +169,5 @@ def test_of_one_run_each_nothing_is_marked():
 def test_a_metric_without_tests_has_no_leaders():
     result = study_of(1, **CASES["draw"])
     rows = result.stats[result.stats.metric == "rmse"]
-    assert winning.standing(rows, result.pairs[:0]).leaders == ()
-    assert winning.most_often([(), ()]) == ([], 0)
+    assert ranking.standing(rows, result.pairs[:0]).leaders == ()
+    assert ranking.most_often([(), ()]) == ([], 0)

@@ -12,10 +12,10 @@ from commands import call
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import files, frames, scales, sheet
-from pcbench.report import figures, page, pictures, sentences, set_options
-from pcbench.statistics import wording
-from pcbench.study import read
+from pcbench.plots import files, frames, layout, scales
+from pcbench.report import captions, export_figures, figures, page, set_options
+from pcbench.statistics import number_format
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -66,7 +66,7 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
         "options": {"kf-push": {"bias_variance": 0.25}, "pccebo": {"L": [[0.5], [0.125]], "gain": "lmi"}},
         "tuned": tuned | {"options": {"pccebo": {"L": [[0.5], [0.125]]}, "kf-push": {"bias_variance": 9.0}}},
     }
-    read_study = read.grid_of(study, {}, []).study
+    read_study = parse.grid_of(study, {}, []).study
     rows = set_options.rows(SimpleNamespace(study=read_study))
     assert [(o.value, o.tuned) for o in rows if (o.observer, o.name) == ("pccebo", "L")] == [("[[0.5], [0.125]]", True)]
     (push,) = [o for o in rows if o.observer == "kf-push"]
@@ -126,7 +126,7 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
     assert f"{won.max()} of 8 cells" in text
     cell = frames.telling(result, "cart/white", "position", "steady_rmse")
     for row in mine[mine.cell == cell].to_dict("records"):
-        assert f">{wording.interval(row)}</td>" in text
+        assert f">{number_format.interval(row)}</td>" in text
     assert "8 combinations of axis values" in text
     assert result.provenance["study_sha256"] in text
     assert "pcbench run study.toml" in text
@@ -143,7 +143,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p
-        for p in pictures.of_signal(pictures.places(result, ["cart/white"], pictures.SHOWN)["cart/white"], "position")
+        for p in figures.of_signal(figures.places(result, ["cart/white"], figures.SHOWN)["cart/white"], "position")
         if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes
@@ -205,14 +205,16 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
         (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'kf'").to_dict(
             "records"
         )
-        assert f">{wording.interval(row)}<" in text
+        assert f">{number_format.interval(row)}<" in text
 
 
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
-    names = figures.write(pcbench.open_result(folder), tmp_path, shown=pictures.Shown(paper=plots.Paper(3.3, 8.0)))
+    names = export_figures.write(
+        pcbench.open_result(folder), tmp_path, shown=figures.Shown(paper=plots.Paper(3.3, 8.0))
+    )
     assert names == re.findall(r'<figure id="([^"]+)">', text)
     for name in names:
-        svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in figures.KINDS)
+        svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in export_figures.KINDS)
         assert re.findall(rb"<text[^>]*>([^<]+)<", svg)
         assert re.search(rb'width="(237.6|475.2|\d+(\.\d+)?)pt"', svg)
         assert pdf.startswith(b"%PDF")
@@ -248,7 +250,7 @@ def test_every_picture_says_its_numbers_whole(folder, text):
     ticks = ["0.0125", "0.0375"]
     scale = scales.at([0.0125, 0.0375])
     assert list(scale.words) == ticks
-    drawn, _ = sheet.sheet(plots.Paper(), "", [sheet.Panel(scale, scale, "delay [s]", "delay [s]")])
+    drawn, _ = layout.sheet(plots.Paper(), "", [layout.Panel(scale, scale, "delay [s]", "delay [s]")])
     written = files.inline(drawn, "x")
     assert all(written.count(f">{tick}<") == 2 for tick in ticks)
     assert not re.search(r'd="[^"]*\d\.\d{3}', written)
@@ -258,7 +260,7 @@ def test_a_run_in_time_says_in_words_where_it_ends():
     rows = [("plant", "truth", t, float(t)) for t in range(3)]
     rows += [("kfbo", "estimate", t, 0.5 * t) for t in range(3)] + [("measured", "measured", 2, 9.0)]
     run = pd.DataFrame(rows, columns=["series", "kind", "t", "value"])
-    assert sentences.time(run, "m")[0] == "At the end: plant 2 m, kfbo 1 m."
+    assert captions.time(run, "m")[0] == "At the end: plant 2 m, kfbo 1 m."
 
 
 GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 2}

@@ -10,8 +10,8 @@ from pcbench.controllers.pd import Options
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import CODE, RECORDS
-from pcbench.study.cells import cell_of
-from pcbench.study.own import Code, Own
+from pcbench.study.grid import cell_of
+from pcbench.study.plugins.user_code import Code, Own
 
 ARM = SCENARIOS["arm/sampled"]
 
@@ -46,4 +46,4 @@ def test_a_scenario_may_carry_its_plant_and_its_controller_of_which_it_says_the_
     assert (plants.entry_of(plain), controllers.entry_of(plain)) == (PLANTS["helicopter"], CONTROLLERS["pd"])
     code = {"plant": "abc", "controller": "abc"}
     assert own.having(plant="helicopter", controller="pd").flat() == plain.flat() | {"code": code}
-    assert planning.arrays.width(cell_of(own)) != planning.arrays.width(cell_of(plain))
+    assert planning.build.width(cell_of(own)) != planning.build.width(cell_of(plain))

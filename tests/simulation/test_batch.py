@@ -6,18 +6,18 @@ from harness import ODD, Case, problem
 
 from pcbench import planning
 from pcbench.engine import runner
-from pcbench.machine import process
-from pcbench.planning import in_memory
+from pcbench.planning import run_local
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import metrics
-from pcbench.simulation.problem import Outcome
-from pcbench.study.cells import cell_of
+from pcbench.simulation.types import Outcome
+from pcbench.study.grid import cell_of
 
 
 @pytest.mark.parametrize("many", [1, 1023, 1024, 1025, 2500])
 def test_every_seed_is_in_one_job(many):
     p = planning.draft(cell_of(SCENARIOS["cart/nominal"]), {})
-    jobs = list(in_memory.jobs(p, 7, np.arange(100, 100 + many)))
+    jobs = list(run_local.jobs(p, 7, np.arange(100, 100 + many)))
     np.testing.assert_array_equal(np.concatenate([job.seeds for job in jobs]), np.arange(100, 100 + many))
     assert max(len(job.seeds) for job in jobs) <= p.layout.width
     assert {job.root_seed for job in jobs} == {7}
@@ -31,7 +31,7 @@ def test_jobs_come_back_in_order_with_what_is_theirs(count):
     for i in range(9):
         seeds = np.arange(i, i + 1 + i % 3)
         jobs.append(runner.Job(p._replace(x0=p.xhat0 + np.array([i, 0.0, 0.0])), 0, seeds))
-    with process.float64():
+    with config.float64():
         done = list(runner.run(layout, jobs, count))
     assert [job is given for (job, _), given in zip(done, jobs, strict=True)] == [True] * 9
     first = done[1][1].final["model-only"][0, 0]
@@ -54,7 +54,7 @@ def test_recovery_is_a_metric_where_something_jumps_within_the_horizon(falls):
     p = planning.draft(cell, {})
     p = p._replace(problem=p.problem._replace(jumps=np.array(falls, int)), labels=("mine",))
     p = p._replace(layout=p.layout._replace(observers=(("o", None),)))
-    found = in_memory.results(p, [(None, outcome(2.0)), (None, outcome(3.0))])["mine"]
+    found = run_local.results(p, [(None, outcome(2.0)), (None, outcome(3.0))])["mine"]
     assert ("recovery_time" in found) == (falls == [2])
     np.testing.assert_allclose(found["mae"], [[2.0, 3.0]])
     np.testing.assert_allclose(found["steady_mse"], [[4.0, 9.0]])

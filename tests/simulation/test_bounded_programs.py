@@ -10,7 +10,7 @@ from threading import Barrier
 import numpy as np
 import pytest
 
-from pcbench.machine import program_cache
+from pcbench.runtime import program_cache
 
 MAPPED = Path(__file__).parents[1] / "support" / "mapped.py"
 START, EACH = 2500, 600  # mappings of a process that has imported all, and of a program

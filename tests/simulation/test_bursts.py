@@ -10,11 +10,11 @@ from scipy import stats
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.moments import realised
-from pcbench.simulation.schedule import per_lane, sampling
+from pcbench.moments import realisations
+from pcbench.simulation.schedule import random_times, sampling
+from pcbench.simulation.schedule.common_times import NEVER
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.simulation.schedule.shared import NEVER
-from pcbench.study import read
+from pcbench.study import parse
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 PLAIN = STUDY | {"observers": ["kf"], "options": {}}
@@ -23,8 +23,8 @@ MANY, RUNS = 2000, 16
 
 def arrivals(clock):
     """(taken, arrives) [MANY, RUNS] of one clock that samples at every tick."""
-    t = jax.tree.map(jnp.asarray, per_lane.times([clock], MANY - 1, 1, 0))
-    return [np.asarray(a) for a in per_lane.clock_times(t, 0, jnp.asarray(0), jnp.arange(RUNS))]
+    t = jax.tree.map(jnp.asarray, random_times.times([clock], MANY - 1, 1, 0))
+    return [np.asarray(a) for a in random_times.clock_times(t, 0, jnp.asarray(0), jnp.arange(RUNS))]
 
 
 def gaps(lost):
@@ -73,22 +73,22 @@ def test_a_gamma_distribution_is_in_whole_ticks_as_scipy_has_it(mean, shape):
 
 
 def test_a_study_says_them_in_seconds_and_designers_know_the_mean():
-    (cell,) = read.grid_of(
+    (cell,) = parse.grid_of(
         PLAIN | {"lti": PLAIN["lti"] | {"delay_gamma_mean": 0.4, "delay_gamma_shape": 2.0}}, {}, []
     ).cells
     (clock,) = cell.times.clocks
     np.testing.assert_allclose(clock.share, sampling.gamma(4.0, 2.0), rtol=1e-12)
     assert (clock.steps, clock.later) == (tuple(range(len(clock.share))), 4)
     told = {"delay_values": [0.0, 0.3], "delay_weights": [3.0, 1.0]}
-    (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
+    (cell,) = parse.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
     assert (cell.times.clocks[0].share, cell.times.clocks[0].steps) == ((0.75, 0.25), (0, 3))
 
 
 def test_losses_in_a_row_have_no_recursion():
     """Their exact numbers are averaged over drawn schedules; of losses that come one by one they move over both cases."""
     for given, alone in (({"loss": 0.3}, True), ({"loss": 0.3, "mean_burst_length": 4.0}, False)):
-        (p,) = planning.plan(read.parse(PLAIN | {"lti": PLAIN["lti"] | given}, "bursts"))
-        assert realised.losses_alone(p) is alone
+        (p,) = planning.plan(parse.parse(PLAIN | {"lti": PLAIN["lti"] | given}, "bursts"))
+        assert realisations.losses_alone(p) is alone
 
 
 @pytest.mark.nightly

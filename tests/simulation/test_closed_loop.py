@@ -8,14 +8,14 @@ from scipy.stats import binomtest
 
 import pcbench
 from pcbench import statistics
-from pcbench.cli.screen import results
-from pcbench.cli.screen.tables import Screen
+from pcbench.cli.render import results
+from pcbench.cli.render.tables import Screen
 from pcbench.engine import runner
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.planning import controller, in_memory
+from pcbench.planning import loop_setup, run_local
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import draws
+from pcbench.simulation import rng
 from pcbench.study import Study
 
 SECOND = 1.0
@@ -25,7 +25,7 @@ BOX = {"random_initial_state": True}
 def swept(p, seeds=1):
     """Metrics of the only observer, by the program that sums up."""
     study = Study(name="t", scenarios=[p.cell.scenario.name], observers=list(p.labels), seeds=seeds)
-    (done,) = in_memory.execute(study, [p], devices=1)
+    (done,) = run_local.execute(study, [p], devices=1)
     return done.results[p.labels[0]]
 
 
@@ -80,7 +80,7 @@ def test_random_starts_are_those_of_the_box():
     runs = [record(p, seed) for seed in range(3)]
     x0 = np.array(SCENARIOS["helicopter/constant"].truth.x0)
     for seed, got in enumerate(runs):
-        uniform = draws.uniforms(np.asarray(0), np.array([seed]), "initial", np.asarray(0), 1, 4)[0, :, 0]
+        uniform = rng.uniforms(np.asarray(0), np.array([seed]), "initial", np.asarray(0), 1, 4)[0, :, 0]
         np.testing.assert_allclose(estimate(got)[0, :4], x0 + np.asarray(uniform) - 0.5, rtol=0, atol=1e-15)
         np.testing.assert_array_equal(estimate(got)[0, 4:], 0)
         np.testing.assert_array_equal(got.x[0, :4], x0)
@@ -99,8 +99,8 @@ def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(obser
 
     def results(seeds, devices):
         study = Study(name="t", scenarios=[p.cell.scenario.name], observers=[observer], seeds=1)
-        with process.float64():
-            (done,) = in_memory.execute(study, [p], np.asarray(seeds), devices)
+        with config.float64():
+            (done,) = run_local.execute(study, [p], np.asarray(seeds), devices)
         return done.results[observer]
 
     alone, full = results([7], 1), runner.HEAVY
@@ -182,7 +182,7 @@ def test_a_ring_has_room_for_what_is_believed_to_be_older():
     """The filter goes back to where it believes the sample before to have been taken."""
     for error in (0.0, 0.05):
         cell = planned("ekf", SECOND, assumed_delay_error=error).cell
-        reach = controller.reach(cell, 0, 1000)
+        reach = loop_setup.reach(cell, 0, 1000)
         assert reach.back >= 200 + 25 + round(error * 1e3) + 26
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pcbench import planning
-from pcbench.machine import process
-from pcbench.planning import all_observers, in_memory, padding
+from pcbench.planning import all_observers, padding, run_local
+from pcbench.runtime import config
 from pcbench.simulation import simulate_runs
-from pcbench.study import read
+from pcbench.study import parse
 
 SEEDS = np.arange(3)
 WITHIN = 1e-11  # of the largest error
@@ -84,10 +84,10 @@ PRODUCTS = ("shared",)  # what the flow by matrix products is for
 
 def results(case, engine):
     """By cell and observer, what each metric is for some seeds, as the engine computes it: in one program or several."""
-    study = read.study_of({"name": "definition", "seeds": len(SEEDS), "engine": engine} | CASES[case], {}, [])
+    study = parse.study_of({"name": "definition", "seeds": len(SEEDS), "engine": engine} | CASES[case], {}, [])
     cells = {}
-    with process.float64():
-        for found in in_memory.execute(study, planning.plan(study), SEEDS):
+    with config.float64():
+        for found in run_local.execute(study, planning.plan(study), SEEDS):
             cells.setdefault(found.planned.cell.key, {}).update(found.results)
     return cells
 
@@ -115,7 +115,7 @@ def test_grid_points_of_one_shape_are_one_call_over_periods_delays_and_drifts():
     axes = {"sampling_period": [0.1, 0.2], "delay": [0.1, 0.3], "parameter_drift": [0.0, 0.2]}
     short = {"base": "cart/white", "name": "short", "duration": 1.0, "steady_start": 0.5}
     study = {"name": "stacked", "scenario": short, "observers": ["kf", "kfbo"], "seeds": 3, "axes": axes}
-    with process.float64():
+    with config.float64():
         plans = padding.fit(list(planning.drafts(all_observers.grid_of(study, {}, []).cells)))
         (layout,) = {p.layout for p in plans}
         problems = [p.problem for p in plans]

@@ -1,6 +1,6 @@
 """What a run draws for itself: its start, what is believed of it, process noise, and the noise of samples from before tick 0.
 
-Every draw is made by hand with jax.random, at the address that `draws` promises: root seed, seed, stream, channel, index.
+Every draw is made by hand with jax.random, at the address that `rng` promises: root seed, seed, stream, channel, index.
 """
 
 import jax
@@ -9,8 +9,8 @@ import pytest
 from harness import ODD, SLOTS, Case, problem, recorder
 from scipy.linalg import expm
 
-from pcbench.machine import process
-from pcbench.simulation.schedule import shared
+from pcbench.runtime import config
+from pcbench.simulation.schedule import common_times
 from pcbench.simulation.schedule.sampling import Clock
 
 INITIAL, MEASUREMENT, PROCESS = 0, 1, 5  # numbers of streams
@@ -31,11 +31,11 @@ def drawn(draw, stream, channel, index, *shape):
 def run():
     """One run with all of it, and its inputs; measuring began before tick 0."""
     layout, p = problem(CASE, {"model-only": {}})
-    found = shared.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
-    plan = shared.pad_slots(shared.schedule(found, CASE.ticks, 2), SLOTS)
+    found = common_times.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
+    plan = common_times.pad_slots(common_times.schedule(found, CASE.ticks, 2), SLOTS)
     p = p._replace(schedule=plan, process_std=STD, spread0=ROOT, scatter=SCATTER)
     layout = layout._replace(random_initial_state=True, scattered=True)
-    with process.float64():
+    with config.float64():
         return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(SEED))), p
 
 

@@ -17,16 +17,16 @@ from reference import linear as by_hand
 from pcbench.engine import event_loop, random_schedules, runner
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer, Plant
-from pcbench.simulation import draws
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.schedule import per_lane
+from pcbench.simulation import rng
+from pcbench.simulation.schedule import random_times
+from pcbench.simulation.schedule.common_times import NEVER
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.simulation.schedule.shared import NEVER
+from pcbench.simulation.types import Layout, Problem
 
 WIDE = 40
 QUICK = hurried.options()
-CLOCK_TIMES = jax.jit(per_lane.clock_times, compiler_options=QUICK)
-TIMES = per_lane.times
+CLOCK_TIMES = jax.jit(random_times.clock_times, compiler_options=QUICK)
+TIMES = random_times.times
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -38,15 +38,15 @@ def small_chunks():
 
 def times_of(clocks, ticks, channels, error):
     """One shape for every period."""
-    return per_lane.padded(TIMES(clocks, ticks, channels, error), ticks + 20)
+    return random_times.padded(TIMES(clocks, ticks, channels, error), ticks + 20)
 
 
 def samples_of(clocks, ticks, channels, seed):
-    """`per_lane.realised`, compiled once."""
+    """`random_times.realised`, compiled once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(per_lane, "times", times_of)
-        patch.setattr(per_lane, "clock_times", CLOCK_TIMES)
-        return per_lane.realised(clocks, ticks, channels, 0, seed)
+        patch.setattr(random_times, "times", times_of)
+        patch.setattr(random_times, "clock_times", CLOCK_TIMES)
+        return random_times.realised(clocks, ticks, channels, 0, seed)
 
 
 # an observer that keeps accounts
@@ -115,7 +115,7 @@ PAIRS = {  # channels 0 and 2 are one clock's
 
 @partial(jax.jit, compiler_options=QUICK)
 def noise_of(seed):
-    return draws.measurement_noise(0, seed, 100, 3)
+    return rng.measurement_noise(0, seed, 100, 3)
 
 
 def expected(clocks, ticks, error, seed):
@@ -161,7 +161,7 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
     ticks, clocks = 90, PAIRS[name]
     if error < 0:  # no age may fall below 0
         clocks = [clock._replace(delay=(clock.delay or 0) + 1) for clock in clocks]
-    assert per_lane.room(clocks, ticks, error) <= 128
+    assert random_times.room(clocks, ticks, error) <= 128
     zero = np.zeros(STATES)
     p = Problem(
         (), {"spy": ()}, times_of(clocks, ticks, 3, error), np.zeros((ticks + 1, 1)), np.asarray(1.0),
@@ -192,7 +192,7 @@ PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs t
 @cache
 def gains_of():
     """One design for all clocks: for their mean interval, with room for the most disorder of them."""
-    most = max(per_lane.overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
+    most = max(random_times.overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
     known = setting(CASE)._replace(overtaking=most)
     return {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in OPTIONS.items()}
 

@@ -13,9 +13,9 @@ import pytest
 from pcbench.engine import event_loop, runner
 from pcbench.engine.products import affine_detection, blocks, jaxpr_dependence, matmul
 from pcbench.engine.products.block_maps import every_map
-from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
+from pcbench.runtime import config
 from pcbench.simulation import metrics
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
@@ -34,7 +34,7 @@ def outcome(observers, lifted, bound=FAR, jumps=(), spread=1.0):
     p = p._replace(band=BAND, bound=bound, jumps=np.array(jumps, int), spread0=np.eye(3) * spread)
     layout = layout._replace(lifted=lifted, width=WIDTH, random_initial_state=spread > 0)
     job = runner.Job(p, 0, np.arange(WIDTH) + CASE.seed)
-    with process.float64():
+    with config.float64():
         made = runner.program(layout, job)
         return made.ways, next(runner.serial(made, [job]))[1]
 
@@ -85,7 +85,7 @@ def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound, jum
 @pytest.mark.parametrize("jumps", [(), (210, 300)])
 def test_sums_are_those_of_the_errors_of_a_recorded_run(jumps):
     layout, p = problem(CASE, {"kf": {}})
-    with process.float64():
+    with config.float64():
         run = recorder()(layout._replace(random_initial_state=True), p, np.asarray(0), np.asarray(CASE.seed))
     e = np.abs(np.asarray(run.x) - np.asarray(run.estimates["kf"]))[:N]
     _, left = outcome(["kf"], ROOM, jumps=jumps)
@@ -101,7 +101,7 @@ def ways(observer=None, label="kf", case=CASE):
     """How an observer goes, by its shapes alone; one's own takes the gains of `kf`."""
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
-    with process.float64():
+    with config.float64():
         found = jax.eval_shape(
             partial(every_map, layout._replace(observers=each, lifted=ROOM, random_initial_state=True)), p
         )
@@ -148,7 +148,7 @@ def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
 def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"kf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
-    with process.float64():
+    with config.float64():
         assert jax.eval_shape(partial(every_map, layout._replace(plant=bent, lifted=ROOM)), p) == {}
         assert every_map(layout, p) == {}
         assert not affine_detection.plant_goes(layout._replace(plant=bent), p)
@@ -172,7 +172,7 @@ def test_chunks_are_of_every_tick_once_and_of_no_two_events(monkeypatch):
     monkeypatch.setattr(blocks, "FEWEST", 0)
     _, p = problem(CASE, {"kf": {}})
     event = np.asarray(p.schedule.event)
-    with process.float64():
+    with config.float64():
         each = jax.tree.map(np.asarray, jax.jit(partial(blocks.chunks, room=ROOM))(p))
     ticks = [range(a, a + many) for a, many in zip(each.start, each.length, strict=True) if many]
     assert [k for some in ticks for k in some] == list(range(N - 1))
@@ -195,7 +195,7 @@ def test_dense_events_and_long_and_short_horizons_are_stepped():
 def test_products_are_those_of_matrices_whether_written_out_or_not(own):
     rng = np.random.default_rng(own)
     M, fixed, z = rng.normal(size=(6, own)), rng.normal(size=6), rng.normal(size=(own, 5))
-    with process.float64():
+    with config.float64():
         found = matmul.of_lanes(*(jnp.asarray(a) for a in (M, fixed, z)))
     np.testing.assert_allclose(np.broadcast_to(found, (6, 5)), fixed[:, None] + M @ z, rtol=1e-13, atol=1e-14)
 
@@ -214,7 +214,7 @@ def test_a_call_leaves_the_same_with_maps_that_it_makes_itself():
     layout, p = problem(CASE, {o: {} for o in ("pccebo", "kf")})
     layout, p = layout._replace(lifted=ROOM, width=WIDTH, random_initial_state=True), jax.tree.map(np.asarray, p)
     job = runner.Job(p, 0, np.arange(WIDTH))
-    with process.float64():
+    with config.float64():
         made = next(runner.serial(runner.program(layout, job), [job]))[1]
         alone = jax.jit(partial(event_loop.simulate, layout))(p, np.asarray(0), np.arange(WIDTH))
     for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(alone), strict=True):

@@ -11,7 +11,7 @@ from reference import loop
 import pcbench
 from pcbench.engine import lane_array, random_schedules
 from pcbench.engine.packing import Kept
-from pcbench.simulation.problem import State
+from pcbench.simulation.types import State
 
 T = TICK * np.arange(2 * N)
 STEP = np.where(T >= 0.3 - 1e-9, 0.7, 0.0)

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import draws
-from pcbench.simulation.schedule import agenda, per_lane, sampling, shared
+from pcbench.simulation import rng
+from pcbench.simulation.schedule import agenda, common_times, random_times, sampling
+from pcbench.simulation.schedule.common_times import NEVER, Sample
 from pcbench.simulation.schedule.sampling import Clock, Stamp
-from pcbench.simulation.schedule.shared import NEVER, Sample
 from pcbench.study import fits
 
 ROOM = 128  # samples a clock: one shape for every example
@@ -29,21 +29,21 @@ SEEDS = 8
 LONGEST = 100  # ticks
 QUICK = {"xla_backend_optimization_level": 0}  # whole numbers come out the same, compiled five times as fast
 AGENDA = jax.jit(agenda.agenda, compiler_options=QUICK)
-CLOCK_TIMES = jax.jit(per_lane.clock_times, compiler_options=QUICK)
-TIMES = per_lane.times
+CLOCK_TIMES = jax.jit(random_times.clock_times, compiler_options=QUICK)
+TIMES = random_times.times
 
 
 def roomy(*given):
-    """`per_lane.times` in one shape for every horizon and period; that it changes nothing is tested below."""
-    return per_lane.padded(TIMES(*given), ROOM + 1)
+    """`random_times.times` in one shape for every horizon and period; that it changes nothing is tested below."""
+    return random_times.padded(TIMES(*given), ROOM + 1)
 
 
 def realised(clocks, ticks, seed, root=0, times=roomy):
-    """`per_lane.realised`, compiled once for each number of clocks and channels."""
+    """`random_times.realised`, compiled once for each number of clocks and channels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(per_lane, "times", times)
-        patch.setattr(per_lane, "clock_times", CLOCK_TIMES)
-        return per_lane.realised(clocks, ticks, width(clocks), root, seed)
+        patch.setattr(random_times, "times", times)
+        patch.setattr(random_times, "clock_times", CLOCK_TIMES)
+        return random_times.realised(clocks, ticks, width(clocks), root, seed)
 
 
 def width(clocks):
@@ -59,7 +59,7 @@ def uniform_numbers(root, seed, channel):
     run = jax.random.fold_in(jax.random.key(root), seed)
 
     def numbers(stream, many, i):
-        key = jax.random.fold_in(jax.random.fold_in(run, draws.STREAMS[stream]), channel)
+        key = jax.random.fold_in(jax.random.fold_in(run, rng.STREAMS[stream]), channel)
         return jax.random.uniform(jax.random.fold_in(key, i), (many,), dtype=jnp.float64)
 
     many = {"jitter": 3, "loss": 1, "delay_chain": 1, "stamp": 1}
@@ -207,7 +207,7 @@ def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
 def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
     q, error = width(clocks), misjudged(data, clocks)
     found = every_sample(clocks, ticks, 0, seed)
-    plan = shared.schedule(realised(clocks, ticks, seed), ticks, q, error)
+    plan = common_times.schedule(realised(clocks, ticks, seed), ticks, q, error)
     instants = sorted({s.taken for s in found})
     coming = {(s.arrives, s.taken) for s in found if s.arrives <= ticks}
     slots = plan.arrive.shape[1]
@@ -242,7 +242,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
 
 
 def packets(clocks, ticks, seed):
-    """(taken, clock, number, arrives) of every packet of a run, as `per_lane` counts them: one for each clock."""
+    """(taken, clock, number, arrives) of every packet of a run, as `random_times` counts them: one for each clock."""
     each = [
         (c, i, *times) for c, clock in enumerate(clocks) for i, times in enumerate(one_clock(clock, ticks, 0, seed))
     ]
@@ -291,10 +291,10 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
 def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
     arriving = {(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}
-    assert shared.overtaking(found) == most_ahead(arriving)
+    assert common_times.overtaking(found) == most_ahead(arriving)
     late = ahead(clocks, 0, seed)
     each = [(taken + late[taken], arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
-    assert most_ahead(each) <= per_lane.overtaking(clocks, ticks)
+    assert most_ahead(each) <= random_times.overtaking(clocks, ticks)
 
 
 def most_ahead(times):
@@ -339,7 +339,7 @@ def never_overwritten(clocks, ticks, seed, error):
     late = ahead(clocks, 0, seed)
     noted = packets(clocks, ticks + max(error, 0) - min(late[: ticks + 1]), seed)
     rows = [(a, b) for a, c, _, b in noted if a <= ticks or clocks[c].profile == "uniform"]
-    assert not overwritten(rows, per_lane.room(clocks, ticks, error), ticks, error, late)
+    assert not overwritten(rows, random_times.room(clocks, ticks, error), ticks, error, late)
 
 
 @pytest.mark.parametrize(
@@ -353,21 +353,21 @@ def never_overwritten(clocks, ticks, seed, error):
 )
 def test_the_overtaking_that_is_claimed_beforehand_occurs(clocks, most):
     runs = [[(a, b) for a, _, _, b in packets(clocks, LONGEST, seed)] for seed in range(40)]
-    assert max(map(most_ahead, runs)) == per_lane.overtaking(clocks, LONGEST) == most
+    assert max(map(most_ahead, runs)) == random_times.overtaking(clocks, LONGEST) == most
 
 
 def test_a_sample_is_overtaken_by_no_more_than_all_others_of_its_run():
     """As late as may be, in a run of 17 samples: room for more would only be compiled."""
     clock = Clock((0,), 6, 6, spread=900)
-    assert per_lane.overtaking([clock], 100) == 16
-    assert per_lane.overtaking([clock, clock._replace(channels=(1,))], 100) == 33
-    assert per_lane.overtaking([clock], 5000) == 149
+    assert random_times.overtaking([clock], 100) == 16
+    assert random_times.overtaking([clock, clock._replace(channels=(1,))], 100) == 33
+    assert random_times.overtaking([clock], 5000) == 149
 
 
 @pytest.mark.parametrize("error", [0, 9])
 def test_the_room_that_is_claimed_beforehand_is_needed(error):
     clock = Clock((0,), 4, 2, "periodic", 0, 13)
-    room = per_lane.room([clock], LONGEST, error)
+    room = random_times.room([clock], LONGEST, error)
     runs = [[(a, b) for a, _, _, b in packets([clock], LONGEST, seed)] for seed in range(40)]
     assert any(overwritten(rows, room - 1, LONGEST, error) for rows in runs)
     assert not any(overwritten(rows, room, LONGEST, error) for rows in runs)
@@ -377,8 +377,8 @@ def test_the_room_that_is_claimed_beforehand_is_needed(error):
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, clocks, ticks, seed):
     error, q = misjudged(data, clocks), width(clocks)
-    plan = shared.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
-    size = shared.in_flight(plan)
+    plan = common_times.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
+    size = common_times.in_flight(plan)
     assert not loses_a_packet(plan, size)
     assert size == 1 or loses_a_packet(plan, size - 1)
 
@@ -386,15 +386,15 @@ def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, 
 @pytest.mark.parametrize(
     ("older", "newer", "room"),
     [
-        ((2, shared.NEVER), (1, 6), 1),  # noted at one tick, the older first
-        ((4, shared.NEVER), (1, 6), 2),  # the older is noted when the newer is still to arrive
-        ((4, shared.NEVER), (1, 3), 1),  # and when it has arrived
+        ((2, common_times.NEVER), (1, 6), 1),  # noted at one tick, the older first
+        ((4, common_times.NEVER), (1, 6), 2),  # the older is noted when the newer is still to arrive
+        ((4, common_times.NEVER), (1, 3), 1),  # and when it has arrived
     ],
 )
 def test_an_older_packet_whose_stamp_is_later_needs_room_while_the_newer_one_travels(older, newer, room):
-    samples = [shared.Sample(0, i, i, arrives, ahead) for i, (ahead, arrives) in enumerate((older, newer))]
-    plan = shared.schedule(samples, 8, 1)
-    assert shared.in_flight(plan) == room
+    samples = [common_times.Sample(0, i, i, arrives, ahead) for i, (ahead, arrives) in enumerate((older, newer))]
+    plan = common_times.schedule(samples, 8, 1)
+    assert common_times.in_flight(plan) == room
     assert [loses_a_packet(plan, size) for size in (1, 2)] == [room == 2, False]
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from pcbench.engine import event_loop
-from pcbench.machine import process
 from pcbench.protocols import Controller, Observer, Plant
-from pcbench.simulation import actuator, draws, metrics
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.schedule import shared
+from pcbench.runtime import config
+from pcbench.simulation import actuator_delay, metrics, rng
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.types import Layout, Problem
 
 DT, N, TAIL, EVERY, LATE, BACK = 0.1, 60, 25, 4, 3, 16
 AGE = 2.3  # ticks that a command is on its way
@@ -67,12 +67,12 @@ def outcome():
     """What the three runs leave, arrays [..., 3]."""
     law = Law(K, path(np.arange(-BACK, N + 1)))
     p = Problem(
-        (), {"o": L}, shared.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
+        (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([NOISE]), BAND, BOUND, np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]), control=law,
-        line=actuator.line(late, DT, BACK, N + 4),
+        line=actuator_delay.line(late, DT, BACK, N + 4),
     )  # fmt: skip
     layout = Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
-    with process.float64():
+    with config.float64():
         run = jax.jit(lambda p, seeds: event_loop.simulate(layout, p, jnp.asarray(0), seeds))
         return jax.tree.map(np.asarray, run(p, SEEDS))
 
@@ -87,10 +87,10 @@ def applied(commands, n, newest):
 
 def written_out(seed):
     """Errors and set point less state [N, ...] of one run, and when it was lost (-1: never)."""
-    with process.float64():
-        keys = draws.run_keys(jnp.asarray(0), jnp.asarray([seed]), "initial", 2)
-        start = np.asarray(draws.normals(keys, np.zeros(2, int)))[:, 0]
-        noise = NOISE * np.asarray(draws.measurement_noise(0, seed, N // EVERY + 1))[0]
+    with config.float64():
+        keys = rng.run_keys(jnp.asarray(0), jnp.asarray([seed]), "initial", 2)
+        start = np.asarray(rng.normals(keys, np.zeros(2, int)))[:, 0]
+        noise = NOISE * np.asarray(rng.measurement_noise(0, seed, N // EVERY + 1))[0]
     x, xhat, lost = X0 + SPREAD @ start, XHAT0, -1
     commands = {n: -K @ xhat + 0.1 * path(n)[0] for n in range(-BACK, 0)}
     e, off, on_its_way = [], [], {}

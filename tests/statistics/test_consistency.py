@@ -8,9 +8,9 @@ from scipy.stats import t as student
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.moments import believed
+from pcbench.moments import nees
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation.consistency import normalised
+from pcbench.simulation.nees import normalised
 from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
 
 P = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
@@ -44,8 +44,8 @@ def test_normalised_squares_of_a_singular_covariance_are_those_of_its_pseudo_inv
     assert G @ w @ np.linalg.pinv(G @ G.T) @ (G @ w) / 2 == pytest.approx(known, rel=1e-12)
     found = normalised(jnp.asarray(G @ w), jnp.asarray(G @ G.T + rounding), jnp.ones(3))
     assert (found.states, found.whole) == (2, pytest.approx(known, rel=1e-10))
-    true = believed.Believed(np.zeros((3, 1)), (G @ G.T)[..., None], (G @ G.T + rounding)[..., None], np.ones(3))
-    exact = believed.squares(true)
+    true = nees.Believed(np.zeros((3, 1)), (G @ G.T)[..., None], (G @ G.T + rounding)[..., None], np.ones(3))
+    exact = nees.squares(true)
     assert exact.states == 2
     np.testing.assert_allclose([*exact.whole[0], *exact.signal[:, 0]], 1.0, rtol=1e-10)
 

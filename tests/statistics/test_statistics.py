@@ -16,8 +16,8 @@ from reference import statistics as reference
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.dataset import adjusted, columns, growing
-from pcbench.statistics import order_statistics, selection, winning
+from pcbench.dataset import columns, holm, parquet_stream
+from pcbench.statistics import quantile_intervals, ranking, streaming_quantiles
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -55,7 +55,7 @@ def test_an_interval_is_open_below_as_many_runs_as_the_docstring_says(column, fi
 
 def test_the_interval_of_a_quantile_lies_around_it():
     for n in [*range(1, 300), 1000, 4097, 10**5, 10**7]:
-        at = order_statistics.positions(n)
+        at = quantile_intervals.positions(n)
         middle, low, high = (at.rank + at.part)[0::3], (at.rank + at.part)[1::3], (at.rank + at.part)[2::3]
         assert not ((low > middle) | (middle > high)).any()  # NaN where open
         assert ((at.rank >= 0) & (at.rank < max(n - 1, 1))).all()
@@ -183,17 +183,17 @@ def test_holm_leaves_missing_tests_out():
 @pytest.mark.parametrize("at_once", [1, 5, 100])
 def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once, monkeypatch):
     """However many rows of the table are written at a time."""
-    monkeypatch.setattr(growing, "ROWS", at_once)
+    monkeypatch.setattr(parquet_stream, "ROWS", at_once)
     names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
     rows = [
         {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
         for cell in range(2)
         for i, (s, g, m) in enumerate(names)
     ]
-    table = growing.GrowingTable({})
+    table = parquet_stream.GrowingTable({})
     for row in rows:
         table.add(columns.table({name: [value] for name, value in (row | {"p_holm": np.nan}).items()}))
-    done = pq.read_table(pa.BufferReader(adjusted.adjusted(table.content(), {})))
+    done = pq.read_table(pa.BufferReader(holm.adjusted(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))
@@ -273,8 +273,8 @@ def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, diver
     chunks, passes = cut(whole, size)
     bounds = {label: np.array([0.5, np.nan]) for label in whole} | {"observer-0": None}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selection, "HELD", held)
-        patch.setattr(selection, "SPLITTERS", splitters)
+        patch.setattr(streaming_quantiles, "HELD", held)
+        patch.setattr(streaming_quantiles, "SPLITTERS", splitters)
         stats_rows, pair_rows = statistics.summarise(chunks, bounds, SIGNALS, SIZES)
         assert len(passes) <= (1 if n <= held else 2)
         assert statistics.describe(chunks, bounds).keys() == stats_rows.keys()
@@ -303,29 +303,31 @@ def test_selection_is_exact_to_the_bit_whatever_the_parts(seed, n, kind, borders
     parts = np.split(x, sorted(b for b in borders if b <= n), axis=1)
     ranks = rng.integers(0, n, 30)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selection, "HELD", held)
-        patch.setattr(selection, "SPLITTERS", splitters)
-        order = selection.EMPTY
+        patch.setattr(streaming_quantiles, "HELD", held)
+        patch.setattr(streaming_quantiles, "SPLITTERS", splitters)
+        order = streaming_quantiles.EMPTY
         for part in parts:
-            order = selection.add(order, part)
-        sought = selection.seek(order, ranks)
-        found = [] if selection.settled(order) else [selection.collect(sought, part) for part in parts]
-        got = selection.select(order, sought, ranks, found)
+            order = streaming_quantiles.add(order, part)
+        sought = streaming_quantiles.seek(order, ranks)
+        found = (
+            [] if streaming_quantiles.settled(order) else [streaming_quantiles.collect(sought, part) for part in parts]
+        )
+        got = streaming_quantiles.select(order, sought, ranks, found)
     np.testing.assert_array_equal(got, np.sort(x)[:, ranks])
 
 
 def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
     """200,000 runs, a third of them at the horizon: what is kept of a metric is 3 splitters' worth and 2 % of its values."""
     x = np.minimum(RNG.gamma(3.0, size=(2, 200_000)), 3.5)
-    order = selection.EMPTY
+    order = streaming_quantiles.EMPTY
     for part in np.split(x, 50, axis=1):
-        order = selection.add(order, part)
-    at = order_statistics.positions(order.n)
-    ranks = order_statistics.ranks(at, order.n)
-    sought = selection.seek(order, ranks)
-    found = [selection.collect(sought, part) for part in np.split(x, 50, axis=1)]
+        order = streaming_quantiles.add(order, part)
+    at = quantile_intervals.positions(order.n)
+    ranks = quantile_intervals.ranks(at, order.n)
+    sought = streaming_quantiles.seek(order, ranks)
+    found = [streaming_quantiles.collect(sought, part) for part in np.split(x, 50, axis=1)]
     assert sum(values.size for part in found for values in part) < 0.02 * x.size
-    got = order_statistics.read(at, selection.select(order, sought, ranks, found))
+    got = quantile_intervals.read(at, streaming_quantiles.select(order, sought, ranks, found))
     np.testing.assert_array_equal(got[:, 0::3].T, np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1))
     assert got[0, 12] == got[0, 13] == got[0, 14] == 3.5
 
@@ -384,23 +386,23 @@ def of_a_cell(**observers):
 
 def test_who_diverges_least_wins_before_the_least_mean():
     rows, pair = of_a_cell(steady=(1.0, 0), lost=(0.5, 32))
-    assert winning.standing(rows, pd.DataFrame([pair])[:0]).winner == "steady", "no run of both is needed"
-    assert winning.diverges_more(rows.iloc[0], rows.iloc[1])
-    assert not winning.diverges_more(rows.iloc[1], rows.iloc[0])
+    assert ranking.standing(rows, pd.DataFrame([pair])[:0]).winner == "steady", "no run of both is needed"
+    assert ranking.diverges_more(rows.iloc[0], rows.iloc[1])
+    assert not ranking.diverges_more(rows.iloc[1], rows.iloc[0])
 
 
 def test_one_diverged_run_of_many_may_be_chance():
     rows, pair = of_a_cell(steady=(1.0, 0), lost=(1.0, 1))
-    assert not winning.diverges_more(rows.iloc[0], rows.iloc[1])
-    assert winning.standing(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])).winner == ""
+    assert not ranking.diverges_more(rows.iloc[0], rows.iloc[1])
+    assert ranking.standing(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])).winner == ""
 
 
 def test_the_worse_does_not_win_by_the_other_ones_chance_loss_of_a_run():
     """It has fewer diverged runs, not surely; and surely the larger error."""
     rows, pair = of_a_cell(steady=(2.0, 0), lost=(1.0, 1))
-    assert winning.standing(rows, pd.DataFrame([pair])).winner == ""
+    assert ranking.standing(rows, pd.DataFrame([pair])).winner == ""
     swapped = pair | {"observer_a": "lost", "observer_b": "steady", "mean_diff": -1.0}
-    assert winning.standing(rows, pd.DataFrame([swapped])).winner == ""
+    assert ranking.standing(rows, pd.DataFrame([swapped])).winner == ""
 
 
 @pytest.mark.parametrize(
@@ -415,4 +417,4 @@ def test_the_worse_does_not_win_by_the_other_ones_chance_loss_of_a_run():
 )
 def test_a_cell_is_won_by_the_adjusted_p_value(found, wins):
     rows, pair = of_a_cell(better=(0.5, 0), worse=(1.0, 0))
-    assert winning.standing(rows, pd.DataFrame([pair | found])).winner == ("better" if wins else "")
+    assert ranking.standing(rows, pd.DataFrame([pair | found])).winner == ("better" if wins else "")

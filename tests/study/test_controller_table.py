@@ -9,7 +9,7 @@ from loops import Q1, Q2, study
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.study.read import grid_of, unstable
+from pcbench.study.parse import grid_of, unstable
 
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
 FEEDBACK = {"use": "state-feedback", "K": [[2.0, 1.2, 0.1], [0.3, -0.4, -0.5]]}

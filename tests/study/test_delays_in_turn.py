@@ -7,10 +7,10 @@ import pytest
 from logged import MOTOR, rows
 
 from pcbench.errors import UserError
-from pcbench.planning.arrays import samples_of
-from pcbench.planning.design_setting import setting
+from pcbench.planning.build import samples_of
+from pcbench.planning.design_context import setting
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import read, recorded_delays
+from pcbench.study import empirical_delays, parse
 
 TICK = 0.01
 NEVER = 10**8  # ticks; no sample that arrives is so late
@@ -46,7 +46,7 @@ def of_the_log(taken, late, ticks):
 @pytest.mark.parametrize("horizon", [0.5, 1.5, 6.0], ids=["a part", "most", "again and again"])
 def test_samples_are_those_of_the_log(tmp_path, horizon):
     taken, late = recorded(tmp_path / "flight")
-    _, cell = read.one_cell(study(tmp_path / "flight", duration=horizon), ["kf"], [])
+    _, cell = parse.one_cell(study(tmp_path / "flight", duration=horizon), ["kf"], [])
     found = [s for s in samples_of(cell) if s.taken <= cell.times.ticks]
     got = [(s.taken, None if s.arrives > NEVER else s.arrives) for s in found]
     assert got == of_the_log(taken, late, round(horizon / TICK))
@@ -55,7 +55,7 @@ def test_samples_are_those_of_the_log(tmp_path, horizon):
 
 def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
     taken, late = recorded(tmp_path / "flight")
-    _, cell = read.one_cell(study(tmp_path / "flight"), ["kf"], [])
+    _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
     each = [(t, a) for t, a in of_the_log(taken, late, cell.times.ticks) if a is not None]
     most = max(sum(newer > t and sooner < a for newer, sooner in each) for t, a in each)
     assert setting(cell).overtaking == most > 1
@@ -64,7 +64,7 @@ def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
 def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sample(tmp_path):
     taken, late = recorded(tmp_path / "flight", channels=("y1", "y2"))
     two = {"C": [[1.0, 0.0], [0.0, 1.0]]}
-    resolved = read.study_of(study(tmp_path / "flight", **two), {}, []).lti
+    resolved = parse.study_of(study(tmp_path / "flight", **two), {}, []).lti
     assert "in-turn:" not in str(resolved)
     assert resolved.delay == pytest.approx(np.nanmin(late[:-1]) * TICK)
     assert [v == "lost" for v in resolved.delay_sequence] == np.isnan(late[: len(resolved.delay_sequence)]).tolist()
@@ -75,7 +75,7 @@ def test_several_logs_are_several_scenarios(tmp_path):
     for name, seed in (("lab", 1), ("field", 2)):
         recorded(tmp_path / name, seed=seed)
     tables = {name: {"base": "cart/gaussian", "delay": f"in-turn:{tmp_path / name}"} for name in ("lab", "field")}
-    grid = read.grid({"name": "two", "scenarios": tables, "observers": ["kf"]}, "two", read.FROM_HERE)
+    grid = parse.grid({"name": "two", "scenarios": tables, "observers": ["kf"]}, "two", parse.FROM_HERE)
     lab, field = (cell.times.clocks[0] for cell in grid.cells)
     assert lab.turns != field.turns
     assert lab.profile != field.profile
@@ -83,7 +83,7 @@ def test_several_logs_are_several_scenarios(tmp_path):
 
 def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
     axes = {"axes": {"delay_sequence": [[0.0, 0.05, "lost"], [0.0]]}}
-    grid = read.grid(MOTOR | {"observers": ["kf"]} | axes, "motor", read.FROM_HERE)
+    grid = parse.grid(MOTOR | {"observers": ["kf"]} | axes, "motor", parse.FROM_HERE)
     assert [cell.values["delay_sequence"] for cell in grid.cells] == ["0, 0.05, lost", "0"]
     late = [s.arrives - s.taken for s in samples_of(grid.cells[0])][:4]
     assert [v if v < NEVER else None for v in late] == [10, 15, None, 10]
@@ -106,7 +106,7 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     recorded(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
-        read.grid(study(tmp_path / "flight", **more) | {"observers": ["kf"]}, "motor", read.FROM_HERE)
+        parse.grid(study(tmp_path / "flight", **more) | {"observers": ["kf"]}, "motor", parse.FROM_HERE)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -125,15 +125,15 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
 def test_a_log_that_cannot_be_replayed_is_one_sentence(tmp_path, measured, sentence):
     rows(tmp_path / "flight", measured | {"value": np.zeros(len(measured["channel"]))})
     with pytest.raises(UserError) as caught:
-        read.study_of(study(tmp_path / "flight"), {}, [])
+        parse.study_of(study(tmp_path / "flight"), {}, [])
     assert sentence in str(caught.value)
 
 
 def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
-    assert recorded_delays.duration_of({"base": "mine.py:late_camera"}) == np.inf
-    assert recorded_delays.duration_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].duration != 10.0
-    assert recorded_delays.duration_of({"base": "reactor/batch", "duration": 3.0}) == 3.0
-    assert recorded_delays.duration_of({}) == 10.0
+    assert empirical_delays.duration_of({"base": "mine.py:late_camera"}) == np.inf
+    assert empirical_delays.duration_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].duration != 10.0
+    assert empirical_delays.duration_of({"base": "reactor/batch", "duration": 3.0}) == 3.0
+    assert empirical_delays.duration_of({}) == 10.0
 
 
 @pytest.mark.parametrize(
@@ -148,14 +148,14 @@ def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
 )
 def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
     with pytest.raises(UserError) as caught:
-        read.grid(
+        parse.grid(
             MOTOR | {"observers": ["kf"], "axes": {"delay_sequence": [value] if isinstance(value, list) else value}},
             "m",
-            read.FROM_HERE,
+            parse.FROM_HERE,
         )
     assert sentence in str(caught.value)
 
 
 def test_a_log_as_a_value_of_an_axis_is_told_where_it_belongs():
     with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no log among"):
-        read.grid(MOTOR | {"observers": ["kf"], "axes": {"delay": ["in-turn:flight"]}}, "m", read.FROM_HERE)
+        parse.grid(MOTOR | {"observers": ["kf"], "axes": {"delay": ["in-turn:flight"]}}, "m", parse.FROM_HERE)

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from pcbench import api, planning
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.study import observers_of, read
-from pcbench.study.cells import cells
+from pcbench.runtime import config
+from pcbench.study import observers_of, parse
+from pcbench.study.grid import cells
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -37,9 +37,9 @@ def outcome(path, changes=(), most=0):
     with in_time(), warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
-            study = read.load(str(path), list(changes))
+            study = parse.load(str(path), list(changes))
             if ticks_of(study) <= most:
-                with process.float64():
+                with config.float64():
                     planning.plan(study)
         except UserError as error:
             one_sentence(str(error))

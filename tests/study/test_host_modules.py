@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from pcbench.study import own
+from pcbench.study.plugins import user_code
 
 MINE = """
 import helpers
@@ -28,8 +28,8 @@ value = {}
 def executed(folder, value):
     (folder / "mine.py").write_text(MINE)
     (folder / "helpers.py").write_text(HELPERS.format(value))
-    code = own.code_of("mine.py:value", "here", folder)
-    return own.module_of(code, "here", folder)
+    code = user_code.code_of("mine.py:value", "here", folder)
+    return user_code.module_of(code, "here", folder)
 
 
 @pytest.fixture(autouse=True)
@@ -59,7 +59,7 @@ def test_types_of_a_file_beside_it_are_found_when_they_are_unpickled(tmp_path, m
 def test_a_file_that_fails_leaves_the_host_as_it_was(tmp_path, monkeypatch):
     hosts = ModuleType("helpers")
     monkeypatch.setitem(sys.modules, "helpers", hosts)
-    with pytest.raises(own.UserError, match="ZeroDivisionError"):
+    with pytest.raises(user_code.UserError, match="ZeroDivisionError"):
         executed(tmp_path, "1 / 0")
     assert sys.modules["helpers"] is hosts
 
@@ -69,6 +69,6 @@ def test_a_module_of_the_working_folder_is_imported_after_all_others(tmp_path, m
     (tmp_path / "colorsys.py").write_text("shadows = True")
     (tmp_path / "only_here_s16.py").write_text("value = 4")
     monkeypatch.delitem(sys.modules, "colorsys", raising=False)
-    assert not hasattr(own.module_of(own.code_of("colorsys:value", "here"), "here"), "shadows")
-    assert own.module_of(own.code_of("only_here_s16:value", "here"), "here").value == 4
+    assert not hasattr(user_code.module_of(user_code.code_of("colorsys:value", "here"), "here"), "shadows")
+    assert user_code.module_of(user_code.code_of("only_here_s16:value", "here"), "here").value == 4
     monkeypatch.delitem(sys.modules, "only_here_s16")

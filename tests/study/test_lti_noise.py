@@ -8,10 +8,10 @@ from scipy.linalg import sqrtm
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.simulation import draws
-from pcbench.study import read
-from pcbench.study.cells import cells_of
+from pcbench.runtime import config
+from pcbench.simulation import rng
+from pcbench.study import parse
+from pcbench.study.grid import cells_of
 
 TICK, TICKS = 0.01, 80
 PLANT = {  # three states, two inputs, two outputs of two clocks, no symmetry; noise enters by two columns, correlated
@@ -39,15 +39,15 @@ def study(given=FULL, **changes):
 
 
 def the_cell(**asked):
-    (cell,) = cells_of(read.parse(study() | asked, "own"))
+    (cell,) = cells_of(parse.parse(study() | asked, "own"))
     return cell
 
 
 def drawn(seed):
     """The standard normals of a run, [N+1, n]."""
-    with process.float64():
-        keys = draws.run_keys(np.asarray(0), np.array([seed]), "process", 3)
-        return np.stack([np.asarray(draws.normals(keys, [k] * 3))[:, 0] for k in range(TICKS + 1)])
+    with config.float64():
+        keys = rng.run_keys(np.asarray(0), np.array([seed]), "process", 3)
+        return np.stack([np.asarray(rng.normals(keys, [k] * 3))[:, 0] for k in range(TICKS + 1)])
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_the_bound_is_that_of_the_noise_that_there_is_whatever_designers_assume(
     P = moments.posterior_covariance(MODEL, TICKS, [4, 3], [6, 1], R, P0, W)
     want = np.sqrt(np.diagonal(P, axis1=1, axis2=2)[24:-1].mean(0))
     for changes in ({}, {"assumed_process_std": 0.5}):
-        (p,) = planning.plan(read.parse(study(**changes), "own"))
+        (p,) = planning.plan(parse.parse(study(**changes), "own"))
         np.testing.assert_allclose(p.bound, want, rtol=1e-10)
 
 
@@ -107,11 +107,11 @@ def test_designers_are_told_the_noise_unless_the_study_says_what_they_assume():
 
 def test_it_is_an_axis_of_which_designers_are_told():
     asked = study(PLANT) | {"axes": {"process_std": [0.0, [0.1, 0.0, 0.2]]}}
-    quiet, noisy = cells_of(read.parse(asked, "own"))
+    quiet, noisy = cells_of(parse.parse(asked, "own"))
     assert (quiet.values["process_std"], noisy.values["process_std"]) == ([0.0] * 3, [0.1, 0.0, 0.2])
     np.testing.assert_array_equal(planning.setting(noisy).process_noise, np.diag(np.square([0.1, 0.0, 0.2])))
     asked["lti"] = PLANT | {"assumed_process_std": 0.7}
-    _, noisy = cells_of(read.parse(asked, "own"))
+    _, noisy = cells_of(parse.parse(asked, "own"))
     np.testing.assert_allclose(planning.setting(noisy).process_noise, 0.49 * np.eye(3), rtol=1e-14)
     assert "process_std" not in the_cell().values, "a column only where it is an axis"
 
@@ -168,7 +168,7 @@ def test_an_axis_of_it_has_a_number_for_each_state(tmp_path):
 def test_a_scenario_with_noise_tells_designers_that_of_the_axis():
     """The tank's designers are told the noise that there is; where it has none, they keep what they assume."""
     axes = {"process_std": [[0.1, 2.0, 0.3]]}
-    (noisy,) = cells_of(read.parse({"name": "tank", "scenarios": ["csth/10s-noise"], "axes": axes}, "tank"))
+    (noisy,) = cells_of(parse.parse({"name": "tank", "scenarios": ["csth/10s-noise"], "axes": axes}, "tank"))
     np.testing.assert_allclose(planning.setting(noisy).process_std, (0.1, 2.0, 0.3))
-    (quiet,) = cells_of(read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": axes}, "tank"))
+    (quiet,) = cells_of(parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": axes}, "tank"))
     assert planning.setting(quiet).process_std == quiet.scenario.belief.assumed_process_std

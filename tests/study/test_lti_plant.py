@@ -11,8 +11,8 @@ from pcbench import planning
 from pcbench.dynamics import expression
 from pcbench.errors import UserError
 from pcbench.plants.lti import nominal
-from pcbench.study import read
-from pcbench.study.cells import cells_of
+from pcbench.study import parse
+from pcbench.study.grid import cells_of
 from pcbench.study.lti import Lti
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -83,7 +83,7 @@ def test_the_plant_moves_by_its_own_numbers_and_observers_keep_the_models(what):
     A, B, _ = matrices(k, c)
     want = loop(own.get("A", A), own.get("B", B), u)
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-12 * np.abs(want).max())
-    (cell,) = cells_of(read.parse(asked, "own"))
+    (cell,) = cells_of(parse.parse(asked, "own"))
     model = planning.setting(cell).model
     for got, known in zip(model[:3], matrices(2.0, 0.5), strict=True):
         np.testing.assert_allclose(got, known, rtol=1e-15)
@@ -91,16 +91,16 @@ def test_the_plant_moves_by_its_own_numbers_and_observers_keep_the_models(what):
 
 def test_outputs_are_the_plants_too():
     C, D = [[2.0, 0.0, 1.0], [0.5, 1.0, 0.0]], [[0.7, -0.3], [0.0, 1.1]]
-    (p,) = planning.plan(read.parse(study(PLANT | {"plant": {"C": C, "D": D}}), "own"))
+    (p,) = planning.plan(parse.parse(study(PLANT | {"plant": {"C": C, "D": D}}), "own"))
     np.testing.assert_array_equal(p.problem.params.C, C)
     np.testing.assert_array_equal(p.problem.params.D, D)
     np.testing.assert_allclose(p.problem.gains["kf"].C, matrices(2.0, 0.5)[2], rtol=1e-15)
 
 
 def test_there_is_no_bound_where_the_plant_is_not_the_model_and_one_where_it_is():
-    assert planning.plan(read.parse(study(), "own"))[0].bound is not None
+    assert planning.plan(parse.parse(study(), "own"))[0].bound is not None
     for asked in (study(PLANT | {"plant": {"k": 3.0}}), study(axes={"plant.k": [3.0]})):
-        assert planning.plan(read.parse(asked, "own"))[0].bound is None
+        assert planning.plan(parse.parse(asked, "own"))[0].bound is None
 
 
 def test_a_range_of_a_named_number_is_proven_over():
@@ -185,12 +185,12 @@ def test_an_axis_without_an_effect_or_a_value_is_refused_in_one_sentence(what, t
 
 def test_drift_is_refused_on_the_tank_where_nothing_drifts_and_0_is_what_it_is():
     with pytest.raises(UserError, match=r"axes\.parameter_drift: got \[0\.5\] for csth/10s, where it has no effect"):
-        read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.5]}}, "tank")
-    read.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.0]}}, "tank")
+        parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.5]}}, "tank")
+    parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.0]}}, "tank")
 
 
 def test_named_numbers_are_put_in_where_matrices_are_given_back():
-    own = pytest.importorskip("scipy.signal") and pcbench.to_scipy(read.parse(study(), "own"))
+    own = pytest.importorskip("scipy.signal") and pcbench.to_scipy(parse.parse(study(), "own"))
     for got, want in zip((own.A, own.B, own.C), matrices(2.0, 0.5), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-15)
     assert nominal(Lti.model_validate(PLANT).numbers("lti")).A.shape == (3, 3)

@@ -6,7 +6,7 @@ from commands import call
 
 from pcbench.errors import UserError
 from pcbench.plants import settles_alone, signals_of
-from pcbench.study import read
+from pcbench.study import parse
 
 PLANT = {
     "A": [[-1.0, 2.0], [0.0, -0.5]],
@@ -19,7 +19,7 @@ PLANT = {
 
 
 def scenario(**changes):
-    made = read.parse({"name": "own", "lti": PLANT | changes}, "own")
+    made = parse.parse({"name": "own", "lti": PLANT | changes}, "own")
     return made.lti.scenario("lti", "own: lti")
 
 

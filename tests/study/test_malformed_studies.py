@@ -7,9 +7,9 @@ from hanging import in_time
 from pcbench import planning
 from pcbench.dynamics import linear
 from pcbench.errors import LONGEST, UserError, said, shown
-from pcbench.machine import process
+from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import limits, read
+from pcbench.study import limits, parse
 
 CART = "scenarios = ['cart/nominal']\n"
 LTI = {
@@ -153,7 +153,7 @@ def test_it_is_refused_before_any_work_in_one_sentence(what, tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(text)
     with in_time(), pytest.raises(UserError, match=expected) as error:
-        read.load(str(path))
+        parse.load(str(path))
     sentence = str(error.value)
     assert sentence.startswith(f"{path}: ")
     assert sentence.isprintable()
@@ -164,7 +164,7 @@ def test_it_is_refused_before_any_work_in_one_sentence(what, tmp_path):
 @pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + ".toml", "a\0b.toml", "a\0b"])
 def test_a_name_that_no_file_can_have_is_refused_in_one_sentence(name):
     with pytest.raises(UserError, match=r"expected a TOML file|is no study") as error:
-        read.load(name)
+        parse.load(name)
     assert str(error.value).isprintable()
     assert len(str(error.value)) < 1000
 
@@ -172,7 +172,7 @@ def test_a_name_that_no_file_can_have_is_refused_in_one_sentence(name):
 def test_a_change_by_set_holds_one_value():
     """A second key after a line's end was dropped without a word."""
     with pytest.raises(UserError, match=r"seeds: got '1\\nroot_seed = 2', expected a valid integer"):
-        read.load("cart/nominal", ["seeds=1\nroot_seed = 2"])
+        parse.load("cart/nominal", ["seeds=1\nroot_seed = 2"])
 
 
 def test_what_is_quoted_is_short_and_of_one_line():
@@ -184,13 +184,13 @@ def test_what_is_quoted_is_short_and_of_one_line():
 
 def planned(text, tmp_path):
     (tmp_path / "study.toml").write_text(text)
-    with process.float64():
-        return planning.plan(read.load(str(tmp_path / "study.toml")))
+    with config.float64():
+        return planning.plan(parse.load(str(tmp_path / "study.toml")))
 
 
 def test_the_limits_leave_room_for_what_is_published(tmp_path):
     for name in SCENARIOS:
-        read.load(name)
+        parse.load(name)
     (cell,) = planned(lti(duration="100.0", sampling_period="0.1"), tmp_path)
     assert cell.cell.times.ticks == 100_000 < limits.TICKS
 

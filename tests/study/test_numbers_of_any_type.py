@@ -7,8 +7,8 @@ import pytest
 import pcbench
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
-from pcbench.study import limits, read, scenarios_of
-from pcbench.study.cells import cells_of
+from pcbench.study import limits, parse, scenarios_of
+from pcbench.study.grid import cells_of
 from pcbench.study.scenario_fit import SIZES
 
 LTI = {
@@ -33,7 +33,7 @@ AXES = {
 
 def values(study, **changes):
     """Of both readers: what a function of the package is given goes through the one that knows "all" observers."""
-    grids = [reader.grid_of(study, changes, []) for reader in (read, all_observers)]
+    grids = [reader.grid_of(study, changes, []) for reader in (parse, all_observers)]
     assert grids[0] == grids[1]
     return [cell.values["delay"] for cell in grids[0].cells]
 
@@ -62,7 +62,7 @@ def test_seeds_observers_and_options_accept_other_types():
     assert study.options == {"kfbo": {"R": 0.25}}
     assert all(type(n) is int for n in (study.seeds, study.first_seed, study.root_seed))
     matrices = {key: np.array(LTI[key]) for key in "ABC"}
-    assert read.grid_of(STUDY | {"lti": LTI | matrices}, {}, []).study.lti == read.grid_of(STUDY, {}, []).study.lti
+    assert parse.grid_of(STUDY | {"lti": LTI | matrices}, {}, []).study.lti == parse.grid_of(STUDY, {}, []).study.lti
 
 
 def test_a_run_accepts_other_types():
@@ -79,18 +79,18 @@ def test_functions_of_the_package_accept_other_types():
 
 def test_text_is_no_number_of_seeds():
     with pytest.raises(UserError, match="seeds: got '8', expected"):
-        read.grid_of(STUDY, {"seeds": "8"}, [])
+        parse.grid_of(STUDY, {"seeds": "8"}, [])
 
 
 @pytest.mark.parametrize("key", SIZES)
 def test_one_number_of_a_scenario_holds_for_all(key):
     base = "helicopter/constant" if "unknown" in key else "csth/10s-noise"
-    many = len(scenarios_of(read.parse({"name": "q", "scenarios": [base]}, "q"))[base].value(key))
+    many = len(scenarios_of(parse.parse({"name": "q", "scenarios": [base]}, "q"))[base].value(key))
     sizes = {"assumed_noise_std": 2, "assumed_process_std": 3, "process_std": 3, "initial_box": 3, "unknown0": 2}
     many = many or sizes[key]
     table = {"base": base}
     one, each = (
-        scenarios_of(read.parse({"name": "q", "scenario": table | {key: given}}, "q"))["q"]
+        scenarios_of(parse.parse({"name": "q", "scenario": table | {key: given}}, "q"))["q"]
         for given in (0.5, [0.5] * many)
     )
     assert one == each
@@ -99,7 +99,7 @@ def test_one_number_of_a_scenario_holds_for_all(key):
 
 @pytest.mark.parametrize("key", ["x0", "xhat0", "prior_std", "settle_band", "process_std", "assumed_process_std"])
 def test_one_number_of_a_linear_plant_holds_for_all(key):
-    one, each = (read.parse(STUDY | {"lti": LTI | {key: given}}, "q") for given in (0.5, [0.5, 0.5]))
+    one, each = (parse.parse(STUDY | {"lti": LTI | {key: given}}, "q") for given in (0.5, [0.5, 0.5]))
     assert [c.digest for c in cells_of(one)] == [c.digest for c in cells_of(each)]
 
 
@@ -107,7 +107,7 @@ def test_a_study_of_too_many_labels_or_scenarios_is_refused_at_once():
     labels = [f"kfbo-{i}" for i in range(limits.LABELS + 1)]
     options = {label: {"R": 0.1} for label in labels}
     with pytest.raises(UserError, match="q: got 1,001 observers and options of observers, expected at most 1,000"):
-        read.parse({"name": "q", "scenarios": ["cart/white"], "observers": labels, "options": options}, "q")
+        parse.parse({"name": "q", "scenarios": ["cart/white"], "observers": labels, "options": options}, "q")
     tables = {f"a{i}": {"base": "cart/white"} for i in range(limits.SCENARIOS + 1)}
     with pytest.raises(UserError, match="scenarios, expected at most 500; divide the study"):
-        read.parse({"name": "q", "scenarios": tables}, "q")
+        parse.parse({"name": "q", "scenarios": tables}, "q")

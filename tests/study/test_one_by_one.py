@@ -13,9 +13,9 @@ from honest import STUDY
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import faults_borne
-from pcbench.report import pictures, sentences
-from pcbench.study import STUDIES, as_toml, read
+from pcbench.plots import fault_tolerance
+from pcbench.report import captions, figures
+from pcbench.study import STUDIES, parse, serialize
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 AXES = {"outlier_probability": [0.0, 0.1, 0.2], "noise_std": [0.3], "loss": [0.0, 0.5]}
@@ -24,20 +24,20 @@ LABELS = ("kf", "kf-gate", "kf-huber", "pccebo")
 
 
 def test_each_axis_leaves_its_first_value_while_the_others_stand_at_theirs():
-    found = [tuple(c.values[name] for name in AXES) for c in read.grid_of(EACH, {}, []).cells]
+    found = [tuple(c.values[name] for name in AXES) for c in parse.grid_of(EACH, {}, []).cells]
     assert found == [(0.0, 0.3, 0.0), (0.1, 0.3, 0.0), (0.2, 0.3, 0.0), (0.0, 0.3, 0.5)]
-    assert len(read.grid_of(EACH | {"vary": "all"}, {}, []).cells) == 6
+    assert len(parse.grid_of(EACH | {"vary": "all"}, {}, []).cells) == 6
 
 
 def test_a_file_says_so_only_where_it_is_so():
-    each, every = (read.grid_of(EACH | {"vary": how}, {}, []).study for how in ("one-at-a-time", "all"))
-    assert as_toml.as_dict(each)["vary"] == "one-at-a-time"
-    assert "vary" not in as_toml.as_dict(every)
+    each, every = (parse.grid_of(EACH | {"vary": how}, {}, []).study for how in ("one-at-a-time", "all"))
+    assert serialize.as_dict(each)["vary"] == "one-at-a-time"
+    assert "vary" not in serialize.as_dict(every)
 
 
 def test_it_is_all_or_each():
     with pytest.raises(UserError, match=r"vary: got 'one'.*'all' or 'one-at-a-time'") as caught:
-        read.grid_of(EACH | {"vary": "one"}, {}, [])
+        parse.grid_of(EACH | {"vary": "one"}, {}, [])
     assert "\n" not in str(caught.value)
 
 
@@ -48,7 +48,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
         ("b", 1.0, "x", 0.5), ("b", 0.2, "x", 3.0), ("b", 4.0, "x", 0.9),
         ("b", 1.0, "y", 1.5), ("b", 0.2, "y", 0.9), ("b", 4.0, "y", 0.9),
     ]  # fmt: skip
-    found = faults_borne.borne(pd.DataFrame(rows, columns=["axis", "value", "observer", "part"]))
+    found = fault_tolerance.borne(pd.DataFrame(rows, columns=["axis", "value", "observer", "part"]))
     each = {
         (r.axis, r.observer): found[(found.axis == r.axis) & (found.observer == r.observer)].most.tolist()
         for r in found.itertuples()
@@ -57,7 +57,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
     assert each["a", "y"] == [1.0]
     assert each["b", "x"] == [float("inf"), pytest.approx(1.0 - 0.8 * 0.5 / 2.5)]
     assert np.isnan(each["b", "y"]).all()
-    assert sentences.borne(found).startswith(
+    assert captions.borne(found).startswith(
         "Better than the model alone: a: x to 2, y to 1; b: x everywhere, x to 0.84"
     )
 
@@ -66,7 +66,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
 def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
     axes = {"noise_std": [0.3, 0.6, 0.9], "process_std": [[0.02, 0.1]], "assumed_noise_scale": [1.0, 2.0]}
     result = pcbench.run(EACH | {"axes": axes})
-    parts = faults_borne.part_of_alone(result, "lti", "a", "steady_rmse")
+    parts = fault_tolerance.part_of_alone(result, "lti", "a", "steady_rmse")
     stats = result.stats[(result.stats.signal == "a") & (result.stats.metric == "steady_rmse")].set_index(
         ["observer", "cell"]
     )["mean"]
@@ -74,11 +74,11 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
         parts.part, [stats["kf", c] / stats["model-only", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
     )
     assert len(plots.bearing(result).axes) == 2
-    where = pictures.Place(result, "lti", 0, None, None, pictures.SHOWN)
-    names = {picture.name for picture in pictures.of_signal(where, "a")}
+    where = figures.Place(result, "lti", 0, None, None, figures.SHOWN)
+    names = {picture.name for picture in figures.of_signal(where, "a")}
     assert {"lti-a-bearing", "lti-a-over-noise_std", "lti-a-over-assumed_noise_scale"} <= names
     assert not {"lti-a-winners", "lti-a-map"} & names
-    assert pictures.cell_of(result, "lti", pictures.SHOWN) == 0
+    assert figures.cell_of(result, "lti", figures.SHOWN) == 0
     others = SimpleNamespace(study=result.study.model_copy(update={"vary": "all"}), **{
         name: getattr(result, name) for name in ("stats", "stats_of", "scenarios", "signals", "ranks")})  # fmt: skip
     with pytest.raises(UserError, match='got vary = "all"'):
@@ -91,7 +91,7 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
     with pytest.raises(
         UserError, match="got mean_burst_length = 5 in cart/gaussian with a loss of 0, expected a loss between 0 and 1"
     ):
-        read.grid_of("measurement-errors", {"axes": axes}, [])
+        parse.grid_of("measurement-errors", {"axes": axes}, [])
 
 
 @pytest.mark.nightly
@@ -139,7 +139,7 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
         *errors, nees = map(float, said.split(" | "))
         np.testing.assert_allclose([mean[o, "steady_rmse", cell] for o in LABELS], errors, rtol=0.01)
         assert mean["kf", "nees", cell] == pytest.approx(nees, rel=0.01)
-    found = faults_borne.borne(faults_borne.part_of_alone(result, "cart/gaussian", "position", "steady_rmse"))
+    found = fault_tolerance.borne(fault_tolerance.part_of_alone(result, "cart/gaussian", "position", "steady_rmse"))
     bounded = found[np.isfinite(found.most)].set_index(["axis", "observer"]).most
     rows = re.findall(r"^\| `(\w+)` \[\w+\] \| (.*) \|$", page, re.M)
     told = {

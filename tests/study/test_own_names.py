@@ -10,12 +10,13 @@ import pytest
 
 import pcbench
 from pcbench.cli import catalogue
-from pcbench.controllers.parts.told import ControllerContext
-from pcbench.dataset import pickled
+from pcbench.controllers.parts.design_context import ControllerContext
+from pcbench.dataset import serialize
 from pcbench.dynamics.linear import Model
 from pcbench.planning import plan
 from pcbench.plants import entry_of
-from pcbench.study import loops, own_controllers, own_entries, read
+from pcbench.study import controller_table, parse
+from pcbench.study.plugins import registry, user_controllers
 
 SOURCE = Path(__file__).parents[1] / "support" / "own_loop.py"
 TABLE = {"plant": "mine.py:pendulum", "x0": [0.2, 0.0], "prior_std": [0.1, 0.1], "sampling_period": 0.05, "delay": 0.1,
@@ -33,7 +34,7 @@ def here(tmp_path, monkeypatch):
 
 
 def cell(raw):
-    (found,) = read.grid_of(raw, {}, []).cells
+    (found,) = parse.grid_of(raw, {}, []).cells
     return found
 
 
@@ -43,7 +44,7 @@ def test_a_plant_and_a_law_stand_where_names_of_pcbench_do(here):
     assert entry_of(found.scenario) is module.pendulum
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
     assert found.scenario.flat()["code"].keys() == {"plant", "controller"}
-    (p,) = plan(read.study_of(STUDY | {"controller": LAW}, {}, []))
+    (p,) = plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
     assert p.layout.controller is module.law
     assert float(p.problem.control.kp) == 3.0
 
@@ -55,7 +56,7 @@ def test_paths_are_from_the_study_file_in_every_table(here, monkeypatch):
         "\n".join(["[scenarios.one]", *lines, "[scenarios.two]", "use = '../mine.py:late'", "loss = 0.1"])
     )
     monkeypatch.chdir("/")
-    study, every = read.grid_of(str(here / "deep" / "s.toml"), {}, [])
+    study, every = parse.grid_of(str(here / "deep" / "s.toml"), {}, [])
     assert study.scenarios == ["one", "two"]
     assert [c.scenario.plant for c in every] == ["pendulum", "pendulum"]
     assert [c.scenario.sampling.loss for c in every] == [0.0, 0.1]
@@ -67,9 +68,9 @@ def test_a_scenario_is_read_as_data_with_the_objects_of_its_module(here):
         found = cell(raw)
         assert (found.scenario.name, found.scenario.belief.prior_std) == ("late", (0.1, 0.1))
         assert entry_of(found.scenario) is sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"].pendulum
-    study = read.study_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, [])
+    study = parse.study_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, [])
     assert study.tables["late"].plant == "mine.py:pendulum"
-    again = read.study_of(study, {}, [])
+    again = parse.study_of(study, {}, [])
     assert again.model_dump() == study.model_dump(), "it is a study of data: read twice, it is the same"
 
 
@@ -110,7 +111,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
     assert done.returncode == 0, done.stderr
     shutil.rmtree(here / "swing_package")
     monkeypatch.syspath_prepend(str(here / "site"))
-    assert own_entries.installed("plant")["swing"] == ("swing_package.loop:pendulum", "swing-observers")
+    assert registry.installed("plant")["swing"] == ("swing_package.loop:pendulum", "swing-observers")
     for kind, name in (
         ("observers", "gentle"),
         ("plants", "swing"),
@@ -118,7 +119,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
         ("scenarios", "swing/late"),
     ):
         assert catalogue.found(kind)[name]["summary"] == "of the package swing-observers"
-    read.grid_of(STUDY, {}, [])
+    parse.grid_of(STUDY, {}, [])
     assert "swing_package" not in sys.modules, "nothing is imported that is not named"
     raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "kf"]}, "controller": {"use": "push"}}
     found = cell(STUDY | raw)
@@ -130,13 +131,13 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
 
 def test_a_planned_cell_takes_plant_and_law_along(here):
     """Another process needs no file: functions and types are found again in the code that travels."""
-    (p,) = plan(read.study_of(STUDY | {"controller": LAW}, {}, []))
-    parcel = pickled.pack(p)
+    (p,) = plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
+    parcel = serialize.pack(p)
     assert isinstance(parcel, bytes)
     name = f"mine_{p.cell.scenario.own['plant'].code.digest}"
     del sys.modules[name]
     (here / "mine.py").unlink()
-    back = pickled.unpack(parcel)
+    back = serialize.unpack(parcel)
     module = sys.modules[name]
     assert (back.layout.plant, back.layout.controller) == (module.pendulum.plant, module.law)
     assert type(back.problem.control) is module.Params
@@ -145,7 +146,7 @@ def test_a_planned_cell_takes_plant_and_law_along(here):
 
 def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     """[kept, x] -> [kept, u] by jax: what the law says on paper, to the bit."""
-    law = own_entries.load("controller", "mine.py:law", "here")
+    law = registry.load("controller", "mine.py:law", "here")
     n, m = 2, 1
     model = Model(A=np.zeros((n, n)), B=np.ones((n, m)), C=np.eye(1, n))
     told = ControllerContext(
@@ -155,15 +156,15 @@ def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     for got, want in zip(found, ([[1.0]], [[0.05, 0.0]], [[-1.0]], [[-2.05, 0.0]]), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-15)
     looks = law.entry.controller._replace(command=lambda p, now, x, coming, kept: (coming(0), kept))
-    assert own_controllers.linearised(looks, law.entry.prepare, law.entry.options(), told) is None
+    assert user_controllers.linearised(looks, law.entry.prepare, law.entry.options(), told) is None
     raises = law.entry.controller._replace(command=lambda p, now, x, coming, kept: 1 // 0)
     with caplog.at_level("INFO"):
-        assert own_controllers.linearised(raises, law.entry.prepare, law.entry.options(), told) is None
+        assert user_controllers.linearised(raises, law.entry.prepare, law.entry.options(), told) is None
     assert "is not linearised: ZeroDivisionError: " in caplog.text
 
 
 def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
-    (sentence,) = read.unstable(read.grid_of(STUDY | {"controller": LAW | {"kp": -40.0}}, {}, []))
+    (sentence,) = parse.unstable(parse.grid_of(STUDY | {"controller": LAW | {"kp": -40.0}}, {}, []))
     assert "law does not stabilise the plant of mine" in sentence
     assert "closed loop has the eigenvalue" in sentence
     with (
@@ -171,8 +172,8 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
         pytest.raises(pcbench.UserError, match="holds other files"),
     ):
         pcbench.run(STUDY | {"controller": LAW | {"kp": -40.0}}, out=here)
-    assert not read.unstable(read.grid_of(STUDY | {"controller": LAW}, {}, []))
-    assert loops.held(cell(STUDY | {"controller": LAW}).scenario)
+    assert not parse.unstable(parse.grid_of(STUDY | {"controller": LAW}, {}, []))
+    assert controller_table.held(cell(STUDY | {"controller": LAW}).scenario)
 
 
 WRONG = {
@@ -199,7 +200,7 @@ def test_what_is_wrong_is_one_sentence(here, what):
     raw = STUDY | {"scenario": TABLE | table} | ({"controller": law} if law else {})
     raw |= {"axes": {"plant.lam": [1.0]}} if what == "an axis of another plant" else {}
     with pytest.raises(pcbench.UserError) as error:
-        read.grid_of(raw, {}, [])
+        parse.grid_of(raw, {}, [])
     assert sentence in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -225,15 +226,15 @@ def test_a_law_that_breaks_the_protocol_is_named(here, what):
     assert old in text
     (here / "mine.py").write_text(text.replace(old, new))
     with pytest.raises(pcbench.UserError) as error:
-        plan(read.study_of(STUDY | {"controller": LAW}, {}, []))
+        plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
     assert sentence in str(error.value)
 
 
 def test_a_scenario_that_is_none_is_one_sentence(here):
     with pytest.raises(pcbench.UserError, match="got a controller, expected a dict with the keys of a table"):
-        read.grid_of("mine.py:law", {}, [])
+        parse.grid_of("mine.py:law", {}, [])
     with pytest.raises(pcbench.UserError, match=r"write \[scenarios.ANOTHER\]"):
-        read.grid_of({"name": "s", "scenarios": ["mine.py:late", "mine:late"]}, {}, [])
+        parse.grid_of({"name": "s", "scenarios": ["mine.py:late", "mine:late"]}, {}, [])
     (here / "mine.py").write_text((here / "mine.py").read_text().replace('"plant": pendulum', '"plant": Numbers()'))
     with pytest.raises(pcbench.UserError, match="plant: got a Numbers, expected what pcbench"):
-        read.grid_of("mine.py:late", {}, [])
+        parse.grid_of("mine.py:late", {}, [])

@@ -10,9 +10,10 @@ import pytest
 import pcbench
 from pcbench import signal_names
 from pcbench.errors import UserError
-from pcbench.logs import mapped
-from pcbench.study import own_entries, own_plants, read
-from pcbench.study.own import Code
+from pcbench.recordings import mapping
+from pcbench.study import parse
+from pcbench.study.plugins import registry, user_plants
+from pcbench.study.plugins.user_code import Code
 
 UNITS = ["m", "rad/s", "kg*m^2", "m^-1", "1e8 m3", "degC", "°C", "µm", "1/(s m)", "m^(1/2)", "%", "unit squared"]
 HOSTILE = [
@@ -58,11 +59,11 @@ def own_plant(states=("angle [rad]", "rate [rad/s]"), unit="1/s"):
 
 def study(**lti):
     given = {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1}
-    return read.parse({"name": "q", "lti": given | lti}, "q")
+    return parse.parse({"name": "q", "lti": given | lti}, "q")
 
 
 def scenario(**table):
-    return read.parse({"name": "q", "scenario": table}, "q")
+    return parse.parse({"name": "q", "scenario": table}, "q")
 
 
 def recording(tmp_path, what, unit):
@@ -70,7 +71,7 @@ def recording(tmp_path, what, unit):
     tables = {"channels": "y1", "inputs": "u1", "truth": "position"}
     lines = [f"[{w}.{n}]\nfield = 'a'\nunit = {unit if w == what else 'm'!r}" for w, n in tables.items()]
     path.write_text("log = 'x.csv'\n" + "\n".join(lines), encoding="utf-8")
-    return mapped.opened(path)
+    return mapping.opened(path)
 
 
 PLACES = {
@@ -80,15 +81,15 @@ PLACES = {
         base="helicopter/constant", unknowns=[text, "other"], headline=["pitch"]
     ),
     "states of a plant's function": lambda text, tmp_path: own_plant(states=(text, "rate")),
-    "states of a plant that is an entry": lambda text, tmp_path: own_entries._plant(
+    "states of a plant that is an entry": lambda text, tmp_path: registry._plant(
         own_plant()._replace(signals=((text.partition(" ")[0], text.partition(" [")[2][:-1] or "1"), ("rate", "1"))),
         None,
         "mine.py",
     ),
-    "states of a plant in a dataset": lambda text, tmp_path: own_plants.absent(
+    "states of a plant in a dataset": lambda text, tmp_path: user_plants.absent(
         "code/1/mine.py:pendulum",
         EMPTY,
-        own_plants.facts(own_plant())
+        user_plants.facts(own_plant())
         | {"signals": [[text.partition(" ")[0], text.partition(" [")[2][:-1] or "1"], ["rate", "1"]]},
     ),
 }
@@ -144,4 +145,4 @@ def test_a_state_cannot_have_the_name_of_another_column(name):
 
 def test_an_observer_cannot_have_the_label_of_set_points():
     with pytest.raises(UserError, match="as 'target', which is pcbench's own name"):
-        read.parse({"name": "q", "scenarios": ["cart/white"], "observers": ["mine.py:target"]}, "q")
+        parse.parse({"name": "q", "scenarios": ["cart/white"], "observers": ["mine.py:target"]}, "q")

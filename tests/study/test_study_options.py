@@ -3,11 +3,11 @@
 import pytest
 
 from pcbench.errors import UserError
-from pcbench.study import choices_of, given, observers_of, options_of, read, scenarios_of
+from pcbench.study import choices_of, given, observers_of, options_of, parse, scenarios_of
 
 
 def study(scenario="cart/variable", **changes):
-    return read.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
+    return parse.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
 
 
 def options(made, observer):
@@ -45,16 +45,16 @@ def test_a_random_initial_state_is_drawn_in_one_way():
 
 
 def test_changes_and_overrides_are_both_put_in():
-    made = read.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
+    made = parse.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
     assert (made.seeds, made.first_seed) == (3, 7)
-    named = read.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
+    named = parse.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
     assert (named.seeds, named.first_seed, named.axes) == (3, 7, {"noise_std": [0.5]})
 
 
 def test_one_cell_is_one_cell():
     with pytest.raises(UserError, match="got 2 cells, expected one"):
-        read.one_cell("cart/white", ["kf"], ["axes.noise_std=[0.1, 0.5]"])
-    made, cell = read.one_cell("cart/white", ["kf"], ["axes.noise_std=0.5"])
+        parse.one_cell("cart/white", ["kf"], ["axes.noise_std=[0.1, 0.5]"])
+    made, cell = parse.one_cell("cart/white", ["kf"], ["axes.noise_std=0.5"])
     assert (made.observers, cell.values["noise_std"]) == (["kf"], 0.5)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from reference import chain as ref
 
 from pcbench import planning
-from pcbench.machine import process
-from pcbench.simulation import trace
-from pcbench.study import read
+from pcbench.runtime import config
+from pcbench.simulation import trajectory
+from pcbench.study import parse
 
 DELAYS = [[2, 5, 7], [7, 2, 5], [3, 3, 6], [4, 4, 4], [0, 2, 5], [1, 9, 1]]
 SLOW = [[7, 2, 5], [4, 4, 4], [1, 9, 1]]  # by default an order, a tie and a zero are enough
@@ -45,17 +45,17 @@ def study(plant, xhat0=None):
     lti |= {"prior_std": np.abs(x0).tolist()}
     axes = {"delay": [[float(d * dt) for d in delays] for delays in DELAYS]}
     raw = {"name": plant, "lti": lti, "observers": list(OUTPUTS), "options": OPTIONS[plant], "axes": axes}
-    return read.parse(raw, plant)
+    return parse.parse(raw, plant)
 
 
 @cache
 def recorded(plant, perfect=False):
     """Every cell, planned and recorded; one program serves them all."""
-    with process.float64():
+    with config.float64():
         cells = planning.plan(study(plant, START[plant] if perfect else None))
-        before = trace.compiled()._cache_size()
-        runs = [trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
-        assert trace.compiled()._cache_size() - before <= 1
+        before = trajectory.compiled()._cache_size()
+        runs = [trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
+        assert trajectory.compiled()._cache_size() - before <= 1
     return cells, jax.tree.map(np.asarray, runs)
 
 

@@ -17,10 +17,10 @@ SERVER = """
 import json, os, runpy, sys, traceback
 from pcbench import api, cli
 from pcbench.cli import catalogue, commands
-from pcbench.cli.screen import results
-from pcbench.dataset import columns, store
-from pcbench.machine import process
-from pcbench.study import read
+from pcbench.cli.render import results
+from pcbench.dataset import columns, storage
+from pcbench.runtime import config
+from pcbench.study import parse
 
 for line in sys.stdin:
     words, cwd, outputs = json.loads(line)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench import planning
-from pcbench.simulation import trace
-from pcbench.study import read
+from pcbench.simulation import trajectory
+from pcbench.study import parse
 
 CHOICES = {"random_initial_state": True, "consistency": True}
 WIDE = {
@@ -23,8 +23,8 @@ def judged(runs, **changes):
         "scenario": {"base": "cart/unknown-delay", **changes},
         "options": {"scenario": CHOICES, **WIDE},
     }
-    (p,) = planning.plan(read.grid_of(study, {}, []).study)
-    record = jax.jit(trace.record_some, static_argnums=(0, 1, 2))
+    (p,) = planning.plan(parse.grid_of(study, {}, []).study)
+    record = jax.jit(trajectory.record_some, static_argnums=(0, 1, 2))
     found = record(p.layout, 100, 11, jax.tree.map(jnp.asarray, p.problem), jnp.asarray(0), jnp.arange(runs))
     out = {}
     for name, xhat in found.estimates.items():

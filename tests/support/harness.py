@@ -12,11 +12,11 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Plant
-from pcbench.simulation import draws
-from pcbench.simulation import trace as one_run
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.schedule import shared
-from pcbench.simulation.trace import Recording
+from pcbench.simulation import rng
+from pcbench.simulation import trajectory as one_run
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.trajectory import Recording
+from pcbench.simulation.types import Layout, Problem
 from pcbench.synthesis.certificate import DesignContext
 
 RING, SLOTS = 512, 2  # room for a sample at every tick with a delay of 400: one shape for every test
@@ -110,7 +110,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, P
         case.model.C,
     )
     x0, xhat0 = starts(case)
-    plan = shared.pad_slots(shared.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
+    plan = common_times.pad_slots(common_times.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
     gains = {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in observers.items()}
     n_ticks = case.ticks
     p = Problem(
@@ -135,5 +135,5 @@ def trace(case: Case, observers: dict[str, dict[str, Any]]) -> Recording:
 def noise(case: Case) -> list[np.ndarray]:
     """The additive noise of each channel, as the run draws it."""
     q = len(case.model.C)
-    draw = draws.measurement_noise(0, case.seed, case.ticks // case.te + 1, q)
+    draw = rng.measurement_noise(0, case.seed, case.ticks // case.te + 1, q)
     return [case.noise_std * np.asarray(draw[j]) for j in range(q)]

@@ -9,15 +9,15 @@ from reference import helicopter_ekf, high_gain
 
 from pcbench import planning
 from pcbench.observers import entry_of
-from pcbench.planning import controller, padding
+from pcbench.planning import loop_setup, padding
 from pcbench.planning.padding import Plan
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import draws, trace
-from pcbench.simulation.schedule import shared
+from pcbench.simulation import rng, trajectory
+from pcbench.simulation.schedule import common_times
 from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import cell_of
+from pcbench.study.grid import cell_of
 
-REACH = controller.Reach(1024, 256)  # room for every test's delays and periods
+REACH = loop_setup.Reach(1024, 256)  # room for every test's delays and periods
 EARLY, SLOTS = 64, 2
 TRUTH = (0.8, 0.318)
 OBSERVERS = {
@@ -34,18 +34,18 @@ def planned(observer: str, seconds: float, *, name="constant", choices=None, par
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
     (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
-    law, line = controller.close(cell, REACH, cell.times.ticks)
-    plan = shared.pad_early(shared.pad_slots(p.problem.schedule, SLOTS), EARLY)
+    law, line = loop_setup.close(cell, REACH, cell.times.ticks)
+    plan = common_times.pad_early(common_times.pad_slots(p.problem.schedule, SLOTS), EARLY)
     layout = p.layout._replace(ring=EARLY, commands=REACH.back)
     return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
 
 
-def record(p: Plan, seed: int = 0) -> trace.Recording:
+def record(p: Plan, seed: int = 0) -> trajectory.Recording:
     """Run one seed; arrays [N+1, ...]."""
-    return jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
 
 
-def estimate(got: trace.Recording) -> np.ndarray:
+def estimate(got: trajectory.Recording) -> np.ndarray:
     """Return what the loop's one observer estimated, [N+1, 6]."""
     return next(iter(got.estimates.values()))
 
@@ -65,7 +65,7 @@ def expected(p: Plan, observer: Any = None, seed: int = 0) -> reference.Trace:
     )
     (label,) = p.labels
     samples = N // period + 1
-    noise = s.sampling.noise_std[0] * np.asarray(draws.measurement_noise(0, seed, samples, 2)).T[:, None]
+    noise = s.sampling.noise_std[0] * np.asarray(rng.measurement_noise(0, seed, samples, 2)).T[:, None]
     z0 = np.concatenate([s.belief.xhat0, s.belief.unknown0 or (0.0, 0.0)])[None]
     run = reference.simulate(observer or of(label, s), N, case, np.array(s.truth.x0)[None], z0, noise)
     return reference.Trace(*(a[:, 0] for a in run))

@@ -36,25 +36,25 @@ def _known(option):
 @cache
 def recorder():
     """Return `trace.compiled()`, made in a hurry."""
-    from pcbench.simulation import trace
+    from pcbench.simulation import trajectory
 
-    return jax.jit(trace.record, static_argnums=0, compiler_options=options())
+    return jax.jit(trajectory.record, static_argnums=0, compiler_options=options())
 
 
 @cache
 def stretches():
-    """Return `replaying.stretch.compiled()`, made in a hurry."""
-    from pcbench.replaying import stretch
+    """Return `playback.step_block.compiled()`, made in a hurry."""
+    from pcbench.playback import step_block
 
-    begun = jax.jit(stretch.begun, static_argnums=(0, 2, 3), compiler_options=options())
-    return begun, jax.jit(stretch.run, static_argnums=0, compiler_options=options())
+    begun = jax.jit(step_block.begun, static_argnums=(0, 2, 3), compiler_options=options())
+    return begun, jax.jit(step_block.run, static_argnums=0, compiler_options=options())
 
 
 @contextmanager
 def not_here():
     """Have the programs that a user has, until this is left."""
     from pcbench.engine import runner
-    from pcbench.machine import program_cache
+    from pcbench.runtime import program_cache
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "OPTIONS", {name: said for name, said in runner.OPTIONS.items() if name not in OPTIONS})
@@ -67,11 +67,11 @@ def not_here():
 def programs():
     """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
     from pcbench.engine import runner
-    from pcbench.machine import program_cache
-    from pcbench.moments import compiled
+    from pcbench.moments import programs as of_moments
+    from pcbench.runtime import program_cache
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "_MADE", program_cache.Programs())
+        patch.setattr(of_moments, "_MADE", program_cache.Programs())
         patch.setattr(runner, "WIDTH", LANES)
         patch.setattr(runner, "HEAVY", LANES)
         patch.setattr(runner, "OPTIONS", runner.OPTIONS | options())

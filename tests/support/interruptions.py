@@ -1,11 +1,11 @@
 """A tuning that is stopped by Ctrl-C in the middle."""
 
-from pcbench.gains import evaluation
+from pcbench.gains import objective_eval
 
 
 def stop_tuning_at(number, monkeypatch):
     """Raise KeyboardInterrupt when a tuning evaluates its `number`-th point; return the list that counts evaluations."""
-    real, count = evaluation.evaluator, [0]
+    real, count = objective_eval.evaluator, [0]
 
     def interrupted(*given):
         evaluate = real(*given)
@@ -18,6 +18,6 @@ def stop_tuning_at(number, monkeypatch):
 
         return at
 
-    monkeypatch.setattr(evaluation, "evaluator", interrupted)
+    monkeypatch.setattr(objective_eval, "evaluator", interrupted)
     monkeypatch.setattr("pcbench.gains.history.PAUSE", 0.0)
     return count

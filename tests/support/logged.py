@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from pcbench.dataset import as_file
-from pcbench.logs import writing
-from pcbench.logs.log import Batch, Log
+from pcbench.dataset import write_table
+from pcbench.recordings import writers
+from pcbench.recordings.log import Batch, Log
 
 MOTOR = {
     "name": "motor",
@@ -38,8 +38,8 @@ def rows(folder, measured, inputs=None, kind="csv"):
 
 def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
     """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
-    for name, table in writing.as_tables(batch, channels, inputs, truth).items():
-        as_file.put(folder / f"{name}{kind}", table)
+    for name, table in writers.as_tables(batch, channels, inputs, truth).items():
+        write_table.put(folder / f"{name}{kind}", table)
 
 
 def plain(many=40, every=0.05, late=0.1):

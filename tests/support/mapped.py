@@ -3,7 +3,7 @@
 import sys
 
 import pcbench
-from pcbench.machine import process
+from pcbench.runtime import config
 
 STUDY = {
     "name": "many",
@@ -15,7 +15,7 @@ STUDY = {
 
 def main(programs):
     """Run and trace studies of other horizons, each of which is a program of its own."""
-    process.setup()
+    config.setup()
     for i in range(programs):
         lti = STUDY["lti"] | {"tick": 0.05, "duration": 1.0 + 0.05 * i}
         pcbench.run(STUDY | {"lti": lti})

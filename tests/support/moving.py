@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import expm
 
-from pcbench.machine import process
-from pcbench.moments.carried import COVARIANCE
-from pcbench.moments.compiled import compute
-from pcbench.moments.realised import Realised
+from pcbench.moments.programs import compute
+from pcbench.moments.realisations import Realised
+from pcbench.moments.types import COVARIANCE
 from pcbench.protocols import Controller, Observer, Plant
-from pcbench.simulation import actuator
-from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.schedule import shared
+from pcbench.runtime import config
+from pcbench.simulation import actuator_delay
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.types import Layout, Problem
 
 
 class Loop(NamedTuple):
@@ -81,15 +81,16 @@ def moments(loop, cases):
     ones = []
     for case in cases:
         p = Problem(
-            params, {"o": case.gains}, shared.periodic(case.period, [0] * q, N), np.full((1, m), np.nan), np.asarray(loop.tick),
+            params, {"o": case.gains}, common_times.periodic(case.period, [0] * q, N),
+            np.full((1, m), np.nan), np.asarray(loop.tick),
             nothing + loop.x0, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),
             np.array([[0, N // 2], [N // 2, N - 1], [N - 1, N]]), control=case.params,
             process_std=np.linalg.cholesky(noise_of_a_tick(loop.A, loop.B @ loop.B.T, loop.tick)),
-            line=actuator.held_line(0, 4, N + 4),
+            line=actuator_delay.held_line(0, 4, N + 4),
         )  # fmt: skip
         layout = Layout(plant, (("o", observer),), 1, 1, False, watch=False, controller=law, commands=4)
         ones.append(Realised(layout, p, (), case.chance))
-    with process.float64():
+    with config.float64():
         found = compute(ones, COVARIANCE)
     assert (found.sums.apart <= 1e-9 * np.maximum(found.sums.size, 1e-9)).all()
     return [found.rows.covariance[..., i] for i in range(len(cases))]

@@ -12,10 +12,10 @@ from reference import chain as ref
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.machine import process
 from pcbench.observers import chain
-from pcbench.study import read
-from pcbench.study.cells import cells
+from pcbench.runtime import config
+from pcbench.study import parse
+from pcbench.study.grid import cells
 from pcbench.synthesis import chain as synthesis
 from pcbench.synthesis import chain_lyapunov
 
@@ -28,7 +28,7 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
     cells, _ = recorded("odd")
     p, delays = cells[case], DELAYS[case]
     gains, theta, n, k = jax.tree.map(jnp.asarray, p.problem.gains[label]), max(delays), 4, 50
-    with process.float64():
+    with config.float64():
         start = chain.init(gains, jnp.zeros(n))
         ring = len(start.past) - 1
         run = start.run._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
@@ -148,7 +148,7 @@ def test_vanishing_poles_over_long_delays_are_certified():
 def test_a_model_that_outgrows_its_delay_is_refused():
     """By the design itself: a study's own plant is refused before, where it outgrows its horizon."""
     study, _, _ = slow(delay=[0.1, 3.9], steady_start=0.5)
-    (cell,) = cells(read.parse(study, "slow"), "lti")
+    (cell,) = cells(parse.parse(study, "slow"), "lti")
     known = planning.setting(cell)
     faster = known._replace(model=known.model._replace(A=np.array([[60.0, 1.0], [0.0, -1.0]])))
     with pytest.raises(UserError, match=r"grows by \d+ a sample over a delay of 39 samples.*shorten the delay"):

@@ -7,9 +7,17 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, ranges, robust, solvers
+from pcbench.synthesis import (
+    common_lyapunov,
+    current_estimator,
+    current_gains,
+    error_bounds,
+    parameter_ranges,
+    robust_lmi,
+    solvers,
+)
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.ranges import Maps
+from pcbench.synthesis.parameter_ranges import Maps
 
 PLANTS = {"cart": (CART, 200, 200), "odd": (ODD, 300, 100)}  # period and delay in ms
 
@@ -116,8 +124,8 @@ TASKS = {"h2": ("h2", 1.0), "hinf": ("hinf", 1.0), "decay": ("decay", 1.0)}
 
 def task(name):
     s = known(name)
-    maps = ranges.maps(s, [0.15, 0.25], None, 0.05, "test")
-    return robust.RobustTask(
+    maps = parameter_ranges.maps(s, [0.15, 0.25], None, 0.05, "test")
+    return robust_lmi.RobustTask(
         maps, s.model.C, np.diag(s.noise_variance), np.eye(len(s.model.A)), np.ones(len(s.model.A))
     )
 
@@ -126,9 +134,9 @@ def task(name):
 @pytest.mark.parametrize("kind", TASKS)
 def test_a_second_solver_agrees_and_is_certified_alike(kind):
     what, rate = TASKS[kind]
-    both = [robust.solve(task("odd"), what, rate, "test", solver) for solver in solvers.SOLVERS]
-    proofs = [robust.certify(found, task("odd"), what) for found in both]
-    assert all(proof.margin >= rate * (1 - robust.SHORT) for proof in proofs)
+    both = [robust_lmi.solve(task("odd"), what, rate, "test", solver) for solver in solvers.SOLVERS]
+    proofs = [robust_lmi.certify(found, task("odd"), what) for found in both]
+    assert all(proof.margin >= rate * (1 - robust_lmi.SHORT) for proof in proofs)
     assert both[1].cost == pytest.approx(both[0].cost, rel=1e-3)
     for name in ("rms_bound", "g"):
         if name in proofs[0].numbers:
@@ -149,7 +157,7 @@ def test_a_second_solver_agrees_on_one_lyapunov_matrix_for_a_range(H):
 
 
 def test_certificates_refuse_what_is_wrong():
-    found = robust.solve(task("odd"), "h2", 1.0, "test")
+    found = robust_lmi.solve(task("odd"), "h2", 1.0, "test")
     wrong = {
         "gain": found._replace(L=found.L * 3 + 0.5),
         "sign": found._replace(L=-found.L),
@@ -158,9 +166,9 @@ def test_certificates_refuse_what_is_wrong():
         "nan": found._replace(L=found.L * np.nan),
     }
     for name, each in wrong.items():
-        margin = robust.certify(each, task("odd"), "h2").margin
-        assert not margin >= 1.0 * (1 - robust.SHORT), name
-    assert robust.certify(found, task("odd"), "h2").margin >= 1.0 * (1 - robust.SHORT)
+        margin = robust_lmi.certify(each, task("odd"), "h2").margin
+        assert not margin >= 1.0 * (1 - robust_lmi.SHORT), name
+    assert robust_lmi.certify(found, task("odd"), "h2").margin >= 1.0 * (1 - robust_lmi.SHORT)
 
 
 def broken(*names):
@@ -239,29 +247,29 @@ def test_a_gain_that_is_good_at_the_mean_may_be_refused_over_a_range():
 
 def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
     s = known("cart")._replace(variant=lambda p: CART._replace(A=np.array([[0.0, 1.0], [0.0, -p["lam"]]])))
-    maps = ranges.maps(s, [0.1, 0.103], {"lam": [100.0, 150.0]}, 0.0, "test")
-    assert len(maps.Phi) == 4 * ranges.VALUES
+    maps = parameter_ranges.maps(s, [0.1, 0.103], {"lam": [100.0, 150.0]}, 0.0, "test")
+    assert len(maps.Phi) == 4 * parameter_ranges.VALUES
     for lam, ms in ((100.0, 100), (150.0, 103), (150.0, 100)):
         gap = np.abs(maps.Phi - expm(np.array([[0.0, 1.0], [0.0, -lam]]) * ms * 1e-3)).max((1, 2))
         (where,) = np.flatnonzero(gap < 1e-15)
         assert maps.seconds[where] == ms * 1e-3
         assert where in maps.corners
     with pytest.raises(UserError, match="expected one with a multiple of the tick"):
-        ranges.maps(s, [0.1001, 0.1009], None, 0.0, "test")
+        parameter_ranges.maps(s, [0.1001, 0.1009], None, 0.0, "test")
     with pytest.raises(UserError, match="maps to check"):
-        ranges.maps(s, [0.1, 1.0], {"lam": [1.0, 2.0], "mu": [1.0, 2.0]}, 0.0, "test")
+        parameter_ranges.maps(s, [0.1, 1.0], {"lam": [1.0, 2.0], "mu": [1.0, 2.0]}, 0.0, "test")
 
 
 def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
     """Asked for a tenth more, no P is found."""
-    maps = ranges.maps(known("odd"), [0.1, 0.9], None, 0.05, "test")
-    t = robust.RobustTask(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
-    found, proof = robust.design(t, "decay", None, "test")
+    maps = parameter_ranges.maps(known("odd"), [0.1, 0.9], None, 0.05, "test")
+    t = robust_lmi.RobustTask(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
+    found, proof = robust_lmi.design(t, "decay", None, "test")
     assert proof.rate > 0.5
     F = error_bounds.errors(np.asarray(found.L), ODD.C, maps.Phi)
     assert proof.rate <= (-np.log(np.abs(np.linalg.eigvals(F)).max(1)) / maps.seconds).min() * (1 + 1e-9)
     with pytest.raises(DesignError):
-        robust.design(t, "decay", 1.1 * proof.rate, "test", solvers.SOLVERS[:1])
+        robust_lmi.design(t, "decay", 1.1 * proof.rate, "test", solvers.SOLVERS[:1])
 
 
 def test_a_promise_of_the_papers_gain_is_its_own():
@@ -271,4 +279,4 @@ def test_a_promise_of_the_papers_gain_is_its_own():
     _, certificate = current_gains.find(known("cart"), "lmi", None, 0.002, None, None, "test")
     size = np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2)
     assert certificate.rate == pytest.approx(-np.log(size) / 0.2, rel=1e-9)
-    assert isinstance(ranges.maps(known("cart"), None, None, 0.0, "test"), Maps)
+    assert isinstance(parameter_ranges.maps(known("cart"), None, None, 0.0, "test"), Maps)

@@ -11,16 +11,16 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
-from pcbench.machine import cache
 from pcbench.observers import OBSERVERS
+from pcbench.runtime import cache
 from pcbench.synthesis import (
-    again,
     common_lyapunov,
     current_estimator,
     current_gains,
     error_bounds,
-    remembered,
+    memo,
     riccati,
+    solver_cache,
 )
 from pcbench.synthesis.certificate import Certificate, require_certified
 
@@ -164,14 +164,14 @@ def test_an_answer_is_given_again_for_equal_arrays_and_no_others():
             raise ValueError(name)
         return a / 2
 
-    once = again.Again(half)
+    once = memo.Again(half)
     for a in ([1.0, 2.0], [1.0, 2.0], [[1.0, 2.0]], [1.0, np.nextafter(2.0, 3)]):
         np.testing.assert_array_equal(once(np.array(a), "x"), np.array(a) / 2)
     for _ in range(2):
         with pytest.raises(ValueError, match="bad"):
             once(np.array([1.0]), "bad")
     assert asked == ["x"] * 3 + ["bad"] * 2
-    for i in range(again.ROOM):
+    for i in range(memo.ROOM):
         once(np.array([float(i)]), "y")
     once(np.array([1.0, 2.0]), "x")
     assert asked.count("x") == 4
@@ -182,7 +182,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        remembered.remembered(
+        solver_cache.remembered(
             current_estimator.CurrentGain, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
         ).L
         for Phi in (slow, 0.9 * slow, slow)
@@ -196,7 +196,7 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     kind, shapes = current_estimator.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
-        found = remembered.remembered(
+        found = solver_cache.remembered(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
         )
         assert found.L.shape == shape

@@ -13,7 +13,7 @@ from commands import call
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.statistics import wording
+from pcbench.statistics import number_format
 from pcbench.tables import latex, layout, text
 from pcbench.tables.layout import Entry, Head, Table
 
@@ -41,7 +41,7 @@ def test_along_an_axis_a_row_is_an_observer_and_a_column_a_value(result):
     stats = result.stats.query("metric == 'steady_rmse' and signal == 'position'").set_index(["observer", "noise_std"])
     for (observer,), each in found.rows:
         for head, entry in zip(found.heads, each, strict=True):
-            assert entry.text == wording.interval(stats.loc[(observer, float(head.text))])
+            assert entry.text == number_format.interval(stats.loc[(observer, float(head.text))])
 
 
 def test_all_that_are_not_significantly_worse_than_the_best_are_marked(result):

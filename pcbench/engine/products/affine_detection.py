@@ -14,8 +14,8 @@ from jax import Array
 
 from pcbench.engine import lane_array
 from pcbench.engine.products.jaxpr_dependence import reach
-from pcbench.simulation.problem import Layout, Problem, State, present, truth
-from pcbench.simulation.schedule.shared import Schedule
+from pcbench.simulation.schedule.common_times import Schedule
+from pcbench.simulation.types import Layout, Problem, State, present, truth
 
 Leaves = list[Any]  # of (x, memory), or of x alone, in the order of jax.tree.leaves: x comes first
 Z = dict[int, Any]  # some of them, by number
@@ -43,7 +43,7 @@ def plant_goes(layout: Layout, p: Problem) -> bool:
 def forms(layout: Layout, p: Problem, state: State) -> tuple[Form, ...]:
     """Return the forms of the plant and of every observer that goes by products; none where the plant does not.
 
-    Of the state after `start.begin` the shapes suffice.
+    Of the state after `initial_state.begin` the shapes suffice.
     """
     if not plant_goes(layout, p):
         return ()

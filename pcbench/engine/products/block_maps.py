@@ -20,7 +20,7 @@ from pcbench.engine.initial_state import begin
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.products.affine_detection import PLANT, Form, Z, forms, one_lane, slopes
 from pcbench.engine.products.blocks import TICKS, Chunks, chunks
-from pcbench.simulation.problem import Layout, Problem, State
+from pcbench.simulation.types import Layout, Problem, State
 
 
 class Maps(NamedTuple):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation.metrics import Stream, Watch
-from pcbench.simulation.problem import Problem
+from pcbench.simulation.types import Problem
 
 
 def sizes(e: list[Array], before: Array) -> Array:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from pcbench.simulation.problem import Problem
+from pcbench.simulation.types import Problem
 
 TICKS = 64  # of a chunk at most
 BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick

@@ -17,7 +17,7 @@ from pcbench.engine.products.affine_detection import PLANT, Form, forms, leaves_
 from pcbench.engine.products.block_maps import Maps, Moving, every_map
 from pcbench.engine.products.blocks import BLOCK, TICKS, WRITTEN, Chunks, chunks
 from pcbench.simulation.metrics import Stream
-from pcbench.simulation.problem import Layout, Problem, State
+from pcbench.simulation.types import Layout, Problem, State
 
 Flow = Callable[[Array, Array, State], State]  # (first tick, tick after the last, state) -> state
 Stepped = Callable[[Layout, Array, Array, State], State]  # the same tick by tick, for the observers of a layout

@@ -10,7 +10,7 @@ from jax import Array
 from pcbench.engine import lane_array
 from pcbench.engine.products.affine_detection import PLANT, Form, leaves_of, with_leaves
 from pcbench.engine.products.block_maps import Moving
-from pcbench.simulation.problem import State
+from pcbench.simulation.types import State
 
 Sums = tuple[Any, Any]  # (Stream, Watch), arrays [n, L]; where all lanes have them in common, L = 1
 

@@ -21,11 +21,18 @@ from pydantic import Field
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import assumed_noise, covariance_recursion, guard, kalman, prediction, reordering
-from pcbench.observers.parts.guard import Known
+from pcbench.observers.parts import (
+    assumed_noise,
+    covariance_recursion,
+    kalman,
+    prediction,
+    reorder_buffer,
+    robust_update,
+)
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.observers.parts.robust_update import Known
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate, require_certified
 
@@ -70,7 +77,7 @@ def prior(gains: Gains, xhat0: Float[Array, " plant"]) -> Posterior:
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior."""
     first, q = prior(gains, xhat0), gains.C.shape[0]
-    return prediction.start(first.mean, guard.begun(first, gains.guard, q), gains.room, q)
+    return prediction.start(first.mean, robust_update.begun(first, gains.guard, q), gains.room, q)
 
 
 def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
@@ -98,12 +105,12 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     for channel in range(gains.C.shape[0]):
         c, r, mask = rows[channel], gains.R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
-        found = guard.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
+        found = robust_update.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
         K = kalman.gain(P @ c, c @ P @ c + found.r, found.used)
         free = free + K * nu
         P = kalman.covariance(P, K, c, found.r)
         left_out.append(found.left_out)
-    return guard.after(before, free, P, sample.taken, left_out)
+    return robust_update.after(before, free, P, sample.taken, left_out)
 
 
 def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
@@ -157,7 +164,7 @@ def spread(gains: Gains, memory: Any, P: Float[Array, "n n"]) -> Float[Array, "s
 
 def newest(gains: Gains, memory: Memory) -> Known:
     """Return mean and covariance at the newest sample used."""
-    return reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
+    return reorder_buffer.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
@@ -167,7 +174,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
-    return expected(gains, memory, reordering.sample_of(now, arrival, gains.D))
+    return expected(gains, memory, reorder_buffer.sample_of(now, arrival, gains.D))
 
 
 def expected(gains: Gains, memory: Memory, sample: Measurement) -> InnovationStats:
@@ -184,7 +191,7 @@ def expected(gains: Gains, memory: Memory, sample: Measurement) -> InnovationSta
     sample = sample._replace(mask=sample.mask & (sample.taken >= first.taken))
     marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))
     wide = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
-    state = reordering.newest_with_copy(partial(update, gains), copy, buffer._replace(before=wide), marker)
+    state = reorder_buffer.newest_with_copy(partial(update, gains), copy, buffer._replace(before=wide), marker)
     return against(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
 
 

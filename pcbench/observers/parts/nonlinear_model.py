@@ -3,7 +3,7 @@
 State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. p is
 clipped to the plant's range. Between samples mean and covariance go by slopes, tick by tick:
 
-    P <- F P F' + Q,  F the slope of a tick at z (`one_tick`),    z <- one tick under its input
+    P <- F P F' + Q,  F the slope of a tick at z (`discrete_model`),    z <- one tick under its input
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p.
@@ -18,7 +18,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.dynamics import linear
-from pcbench.observers.parts import assumed_noise, one_tick
+from pcbench.observers.parts import assumed_noise, discrete_model
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf, Now, Room
 from pcbench.synthesis.certificate import Certificate, DesignContext
@@ -110,7 +110,7 @@ def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
 def told(setting: DesignContext, options: Options, name: str) -> tuple[Gains, Certificate]:
     """Gather what a filter assumes; there is no certificate for a nonlinear model."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
-    motion, tangent = one_tick.motion_of(setting)
+    motion, tangent = discrete_model.motion_of(setting)
     size = np.square(setting.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
     P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)

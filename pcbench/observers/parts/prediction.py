@@ -17,8 +17,8 @@ from jaxtyping import Float, Int
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after
-from pcbench.observers.parts import reordering
-from pcbench.observers.parts.reordering import Buffer, Measurement
+from pcbench.observers.parts import reorder_buffer
+from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
@@ -51,7 +51,7 @@ class Memory(NamedTuple):
 
 def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
-    buffer = reordering.start(state, room, outputs, xhat0.shape[0])
+    buffer = reorder_buffer.start(state, room, outputs, xhat0.shape[0])
     return Memory(jnp.zeros_like(xhat0), xhat0, buffer, jnp.asarray(0))
 
 
@@ -85,7 +85,7 @@ def using(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Me
     """
 
     def use(gains: Any, memory: Memory, now: Now, arrived: Measurement) -> Memory:
-        buffer, newest = reordering.replay(partial(update, gains), memory.buffer, arrived)
+        buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, arrived)
         there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
         return memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
 
@@ -97,7 +97,7 @@ def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, 
     use = using(update, point_of)
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        return use(gains, memory, now, reordering.sample_of(now, arrival, gains.D))
+        return use(gains, memory, now, reorder_buffer.sample_of(now, arrival, gains.D))
 
     return jump
 

@@ -21,10 +21,10 @@ from jaxtyping import Float, Int
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
-from pcbench.observers.parts import kalman, linear_filter, prediction, reordering
-from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
@@ -131,7 +131,7 @@ def jumping(retrodict: Retrodict, zero: bool) -> Any:
     """Return the jump of an observer that goes back by `retrodict`."""
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        sample = reordering.sample_of(now, arrival, gains.D)
+        sample = reorder_buffer.sample_of(now, arrival, gains.D)
         late = sample.taken < memory.posterior.taken
         old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory)
         reached = sample.taken >= memory.past.taken[0]
@@ -153,7 +153,7 @@ def expecting(retrodict: Retrodict, zero: bool) -> Any:
 
     def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return it of all that is used: what is older than the posteriors kept is not judged."""
-        sample = reordering.sample_of(now, arrival, gains.D)
+        sample = reorder_buffer.sample_of(now, arrival, gains.D)
         reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
         late = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
         old = backward(gains, memory, late, retrodict(gains, memory, late.taken), zero)[1]

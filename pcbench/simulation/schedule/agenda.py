@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.schedule import per_lane
-from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.schedule.shared import NEVER
+from pcbench.simulation.schedule import random_times
+from pcbench.simulation.schedule.common_times import NEVER
+from pcbench.simulation.schedule.random_times import Times
 
 
 class Agenda(NamedTuple):
@@ -29,13 +29,13 @@ class Agenda(NamedTuple):
 
 def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
     """Return what happens in every run, in order: at one tick the older packet arrives first."""
-    each = [per_lane.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
+    each = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
     taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
     clock = jnp.concatenate([jnp.full_like(own, c) for c, (own, _) in enumerate(each)])
     number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
     order = jnp.argsort(taken, axis=0, stable=True)
     taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    believed, packet = per_lane.believed(t, root_seed, seeds, taken), _first(_repeats(taken))
+    believed, packet = random_times.believed(t, root_seed, seeds, taken), _first(_repeats(taken))
     numbers = _by_clock(len(each), -1, clock, packet, number)
     taken, believed = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, believed))
 

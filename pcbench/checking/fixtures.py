@@ -1,0 +1,180 @@
+"""What an observer is tried on: a scenario's plant, true model, no noise, in open loop under an input that never repeats.
+
+The schedules are those that the observer says it takes: the scenario's own, delay 0, a late one, samples on their way at the
+same time; where it takes them, intervals that vary and samples that overtake. All have one shape. An observer may refuse a
+schedule in a sentence of its own; it must take one. One that is designed for the linear model of a nonlinear plant is tried
+so near its operating point that this is all there is.
+"""
+
+from functools import reduce
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench import planning
+from pcbench.checking.loading import Candidate
+from pcbench.errors import UserError, raised
+from pcbench.plants import entry_of, nonlinear
+from pcbench.protocols import Observer, Plant
+from pcbench.scenarios import Loop, Sampling, Scenario, Truth
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.types import Problem, present, truth
+from pcbench.study import fits, times
+from pcbench.study.grid import cell_of
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext
+
+NEAR = 1e-7  # of the spread of a start: there a plant is its linear model
+SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
+VARYING = ("one clock", "any schedule")
+
+
+class Case(NamedTuple):
+    """One schedule: what a designer is told of it, and the run's numbers with the gains that were designed."""
+
+    name: str
+    setting: DesignContext
+    problem: Problem
+
+
+class Trial(NamedTuple):
+    """An observer with its gains on every schedule that it takes."""
+
+    candidate: Candidate
+    plant: Plant
+    cases: tuple[Case, ...]
+    refused: tuple[str, ...]  # its own sentences
+    near: bool = False  # whether the runs are near the operating point of a nonlinear plant
+
+    @property
+    def label(self) -> str:
+        """Return the name that the observer goes by."""
+        return self.candidate.label
+
+    @property
+    def observer(self) -> Observer:
+        """Return its functions."""
+        return self.candidate.entry.observer
+
+    @property
+    def knows_schedule(self) -> bool:
+        """Return whether it claims a perfect start."""
+        return self.candidate.entry.knows_schedule
+
+    def called(self, name: str) -> Case | None:
+        """Return the case of a name, or None where the observer refused it."""
+        return next((case for case in self.cases if case.name == name), None)
+
+
+def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
+    """Return the schedules to try, without gains; with runs `near` the operating point."""
+    measured, size = scenario.sampling, NEAR if near else 1.0
+    x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
+    every, at_once = times.whole(measured.sampling_period[0], scenario), len(measured.delay)
+    seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
+    usual = all(not isinstance(d, str) and times.whole(d, scenario) <= 3 * every for d in measured.delay)
+    plain = scenario._replace(
+        truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
+        loop=Loop(input="zero"),
+        sampling=Sampling(
+            sampling_period=(every * scenario.dt,) * at_once,
+            delay=measured.delay if usual else (seconds[1],) * at_once,
+            noise_std=measured.noise_std,
+        ),
+        duration=SPAN * every * scenario.dt,
+    ).having(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
+    named = {"the scenario's own": plain}
+    for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
+        whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
+        named[name] = plain.having(delay=(whole,) * at_once)
+    if takes in VARYING:
+        turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
+        named["varying intervals"] = named["one period late"].having(sampling_pattern=turn)
+    found = [_case(name, each, None, size) for name, each in named.items()]
+    if takes in VARYING:
+        found.append(_case("samples that overtake", named["one period late"], every, size))
+    most = reduce(DesignContext.roomier, (c.setting for c in found))
+    return [c._replace(setting=c.setting.roomier(most)) for c in found]
+
+
+def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> Case:
+    """Lay out one schedule, with inputs of a size; where samples are `overtaken`, every third is so much and a half later."""
+    cell = cell_of(scenario)
+    known = planning.setting(cell)
+    drafted = planning.draft(cell, {}, known)
+    p, n, q = drafted.problem, known.ticks, len(scenario.sampling.delay)
+    if overtaken is not None:
+        taken = common_times.samples(times.clocks(scenario), n)
+        late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
+        known = known._replace(
+            overtaking=common_times.overtaking(late), flight=known.flight + 2, latest=known.latest + 3 * overtaken // 2
+        )
+        p = p._replace(schedule=common_times.schedule(late, n, q))
+    u = size * (np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5)
+    p = p._replace(schedule=common_times.pad_slots(p.schedule, SLOTS), inputs=u)
+    traced = jax.tree.map(jnp.asarray, p)
+    own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
+        len(p.x0) :
+    ]
+    true = own if known.field is not None or known.successor is not None else known.unknown0
+    return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
+
+
+def plant_of(scenario: Scenario) -> Plant:
+    """Return the functions of a scenario's plant."""
+    return entry_of(scenario).plant
+
+
+def designed(candidate: Candidate, case: Case) -> Design:
+    """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
+    where = f"design on {case.name}"
+    try:
+        made = candidate.entry.design(case.setting, candidate.options)
+    except UserError:
+        raise
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        raise Broken(f"{where}: got {raised(error)}, expected Design(gains, Certificate); mend that line.") from None
+    if not isinstance(made, Design) or not isinstance(made.certificate, Certificate):
+        raise Broken(
+            f"{where}: got {type(made).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; return "
+            "that."
+        )
+    for leaf in jax.tree.leaves(made.gains):
+        if not isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int):
+            raise Broken(
+                f"{where}: got a {type(leaf).__name__} among the gains, expected arrays of numbers only; keep words and "
+                "functions out of gains."
+            )
+    return made
+
+
+class Broken(UserError):
+    """A design that raises or returns something else: no answer of its own."""
+
+
+def trial(candidate: Candidate, scenario: Scenario) -> Trial:
+    """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
+    kept: list[Case] = []
+    refused: dict[str, str] = {}
+    near = nonlinear(scenario) and not candidate.entry.nonlinear
+    if near:
+        fits.works_on(candidate.label, candidate.entry, scenario, "design")
+    for case in cases(scenario, candidate.entry.takes, near):
+        try:
+            made = designed(candidate, case)
+        except Broken:
+            raise
+        except UserError as error:
+            refused[case.name] = str(error)
+            continue
+        kept.append(case._replace(problem=case.problem._replace(gains={candidate.label: made.gains})))
+    if not kept:
+        name, why = next(iter(refused.items()))
+        raise UserError(
+            f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
+            "taken; name a --scenario that the observer is made for."
+        )
+    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()), near)

@@ -1,0 +1,90 @@
+"""Short runs, recorded tick by tick; quiet ones, in which an observer has nothing to do.
+
+In a quiet run the model is true, the start known and there is no noise; schedule, input and controller are the cell's.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench import planning
+from pcbench.planning import padding
+from pcbench.planning.padding import Plan
+from pcbench.plants import states_of
+from pcbench.simulation import trajectory
+from pcbench.simulation.trajectory import Recording
+from pcbench.simulation.types import present, truth
+from pcbench.study.grid import Cell
+
+LONGEST = 4000  # ticks that are recorded while one waits
+
+
+def short(cell: Cell) -> Cell:
+    """Return a cell with a horizon that is soon recorded."""
+    s = cell.scenario
+    ticks = min(cell.times.ticks, LONGEST)
+    return cell.having(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
+
+
+def quiet(cell: Cell) -> Cell:
+    """Return a cell in which all is as observers believe."""
+    s = cell.scenario
+    pushed = {"unknown_input": "zero"} if s.truth.unknown_input else {}
+    calm = cell.having(
+        **pushed,
+        parameter_drift=0.0,
+        parameters={},
+        process_std=(),
+        assumed_process_std=s.belief.assumed_process_std or s.truth.process_std,
+        command_std=0.0,
+        xhat0=s.truth.x0,
+        initial_box=(),
+        assumed_delay_error=0.0,
+    )
+    choices = cell.choices.model_copy(update={"random_initial_state": False, "initial_spread": 0.0})
+    return calm._replace(parameters={}, choices=choices)
+
+
+def planned(cell: Cell, known: bool = True) -> list[Plan]:
+    """Return a cell with its observers, of a closed loop one by one; they are told the plant's unknowns where `known`."""
+    setting = planning.setting(cell)
+    if known:
+        setting = setting._replace(unknown0=unknowns(cell, setting.unknown0))
+    each = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]
+    return [padding.fit([planning.draft(cell, options, setting)])[0] for options in each]
+
+
+def unknowns(cell: Cell, believed: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the plant's unknowns at the start, as they are; what is `believed` of those that it does not say."""
+    drafted = planning.draft(cell, {})
+    p, n = jax.tree.map(jnp.asarray, drafted.problem), len(states_of(cell.scenario))
+    found = truth(drafted.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
+    return tuple(map(float, found)) if len(found) == len(believed) else believed
+
+
+def recorded(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.float64] | None = None) -> Recording:
+    """Record a run, with other `inputs` [N+1, m] of an open loop where they are given."""
+    p = planning.alone(p, 0, seed)
+    problem = p.problem if inputs is None else p.problem._replace(inputs=inputs)
+    if not noise:
+        problem = problem._replace(noise_std=np.zeros_like(problem.noise_std))
+    return Recording(
+        *jax.tree.map(np.asarray, tuple(trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(seed))))
+    )
+
+
+def errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
+    """Return the size of the error in every signal of each observer, by label: [N+1, n or n + s]."""
+    found = {}
+    for label, (name, _) in zip(p.labels, p.layout.observers, strict=True):
+        xhat = np.asarray(out.estimates[name])
+        found[label] = np.abs(np.asarray(out.x)[:, : xhat.shape[1]] - xhat)
+    return found
+
+
+def in_parts(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
+    """Return by label the size of the error of every state in parts of the largest state: [N+1, n]."""
+    n = len(states_of(p.cell.scenario))
+    size = np.abs(np.asarray(out.x)[:, :n]).max() or 1.0
+    return {label: e[:, :n] / size for label, e in errors(p, out).items()}

@@ -1,0 +1,85 @@
+"""Commands for recorded data: what is in a log, and observers run on it."""
+
+from typing import Annotated
+
+import typer
+
+from pcbench.cli.interrupts import stoppable
+from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, say, setup
+
+Late = Annotated[float | None, typer.Option(help="how late every sample is [s], where the log does not say")]
+File = Annotated[
+    str, typer.Argument(metavar="LOG", help="a folder or file of tables, or a TOML that says what a bag holds")
+]
+
+
+def info(
+    file: File,
+    delay: Late = None,
+    picture: Annotated[str | None, out("picture of the delays to write: .svg, .pdf, .png")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is in a log: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
+
+    Example: pcbench info flight.toml --out delays.svg
+    """
+    from pcbench.cli.render import recordings
+    from pcbench.cli.render.json import readable
+    from pcbench.recordings import summary_table
+
+    table = summary_table.info(file, delay=delay)
+    if picture is not None:
+        from pcbench.plots import delays, save
+
+        save(delays(table), picture)
+    if as_json:
+        print(readable({"log": file, "channels": table.to_dict("records")}))
+    else:
+        recordings.channels(table, console())
+        if picture is not None:
+            print(f"delays over time, and how often each occurs: {picture}")
+
+
+def replay(
+    file: File,
+    plant: Annotated[str, typer.Option(help="a study of one scenario: its outputs are the log's channels")],
+    observers: Annotated[str, typer.Option(help="comma-separated names, or all that can run")],
+    folder: Annotated[str, out("folder for the estimates and what is known of them")],
+    delay: Late = None,
+    start: Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")] = None,
+    seed: Annotated[int, typer.Option(help="of observers that draw numbers themselves")] = 0,
+    changes: Set = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run observers on what was measured, when it arrived, and say what can be known of them.
+
+    Example: pcbench replay flight.toml --plant motor.toml --observers kf,pccebo,ukf --out replayed
+    """
+    setup()
+    from pcbench.cli.render import recordings
+    from pcbench.cli.render.json import readable
+    from pcbench.cli.render.progress import bar
+    from pcbench.playback import replay
+
+    with bar(quiet or as_json, "reading the log") as progress:
+        found = replay.replay(
+            file,
+            plant,
+            names(observers),
+            out=folder,
+            delay=delay,
+            start=start,
+            seed=seed,
+            overrides=changes,
+            progress=stoppable(progress),
+        )
+    if as_json:
+        print(readable(found.summary | {"out": folder}))
+        return
+    for sentence in found.summary["said"]:
+        say(sentence)
+    if quiet:
+        print(folder)
+    else:
+        recordings.replayed(found, folder, console())

@@ -1,0 +1,59 @@
+"""A bar for long work, on standard error, where that is a terminal."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich import progress as rich
+from rich.console import Console
+from rich.text import Text
+
+from pcbench.errors import printable
+from pcbench.runtime.progress import SILENT, Progress
+
+
+class Rate(rich.ProgressColumn):
+    """Runs a second."""
+
+    def render(self, task: rich.Task) -> Text:
+        """Show how many runs a second there are; nothing where something else is counted."""
+        shown = task.speed and task.fields.get("what") == "runs"
+        return Text(f"{task.speed:,.0f} runs/s" if shown else "", style="progress.data.speed")
+
+
+@contextmanager
+def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
+    """Yield a Progress that draws a line for each work begun, where standard error is a terminal and it is not to be quiet.
+
+    Work of unknown length, such as the `first`, leaves its line to the next; more of the same work lengthens its line.
+    """
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield SILENT
+        return
+    columns = [rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
+    with rich.Progress(*columns, rich.TimeRemainingColumn(), console=console, transient=True) as lines:
+        yield drawn(lines, first)
+
+
+def drawn(lines: rich.Progress, first: str = "") -> Progress:
+    """Return a Progress that draws lines."""
+
+    def begin(what: str, many: int | None) -> None:
+        what = printable(what)
+        last = lines.tasks[-1] if lines.tasks else None
+        if last and last.total is None:
+            lines.update(last.id, description=what, total=many, what=what)
+        elif last and last.fields["what"] == what:
+            lines.update(last.id, description=what, total=(last.total or 0) + (many or 0))
+        else:
+            lines.add_task(what, total=many, what=what)
+
+    def step(many: int) -> None:
+        lines.advance(lines.tasks[-1].id, many)
+
+    def note(text: str) -> None:
+        lines.update(lines.tasks[-1].id, description=printable(text))
+
+    if first:
+        begin(first, None)
+    return Progress(begin, step, note)

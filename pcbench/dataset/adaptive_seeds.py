@@ -1,0 +1,138 @@
+"""Seeds until a standard error is reached: which cells need more, and how many.
+
+The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
+stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band of all others (a test).
+"""
+
+from collections.abc import Callable, Iterator
+from math import ceil, inf, isfinite, nan
+from typing import NamedTuple
+
+from pcbench import statistics
+from pcbench.dataset import aggregate, block_files, storage
+from pcbench.dataset.manifest import Owned
+from pcbench.dataset.run_missing import SeedsOf
+from pcbench.dataset.seed_ranges import Seeds, counted
+from pcbench.errors import UserError, unknown
+from pcbench.plants import signals_of
+from pcbench.study.grid import Cell
+
+MARGIN = 1.05  # the standard error is an estimate itself
+GROWTH = 16  # times as many seeds a round at most
+BUDGET = 100  # times the study's seeds, where no budget is given
+METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence_rate", "unsettled_rate")
+
+
+class Precision(NamedTuple):
+    """A standard error to be reached."""
+
+    metric: str
+    signal: str | None  # of this signal; None: of those that each scenario's closing table shows
+    value: float
+    most: int | None  # seeds a cell
+
+
+def parse(text: str | None, most: int | None) -> Precision | None:
+    """Return what METRIC=VALUE or METRIC.SIGNAL=VALUE asks for; raise UserError where it is not of that form."""
+    if text is None:
+        if most is not None:
+            raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")
+        return None
+    name, equals, number = text.partition("=")
+    metric, _, signal = name.strip().partition(".")
+    try:
+        value = float(number)
+    except ValueError:
+        value = -1.0
+    if not equals or not (isfinite(value) and value > 0):
+        raise UserError(
+            f"--until-se: got {text!r}, expected METRIC=VALUE with a standard error above 0; write mae=0.001."
+        )
+    if metric not in METRICS:
+        raise unknown("--until-se", "metric", metric, METRICS)
+    if most is not None and most < 1:
+        raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
+    return Precision(metric, signal or None, value, most)
+
+
+def rounds(
+    goal: Precision | None, target: storage.Target, owned: Owned, say: Callable[[str], None]
+) -> Iterator[SeedsOf]:
+    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
+
+    Each round decides from the seeds that the last one asked for, not from others that stand: so a run that was stopped and
+    goes on asks for the seeds of one that was not.
+    """
+    if goal is None:
+        return
+    first, seeds, short = owned.study.first_seed, owned.study.seeds, 0
+    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in owned.cells}
+    pending = list(owned.cells)
+    while pending:
+        there = by_cell(block_files.settled(block_files.present(target)))
+        for cell in list(pending):
+            has = size[cell.key]
+            error = _error(goal, target, owned, cell, there[cell.key], first + has)
+            size[cell.key] = max(has, min(enough(has, error, goal.value), most))
+            if size[cell.key] == has:
+                pending.remove(cell)
+                short += error > goal.value
+        if pending:
+            yield lambda cell: counted(first, size[cell.key])
+    if short:
+        say(
+            f"--until-se: {short} of {len(owned.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+        )
+
+
+def by_cell(there: list[block_files.Block]) -> dict[tuple[str, int], list[block_files.Block]]:
+    """Return blocks by scenario and number of the cell."""
+    out: dict[tuple[str, int], list[block_files.Block]] = {}
+    for b in there:
+        out.setdefault((b.scenario, b.cell), []).append(b)
+    return out
+
+
+def check(goal: Precision | None, owned: Owned) -> None:
+    """Raise UserError where a goal is of a signal that no scenario has."""
+    if goal is None:
+        return
+    names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
+    if goal.signal is not None and goal.signal not in names:
+        raise unknown("--until-se", "signal", goal.signal, names)
+
+
+def _error(
+    goal: Precision, target: storage.Target, owned: Owned, cell: Cell, there: list[block_files.Block], stop: int
+) -> float:
+    """Return the largest standard error of any observer over the seeds below `stop`; inf where one run gives none."""
+    blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
+    for b in there:
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    found = aggregate.observed(target, cell, blocks)
+    stats, _ = aggregate.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
+    rows = stats.table(["signal", "metric", "n", "se", "ci_low", "ci_high"]).to_pylist()
+    shown = cell.scenario.scoring.headline or (signals_of(cell.scenario)[0][0],)
+    signals = [goal.signal] if goal.signal else shown
+    mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
+    if not mine:
+        raise UserError(
+            f"--until-se: got {goal.metric} of {', '.join(signals)}, which {cell.scenario.name} does not have, expected a "
+            "metric that every scenario of the study has; take another one."
+        )
+    return max((inf if r["n"] == 1 else _half(r) for r in mine if r["n"]), default=0.0)
+
+
+def _half(row: statistics.Row) -> float:
+    """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
+    fraction = row["metric"] in ("divergence_rate", "unsettled_rate")
+    if not fraction:
+        return nan if row["se"] is None else float(row["se"])
+    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95))
+
+
+def enough(has: int, error: float, goal: float) -> int:
+    """Return the seeds at which a standard error that `has` seeds give should reach its goal: it falls with their root."""
+    if error <= goal:
+        return has
+    return ceil(has * min(MARGIN * (error / goal) ** 2, GROWTH))

@@ -1,0 +1,156 @@
+"""Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
+
+import itertools
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pcbench.dataset import columns
+from pcbench.dataset.aggregate import seen_bound
+from pcbench.errors import UserError, unknown
+from pcbench.moments import exactness, stats_rows
+from pcbench.moments.items import Asked
+from pcbench.moments.solve import CellMoments, planned, solve
+from pcbench.moments.types import COVARIANCE
+from pcbench.plants import signals_of
+from pcbench.runtime import config
+from pcbench.study.grid import Cell, Grid
+from pcbench.synthesis.certificate import is_certified
+
+OVER_TIME = ("observer", "signal", "t", "mean", "std")
+
+
+class Joint(NamedTuple):
+    """Mean and covariance of all errors of one cell together, at ticks 0 .. N; Z errors."""
+
+    t: NDArray[Any]  # [N+1] s
+    errors: tuple[tuple[str, str], ...]  # (observer, signal)
+    mean: NDArray[Any]  # [N+1, Z]
+    covariance: NDArray[Any]  # [N+1, Z, Z]
+
+
+class Exact:
+    """What a study's numbers are over infinitely many seeds, where that has an exact answer (see `pcbench.moments`)."""
+
+    def __init__(self, grid: Grid, schedules: int):
+        self.grid, self.schedules = grid, schedules
+
+    @cached_property
+    def stats(self) -> pd.DataFrame:
+        """One row per cell, observer, signal and metric, like a result's `stats`: see its `method` and `reason`.
+
+        A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
+        of them, n says how many, and se is of schedules alone.
+        """
+        return pd.DataFrame(columns.together(self.rows(m) for m in self.solved(self.grid.cells)))
+
+    def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
+        """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
+
+        Where runs have schedules of their own they are over noise and schedules. Observers without an exact answer are missing.
+        """
+        frames = []
+        for m in self.solved(self._chosen(scenario, cell), "std"):
+            head = columns.keys(self.grid.study.name, m.planned.cell)
+            for each in map(pd.DataFrame, self.over_time(m)):
+                frames.append(each.assign(**{k: [v] * len(each) for k, v in head.items()}))
+        if not frames:
+            return pd.DataFrame()
+        whole = pd.concat(frames, ignore_index=True)
+        last = list(OVER_TIME)
+        return whole[[c for c in whole if c not in last] + last]
+
+    def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
+        cell = m.planned.cell
+        names = [name for name, _ in signals_of(cell.scenario)]
+        t = _times(cell.scenario.dt, cell.times.ticks, Asked(0, 0, points=points).every(cell.times.ticks))
+        for label, place in m.signals.items():
+            if m.why[label]:
+                continue
+            means, variances = m.rows.mean[:, place], m.rows.covariance[:, place, 0]
+            middle, variance = (means[..., 0], variances[..., 0])
+            if m.random:
+                middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
+            std = np.sqrt(np.maximum(variance, 0.0))
+            for i in range(place.stop - place.start):
+                said = (_repeated(word, len(t)) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*said, t, middle[:, i], std[:, i]), strict=True))
+
+    def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
+        """Return the joint covariance of all errors of one cell, whose observers see the same noise.
+
+        Raises UserError where one of them has no exact answer, or drives a plant of its own.
+        """
+        chosen = self._chosen(scenario, cell)
+        if len(chosen) > 1:
+            raise UserError(f"covariance: got {len(chosen)} cells, expected one; give scenario and cell.")
+        each = list(self.solved(chosen, COVARIANCE))
+        if len(each) > 1:
+            raise UserError(
+                f"covariance: got {len(chosen[0].options)} observers in a closed loop, expected one: each drives a plant of "
+                "its own; ask with observers=[...] of one."
+            )
+        m = each[0]
+        if sentence := next(filter(None, m.why.values()), ""):
+            raise UserError(f"covariance: {sentence}")
+        names = [name for name, _ in signals_of(chosen[0].scenario)]
+        errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
+        order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
+        mean: NDArray[Any] = m.rows.mean[:, order]
+        apart = mean - mean.mean(-1, keepdims=True)
+        between = np.einsum("tis,tjs->tij", apart, apart) / apart.shape[-1]
+        total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
+        return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
+
+    def solved(self, cells: list[Cell], recorded: str = "", points: int = 0) -> Iterator[CellMoments]:
+        """Yield the moments of cells; of many an observer at a time."""
+        with config.float64():
+            asked = Asked(self.grid.study.root_seed, self.schedules, recorded, points)
+            for m in solve(planned(cells, recorded == COVARIANCE), asked):
+                yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
+
+    def rows(self, m: CellMoments) -> dict[str, list[Any]]:
+        """Return the rows of `stats` as columns, in their order."""
+        cell, p = m.planned.cell, m.planned
+        signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
+        bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
+        found = []
+        for label in m.signals:
+            mine = stats_rows.described(m, label, m.why[label], bound)
+            units, at = [signals[i][1] for i in mine["signal"]], mine["metric"]
+            about = {
+                "plant": cell.scenario.plant,
+                "observer": label,
+                "predicts_unknown_input": p.predicts_unknown_input[label],
+            }
+            about |= {"certified": is_certified(p.certificates[label]._asdict())}
+            mine |= {name: [value] * len(at) for name, value in (head | about).items()}
+            mine |= {"signal": [signals[i][0] for i in mine["signal"]]}
+            found.append(mine | {"unit": list(map(columns.unit_of, at, units))})
+        order = columns.stats_order(columns.axes_of(head))
+        return {name: list(itertools.chain.from_iterable(each[name] for each in found)) for name in order}
+
+    def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
+        known = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
+        if scenario is not None and scenario not in known:
+            raise unknown("exact", "scenario of the study", scenario, known)
+        found = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
+        if not found:
+            raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
+        return found
+
+
+@lru_cache(16)
+def _times(dt: float, ticks: int, every: int) -> NDArray[Any]:
+    """The times of ticks 0 .. N, every so many."""
+    return dt * np.arange(0, ticks + 1, every)
+
+
+@lru_cache(256)
+def _repeated(word: str, often: int) -> NDArray[Any]:
+    return np.broadcast_to(np.array(word, object), often)

@@ -1,0 +1,191 @@
+"""What of a study is exact, as files: `exact.parquet`, rows as in stats, and `moments/`, means and deviations over time.
+
+They are made before anything is simulated, once for a study: they say which observers of which cells are left to runs. A cell's
+moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are left, about.
+"""
+
+import itertools
+import re
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench.dataset import columns, manifest, parquet_io, storage
+from pcbench.dataset.manifest import Owned
+from pcbench.runtime import provenance, thread_pools
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study.grid import Grid
+from pcbench.study.serialize import digest
+
+if TYPE_CHECKING:
+    from pcbench.dataset.moments_frames import Exact
+
+NAME, FOLDER = "exact.parquet", "moments"
+OVER_TIME = re.compile(rf"{FOLDER}/scenario=[^/]+/cell=\d+\.parquet")
+OF = b"pcbench.of"  # the key in its metadata: of which study it is
+POINTS = 1000
+WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
+SAID = 3  # refusals that are said
+Row = dict[str, Any]
+
+
+def made(target: storage.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
+    """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
+    mark = of(owned)
+    there = whole(target)
+    if there is not None and not owned.overwrite and (there.schema.metadata or {}).get(OF) == mark:
+        return False
+    manifest.begin(target, owned)
+    for name in [n for n in storage.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
+        storage.remove(target, name)
+    from pcbench.dataset.moments_frames import (
+        Exact,  # takes half a second, with pandas, which a study of runs does not wait for
+    )
+
+    exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
+    rows: dict[str, list[Any]] = {}
+    progress.begin("exact cells", len(owned.cells))
+    _put(target, _cells(owned, exact, rows, progress))
+    each = zip(rows["metric"], rows["reason"], strict=True)
+    refused = list(dict.fromkeys(reason for metric, reason in each if metric == "mse" and reason))
+    for sentence in refused[:SAID]:
+        say(sentence)
+    if refused[SAID:]:
+        say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
+    table = columns.with_intervals(columns.table(rows))
+    storage.put_table(
+        target, NAME, parquet_io.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: mark}))
+    )
+    return True
+
+
+def _cells(
+    owned: Owned, exact: "Exact", rows: dict[str, list[Any]], progress: Progress
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
+    for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
+        frames: list[dict[str, Any]] = []
+        for m in parts:
+            for name, values in exact.rows(m).items():
+                rows.setdefault(name, []).extend(values)
+            frames += exact.over_time(m, POINTS)
+        if frames:
+            yield place(*key), columns.table({name: _column([f[name] for f in frames]) for name in frames[0]})
+        progress.step(1)
+
+
+def _column(parts: list[Any]) -> Any:
+    """One column of several parts; of words each part is one word."""
+    if parts[0].dtype != object:
+        return np.concatenate(parts)
+    return _words(tuple(part[0] for part in parts), tuple(len(part) for part in parts))
+
+
+@lru_cache(16)
+def _words(known: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
+    """Words, each so often in turn: cells of a study have the same."""
+    return columns.words(known, np.repeat(np.arange(len(known)), often))
+
+
+def _put(target: storage.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
+    """Put files while the next are made: what they wait for is the disk."""
+    with thread_pools.pool(WRITERS, always_wait=True) as threads:
+        waiting: deque[Future[None]] = deque()
+        for name, table in files:
+            waiting.append(threads.submit(lambda n, t: storage.put_table(target, n, parquet_io.sealed(t)), name, table))
+            if len(waiting) > 2 * WRITERS:
+                waiting.popleft().result()
+        for each in waiting:
+            each.result()
+
+
+def whole(target: storage.Target) -> pa.Table | None:
+    """Return the exact rows of a dataset; None where it has none, or not as they were written."""
+    content = storage.get(target, NAME)
+    return None if content is None else parquet_io.whole(content)
+
+
+class RowsByCell:
+    """The exact rows of a dataset by cell, made when they are asked for: all at once, those of a large study are gigabytes."""
+
+    def __init__(self, table: pa.Table | None) -> None:
+        """Find out where each cell's rows stand."""
+        self.table, self.places = table, dict[tuple[str, int], list[tuple[int, int]]]()
+        if table is None or not len(table):
+            return
+        names, cells = (table.column(name).combine_chunks() for name in ("scenario", "cell"))
+        codes, numbers = names.dictionary_encode().indices.to_numpy(), cells.to_numpy()
+        new = np.flatnonzero((np.diff(codes) != 0) | (np.diff(numbers) != 0)) + 1
+        for start, stop in itertools.pairwise([0, *new.tolist(), len(table)]):
+            self.places.setdefault((names[start].as_py(), int(numbers[start])), []).append((start, stop))
+
+    def __contains__(self, key: tuple[str, int]) -> bool:
+        """Return whether a cell has any."""
+        return key in self.places
+
+    def get(self, key: tuple[str, int]) -> dict[str, list[Any]]:
+        """Return the rows of a cell as columns; none where it has none."""
+        if self.table is None or key not in self.places:
+            return {}
+        return pa.concat_tables([self.table[start:stop] for start, stop in self.places[key]]).to_pydict()
+
+
+def rows_by_cell(target: storage.Target) -> RowsByCell:
+    """Return the exact rows of a dataset by cell."""
+    return RowsByCell(whole(target))
+
+
+def simulated(target: storage.Target, owned: Owned) -> Owned:
+    """Return the study with what is left of it to simulate: all of it, nothing, or what has no exact number."""
+    evaluation = owned.study.evaluation
+    if evaluation == "runs":
+        return owned
+    if evaluation == "exact":
+        return owned._replace(cells=[])
+    there = whole(target)
+    rows = there.select(["scenario", "cell", "observer", "method"]).to_pylist() if there is not None else []
+    exact = {(row["scenario"], row["cell"], row["observer"]) for row in rows if row["method"] == "exact"}
+    cells = [
+        c._replace(options={o: given for o, given in c.options.items() if (*c.key, o) not in exact})
+        for c in owned.cells
+    ]
+    return owned._replace(cells=[c for c in cells if c.options])
+
+
+def pairs(known: dict[str, list[Any]], order: list[str]) -> dict[str, list[Any]]:
+    """Return columns of `pairs` of one cell, in their order: differences of exact numbers, where no schedule is random."""
+    each: dict[tuple[str, str], list[int]] = {}
+    for at, (method, n, *about) in enumerate(
+        zip(*(known[c] for c in ("method", "n", "signal", "metric")), strict=True)
+    ):
+        if method == "exact" and not n:
+            each.setdefault((about[0], about[1]), []).append(at)
+    both = [two for mine in each.values() for two in itertools.combinations(mine, 2)]
+    mean = np.array(known["mean"], float)
+    a, b = (mean[[two[side] for two in both]] for side in (0, 1))
+    same = np.abs(a - b) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
+    apart, none = (a - b).tolist(), [np.nan] * len(both)
+    found = {"mean_diff": apart, "se": [0.0] * len(both), "ci_low": apart, "ci_high": apart}
+    found |= {"prob_a_better": np.where(same, 0.5, np.nan).tolist(), "p_value": none, "p_holm": none}
+    for what in ABOUT:
+        found |= {f"{what}_{side}": [known[what][two[i]] for two in both] for i, side in enumerate("ab")}
+    return {name: found[name] if name in found else [known[name][first] for first, _ in both] for name in order}
+
+
+ABOUT = ("observer", "predicts_unknown_input", "certified")
+
+
+def place(scenario: str, cell: int) -> str:
+    """Return the name of a cell's file of moments."""
+    return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
+
+
+def of(owned: Owned) -> bytes:
+    """Return the mark of a study and of these releases; it is the same for all seeds, as exact numbers are."""
+    study = owned.study.model_copy(update={"first_seed": 0, "seeds": 1})
+    return f"{digest(study, owned.cells)} {sorted(provenance.versions().items())}".encode()

@@ -1,0 +1,105 @@
+"""A planned cell as bytes, to be sent to another process, and back.
+
+Numbers travel; functions do not: they are found again by name, so that a program compiled for one cell serves the next, and
+the gains are those that were designed and certified once, in one place.
+"""
+
+import io
+import pickle
+from collections.abc import Iterator, Mapping
+from functools import partial
+from types import FunctionType, MappingProxyType, ModuleType
+from typing import Any
+
+from pcbench import plants
+from pcbench.observers import base_of
+from pcbench.planning import loop_setup
+from pcbench.planning.padding import Plan
+from pcbench.study.plugins import registry
+
+
+def pack(p: Plan) -> bytes | Plan:
+    """Return a planned cell as bytes; unchanged where its observers' numbers are of a type that no other process knows.
+
+    A user's own code goes before the numbers, which may be of its types, and may hold its functions without a name: those go as
+    places in what the code makes.
+    """
+    plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
+    proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
+    layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
+    cell = p.cell._replace(scenario=p.cell.scenario.having(own={}, **plain), options={}, own={})
+    own = {("observer", o): mine for o, mine in p.cell.own.items() if o in p.labels}
+    own |= {(kind, ""): mine for kind, mine in p.cell.scenario.own.items()}
+    numbers = io.BytesIO()
+    try:
+        _Pickler(numbers, own).dump(p._replace(cell=cell, layout=layout, certificates=proofs))
+        return pickle.dumps(({where: mine.code for where, mine in own.items()}, numbers.getvalue()))
+    except (pickle.PicklingError, AttributeError):
+        return p
+
+
+def unpack(parcel: bytes | Plan) -> Plan:
+    """Return the planned cell that `pack` was given, with the functions of this process.
+
+    Raises UserError where a user's own code cannot be run here.
+    """
+    if isinstance(parcel, Plan):
+        return parcel
+    codes, numbers = pickle.loads(parcel)
+    found = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
+    p: Plan = _Unpickler(io.BytesIO(numbers), found).load()
+    s = p.cell.scenario.having(own={kind: mine for (kind, o), mine in found.items() if not o})
+    cell = p.cell._replace(scenario=s, own={o: mine for (_, o), mine in found.items() if o})
+    names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
+    each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
+    plant, law = plants.entry_of(s).plant, loop_setup.controller(cell)
+    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=each, controller=law))
+
+
+class _Pickler(pickle.Pickler):
+    """Writes a function without a name, which a user's own code has made, as its number among those."""
+
+    def __init__(self, file: io.BytesIO, own: Mapping[Any, Any]) -> None:
+        super().__init__(file)
+        self.numbers = {id(f): i for i, f in enumerate(_nameless(own))}
+
+    def persistent_id(self, x: Any) -> int | None:
+        return self.numbers.get(id(x))
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads them again."""
+
+    def __init__(self, file: io.BytesIO, own: Mapping[Any, Any]) -> None:
+        super().__init__(file)
+        self.functions = list(_nameless(own))
+
+    def persistent_load(self, number: int) -> Any:
+        return self.functions[number]
+
+
+def _nameless(own: Mapping[Any, Any]) -> Iterator[FunctionType]:
+    """Yield the functions that cannot be found by name among what a user's own code has made, always in the same order."""
+    seen: set[int] = set()
+    for where in sorted(own):
+        yield from (f for f in _functions(own[where], seen) if "<" in f.__qualname__)
+
+
+def _functions(x: Any, seen: set[int]) -> Iterator[FunctionType]:
+    if id(x) in seen or isinstance(x, type | ModuleType):
+        return
+    seen.add(id(x))
+    if isinstance(x, FunctionType):
+        yield x
+    elif isinstance(x, partial):
+        for each in (
+            x.func,
+            *x.args,
+            *x.keywords.values(),
+        ):  # a tuple made here might get the number of one made before
+            yield from _functions(each, seen)
+    elif isinstance(x, tuple | Mapping):
+        for each in x.values() if isinstance(x, Mapping) else x:
+            yield from _functions(each, seen)
+    elif hasattr(x, "__dict__"):
+        yield from _functions(vars(x), seen)

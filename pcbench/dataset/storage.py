@@ -1,0 +1,247 @@
+"""What a run leaves, whole or not at all, in a folder or in an object store. No jax.
+
+What is guaranteed where. A folder: a file is written under another name in the folder, synced and renamed, so a reader sees
+the old file, or the new one, or none, and a killed writer leaves at most its own unfinished file, which the next run clears
+away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs://): a file is checked in memory and put in
+one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
+name write the same bytes. Nothing is locked anywhere: what is done is what is there.
+No symbolic link is followed below a folder.
+"""
+
+import itertools
+import json
+import os
+import re
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+from time import time
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.fs as pafs
+import pyarrow.parquet as pq
+
+from pcbench.dataset import local_files, parquet_io
+from pcbench.errors import UserError, shown_address
+from pcbench.runtime import ending
+
+PARTIAL = ".partial"
+UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
+FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
+_COUNT = itertools.count()
+
+
+class Target(NamedTuple):
+    """Where tables stand: a folder, or a bucket's."""
+
+    fs: pafs.FileSystem
+    root: str  # the path on it
+    name: str  # as it was given, without a password
+    uri: str  # as another process reaches it
+
+    @property
+    def local(self) -> bool:
+        """Whether it is a folder of this machine."""
+        return isinstance(self.fs, pafs.LocalFileSystem)
+
+
+def target(out: str | Path) -> Target:
+    """Return what a path or a URI names; raise UserError where pyarrow cannot reach it."""
+    if not str(out).strip():
+        raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
+    if "://" not in str(out):
+        root = str(Path(out).expanduser().absolute())
+        local_files.require_printable(root)
+        return Target(pafs.LocalFileSystem(), root, str(out), root)
+    return _reached(str(out))
+
+
+@lru_cache(maxsize=16)
+def _reached(out: str) -> Target:
+    try:
+        fs, root = pafs.FileSystem.from_uri(str(out))
+        return Target(fs, root.rstrip("/"), shown_address(out), out)
+    except (pa.ArrowException, ValueError, OSError, ImportError) as error:
+        name = shown_address(out)
+        reason = f" ({_reason(error)})" if name == out else ""  # which may quote what is not to be shown
+        raise UserError(f"{name}: is no place that can be reached{reason}; expected a path or a URI.") from None
+
+
+def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
+    """Put bytes under a name below the target, whole or not at all; the target itself must be there.
+
+    Of a file that is not `lasting` a power cut may take the name, until `last` was called: then there is none, and none half.
+    """
+    path = f"{target.root}/{name}"
+    with said(f"{target.name}/{name}"), ending.uncut():
+        if not target.local:
+            with target.fs.open_output_stream(path) as stream:
+                stream.write(content)
+            return
+        _require_no_link(target, name, parents=True)
+        beside, handle = _partial(target.root)
+        try:
+            with open(handle, "wb") as f:
+                f.write(content)
+                f.flush()
+                os.fsync(f.fileno())
+            if not os.path.isdir(os.path.dirname(path)):
+                local_files.make_folders(target.root, name)
+            os.replace(beside, path)
+            if lasting:
+                local_files.sync_folder(Path(path).parent)
+        finally:
+            with suppress(OSError):
+                os.unlink(beside)
+
+
+def _partial(root: str) -> tuple[str, int]:
+    """A new file in a folder, and the handle by which it is open: never one that is there, nor what a link points at."""
+    while True:
+        path = f"{root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        with suppress(FileExistsError):
+            return path, local_files.create(path)
+
+
+def _require_no_link(target: Target, name: str, parents: bool = False) -> None:
+    """Raise UserError where a name below a folder goes through a symbolic link; with `parents` its last part may be one."""
+    for each in local_files.links(target.root, name.rpartition("/")[0] if parents else name) if target.local else []:
+        raise UserError(
+            f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
+            "there what it points at."
+        )
+
+
+def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
+    """Put one Parquet file, checked before it is seen: how many rows it has, and what it says of itself."""
+    put(target, name, parquet_io.encoded(table), lasting)
+
+
+def last(target: Target, folders: Iterable[str]) -> None:
+    """Let the names of all files in some folders below the target outlast a power cut."""
+    for folder in folders if target.local else ():
+        local_files.sync_folder(Path(target.root) / folder)
+
+
+def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
+    """Put one JSON file."""
+    put(target, name, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def document(target: Target, name: str) -> dict[str, Any] | None:
+    """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
+    try:
+        found = json.loads(text(target, name) or b"null")
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def get(target: Target, name: str) -> pa.Buffer | None:
+    """Return what stands under a name; None where nothing does. Raises UserError for a link."""
+    _require_no_link(target, name)
+    with said(f"{target.name}/{name}", "read"):
+        if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
+            return None
+        with target.fs.open_input_file(f"{target.root}/{name}") as file:
+            return file.read_buffer()
+
+
+def text(target: Target, name: str) -> bytes | None:
+    """Return what stands under a name as Python's bytes; None where nothing does."""
+    found = get(target, name)
+    return None if found is None else found.to_pybytes()
+
+
+def names(target: Target, under: str = "") -> list[str]:
+    """Return the names of all files below a folder of the target, sorted; those hidden by a dot or _ are left out.
+
+    A link counts as a file: what it points at is not looked into.
+    """
+    return sorted(sizes(target, under))
+
+
+def sizes(target: Target, under: str = "") -> dict[str, int]:
+    """Return the sizes [bytes] of those files."""
+    with said(target.name, "read"):
+        base = f"{target.root}/{under}" if under else target.root
+        if target.local:
+            _require_no_link(target, under)
+            each = {path[len(target.root) + 1 :]: size for path, size in local_files.files(base)}
+        else:
+            found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
+            each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
+        return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
+
+
+def footer(target: Target, name: str) -> pq.FileMetaData | None:
+    """Return a Parquet file's metadata, without its rows; None where they cannot be read. Raises UserError for a link."""
+    _require_no_link(target, name)
+    try:
+        with target.fs.open_input_file(f"{target.root}/{name}") as file:
+            return pq.read_metadata(file)
+    except (pa.ArrowException, OSError):
+        return None
+
+
+def remove(target: Target, name: str) -> None:
+    """Remove a file, or a link, if it is there; raise UserError where a folder on the way to it is a link."""
+    _require_no_link(target, name, parents=True)
+    with said(f"{target.name}/{name}"), suppress(FileNotFoundError):
+        os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
+
+
+def make(target: Target) -> None:
+    """Make the target, and clear away what killed writers have left unfinished there."""
+    with said(target.name):
+        target.fs.create_dir(target.root, recursive=True)
+    clear(target)
+
+
+def clear(target: Target) -> None:
+    """Clear away what killed writers have left unfinished in a target."""
+    with said(target.name):
+        for left in unfinished(target):
+            left.unlink(missing_ok=True)
+
+
+def unfinished(target: Target) -> list[Path]:
+    """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
+    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _forgotten(p)] if target.local else []
+
+
+def _forgotten(path: Path) -> bool:
+    ours = UNFINISHED.fullmatch(path.name)
+    if not ours:
+        return False
+    if ours[1] == socket.gethostname():
+        try:
+            os.kill(int(ours[2]), 0)
+        except ProcessLookupError:
+            return True
+        except (PermissionError, OverflowError):
+            return False
+    with suppress(OSError):
+        return time() - path.stat().st_mtime > FORGOTTEN
+    return False
+
+
+@contextmanager
+def said(where: str, done: str = "written") -> Iterator[None]:
+    """Turn what a file system refuses into one sentence."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        if done == "read":
+            raise UserError(f"{where}: cannot be read ({_reason(error)}); expected a file that you may read.") from None
+        raise UserError(
+            f"{where}: cannot be written ({_reason(error)}); every file already written is complete: make room or give "
+            "yourself the right to write, and run the same command again to go on, or give another folder with --out."
+        ) from None
+
+
+def _reason(error: BaseException) -> str:
+    return str(getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0].rstrip(".")

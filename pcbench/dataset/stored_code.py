@@ -1,0 +1,133 @@
+"""The code of what is a user's own in a study, copied into the dataset that was made with it.
+
+A file stands as code/DIGEST/FILE, with the files beside it that it imports. A result is read without any of it.
+"""
+
+import hashlib
+import re
+from pathlib import PurePosixPath
+from typing import Any
+
+from pydantic.errors import PydanticUserError
+
+from pcbench.dataset import storage
+from pcbench.dataset.study_diff import Files
+from pcbench.errors import UserError, short
+from pcbench.study import Study
+from pcbench.study.plugins import registry, user_code, user_controllers, user_observers, user_plants
+from pcbench.study.plugins.references import SCENARIO, Gate, Named
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.serialize import codes
+
+COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py")
+
+
+def keep(target: storage.Target, study: Study) -> None:
+    """Copy the files of a study's own observers into a target, where they do not stand yet."""
+    for mine in study._own.values():
+        for name, text in mine.code.files:
+            path = f"{user_code.FOLDER}/{mine.code.digest}/{name}"
+            if storage.text(target, path) != text:
+                storage.put(target, path, text)
+
+
+def files_in(target: storage.Target, there: dict[str, Any]) -> Files:
+    """Return the digests of the copies of users' code that the study whose text is `there` was made with."""
+    return {
+        name: {
+            PurePosixPath(file).name: _digest(storage.text(target, file))
+            for file in storage.names(target, f"{user_code.FOLDER}/{digest}")
+        }
+        for name, digest in there["resolved"].get("code", {}).items()
+    }
+
+
+def files_of(study: Study) -> Files:
+    """Return the digests of the files of users' code in a study."""
+    return {name: {file: _digest(text) for file, text in code.files} for name, code in codes(study).items()}
+
+
+def _digest(text: bytes | None) -> str:
+    return hashlib.sha256(text or b"").hexdigest()[: user_code.DIGITS]
+
+
+def copies(target: storage.Target) -> list[str]:
+    """Return the names of the copies of users' code in a target; raise UserError for another file among them."""
+    names = storage.names(target, user_code.FOLDER)
+    for name in names:
+        if not COPY.fullmatch(name):
+            raise UserError(
+                f"{target.name}: holds other files ({name}), expected only copies of users' code in {user_code.FOLDER}/; give "
+                "another folder with --out, or move them away."
+            )
+    return names
+
+
+def copy(target: storage.Target, into: storage.Target) -> None:
+    """Copy what one dataset has of its users' code into another."""
+    for name in copies(target):
+        if (text := storage.text(target, name)) is not None:
+            storage.put(into, name, text)
+
+
+def gate(target: storage.Target, there: dict[str, Any], run: bool) -> Gate:
+    """Return what the study whose text is `there` may reach: no file, and code only where it is to be `run`.
+
+    Without it observers and controllers have the options that the text says they had, and plants the facts. Scenarios are
+    refused in either case: the study of a dataset has their tables.
+    """
+
+    def load(named: Named, where: str) -> Own:
+        if named.kind == SCENARIO:
+            raise UserError(
+                f"{where}: got '{short(named.reference)}', expected a table: the study of a dataset names no scenario by "
+                "MODULE:NAME; run the study again from its own file into a new folder."
+            )
+        module, name = user_code.split(named.reference, where)
+        kept, path = module.startswith(f"{user_code.FOLDER}/"), PurePosixPath(module)
+        if not run:
+            digest = path.parent.name if kept else ""
+            try:
+                return _absent(
+                    named, user_code.Code(path.name if kept else module, name, (), digest), there["resolved"]
+                )
+            except (LookupError, TypeError, ValueError, AttributeError, NameError, PydanticUserError):
+                raise UserError(
+                    f"{where}: got '{short(named.reference)}', whose facts and options are not in [resolved] as written, "
+                    "expected them there; run the study again from its own file into a new folder."
+                ) from None
+        if not kept:
+            return registry.load(named.kind, named.reference, where)
+        return registry.of(named.kind, user_code.Code(path.name, name, _files(target, path), path.parent.name), where)
+
+    return Gate(load, files=False)
+
+
+def _absent(named: Named, code: user_code.Code, resolved: dict[str, Any]) -> Own:
+    """What stands for a user's own whose code is left alone, by what a study's text says of it."""
+    digest = code.digest or resolved.get("code", {}).get(
+        named.key if named.kind == "observer" else f"{named.kind} {code.name}", ""
+    )
+    code = code._replace(digest=digest)
+    if named.kind == "plant":
+        return user_plants.absent(named.reference, code, resolved["plants"][named.reference])
+    if named.kind == "controller":
+        return user_controllers.absent(named.reference, code)
+    every = resolved["options"]
+    options: dict[str, Any] = next(
+        (every[s][named.key] for s in resolved["observers"] if named.key in every.get(s, {})), {}
+    )
+    return user_observers.absent(named.reference, code, options)
+
+
+def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:
+    """The files of a copy, the module first; raise UserError where they are not as they were."""
+    names = [PurePosixPath(name).name for name in storage.names(target, str(path.parent))]
+    order = [path.name, *sorted(name for name in names if name != path.name and name.endswith(".py"))]
+    files = tuple((name, storage.text(target, f"{path.parent}/{name}") or b"") for name in order)
+    if user_code.digest(files) != path.parent.name:
+        raise UserError(
+            f"{target.name}/{path}: is gone or changed, expected the code that the runs were made with; run the study again "
+            "from its own file to have it copied anew."
+        )
+    return files

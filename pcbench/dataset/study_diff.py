@@ -1,0 +1,124 @@
+"""What differs between a study on disk and one that is to go on there, a phrase each."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pcbench.dataset.seed_ranges import common, counted
+from pcbench.study.plugins import user_code
+from pcbench.study.plugins.references import Named, renamed
+
+Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest of each file
+GROWS = (
+    "seeds",
+    "first_seed",
+    "evaluation",
+    "schedules",
+    "axes",
+    "observers",
+    "excluded",
+    "tuned",
+    "custom_observers",
+    "scenarios",
+    "scenario",
+    "tables",
+    "options",
+    "lti",
+    "resolved",
+)
+
+
+def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
+    """Yield what differs between a study on disk and one that is to go on there, a phrase each.
+
+    `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
+    """
+    code = list(_recoded(there, here, files))
+    yield from code
+    old_texts, new_texts = (renamed(study, _undated) for study in (there, here))
+    for key in sorted((there.keys() | here.keys()) - set(GROWS)):
+        if old_texts.get(key) != new_texts.get(key):
+            yield _phrase(key, old_texts.get(key), new_texts.get(key))
+    a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
+    if common(a, b) != a:
+        yield f"seeds: {a.first} .. {a.stop - 1} there, {b.first} .. {b.stop - 1} here"
+    old, new = there["resolved"], here["resolved"]
+    for scenario, names in old["observers"].items():
+        if scenario not in new["observers"]:
+            yield f"scenarios: {scenario} there, not here"
+            continue
+        for name in names:
+            if name not in new["observers"][scenario]:
+                yield f"observers: {name} there, not here"
+        yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
+        was, now = (_without_code(each["scenarios"].get(scenario, {})) for each in (old, new))
+        yield from _deep(scenario, was, now)
+    old_tuned, new_tuned = (_tuned_cells(study) for study in (there, here))
+    for cell, options in old_tuned.items():
+        if cell in new_tuned:
+            yield from _deep(f"options tuned at {cell}", options, new_tuned[cell], list(options))
+    yield from _deep("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
+    if not code:  # else that is why
+        yield from _lost(there, here)
+
+
+def _tuned_cells(study: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The options of the cells that were tuned each for itself, by the values of the axes there."""
+    cells = (study.get("tuned") or {}).get("cells") or []
+    return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
+
+
+def _recoded(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files]) -> Iterator[str]:
+    """Yield what has other code, with the files that have changed where they are known."""
+    old, new = (study["resolved"].get("code", {}) for study in (there, here))
+    for name, digest in old.items():
+        if new.get(name, digest) != digest:
+            a, b = (each.get(name, {}) for each in files)
+            if a and b:
+                yield f"the code of {name}: {_changed(a, b)} since"
+                continue
+            where = [
+                study.get("custom_observers", {}).get(name, f"{user_code.FOLDER}/{d}")
+                for study, d in ((there, digest), (here, new[name]))
+            ]
+            yield f"the code of {name}: {where[0]} there, {where[1]} here"
+
+
+def _changed(a: Mapping[str, str], b: Mapping[str, str]) -> str:
+    names = sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
+    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} changed"
+
+
+def _without_code(scenario: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in scenario.items() if k != "code"}
+
+
+def _undated(each: Named) -> str:
+    """MODULE:NAME as it is whatever the content of its file."""
+    return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
+
+
+def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+    """Yield, where cells were lost, the axes that lost a value or are new."""
+    old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
+    if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
+        axes, found = (there.get("axes", {}), here.get("axes", {})), []
+        for name in sorted(axes[0].keys() | axes[1].keys()):
+            a, b = (each.get(name) for each in axes)
+            if a is None or b is None or any(v not in b for v in a):
+                found.append(_phrase(f"axes.{name}", a, b))
+        yield from found or ["cells: some that stand there are not of this study"]
+
+
+def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Iterator[str]:
+    for key in sorted(names if names is not None else old.keys() | new.keys()):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            yield from _deep(f"{where}.{key}", a, b)
+        elif a != b:
+            yield _phrase(f"{where}.{key}", a, b)
+
+
+def _phrase(where: str, there: Any, here: Any) -> str:
+    say = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
+    return f"{where}: {say[0]} there, {say[1]} here"

@@ -1,0 +1,95 @@
+"""Simulated means against what they must come to: every mean of an affine cell in standard errors from its exact value.
+
+z = (mean - exact) / its standard error is Student's with n - 1 degrees of freedom. The means of one cell stand on the same
+draws, so they are not independent; the verdict takes that into account by Bonferroni: nothing may be farther off than so many
+comparisons allow at `LEVEL`. Runs that do not vary must equal the exact value to `ROUNDING`, or to what steps of `LOST` of the
+signal's largest error leave: an error that decays from 30,000 to 0 ends in the rounding of 30,000. Compared are plain means, of
+errors that are normal or of their squares; with fewer than `FEW` runs a mean square is too skew for Student.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri, stdtr
+
+from pcbench.dataset import block_files, manifest, storage
+from pcbench.dataset.moments_frames import Exact
+from pcbench.dataset.result import open_result
+from pcbench.errors import UserError
+from pcbench.study.grid import Grid
+
+KEY = ["scenario", "cell", "observer", "signal", "metric"]
+METRICS = ("mae", "mse", "final_error", "steady_mae", "steady_mse", "lq_cost", "steady_lq_cost", "nees", "signal_nees")
+LEVEL = 1e-3
+FEW = 64
+ROUNDING = 1e-9
+ZERO = 1e-11
+LOST = 1e-14  # of the peak
+
+
+class Checked(NamedTuple):
+    """What came of it."""
+
+    rows: pd.DataFrame  # KEY, n, mean, se, exact, z (as normal), apart: relative, where runs do not vary
+    refused: list[str]  # why an observer has no exact value, a sentence each
+    limit: float  # the largest |z| that so many comparisons allow
+
+    @property
+    def z(self) -> pd.Series:
+        """Return the z of means that vary."""
+        return self.rows.z[np.isfinite(self.rows.z)]
+
+    @property
+    def wrong(self) -> pd.DataFrame:
+        """Return the rows that are farther off than chance allows."""
+        return self.rows[(self.rows.z.abs() > self.limit) | (self.rows.apart > ROUNDING)]
+
+    @property
+    def verdict(self) -> str:
+        """Return what to make of it, in a sentence."""
+        if self.rows.empty:
+            return "No mean has an exact value to be compared with."
+        far, cells = float((self.z.abs() > 2).mean()), self.rows.groupby(["scenario", "cell"]).ngroups
+        said = f"{len(self.rows):,} means of {'one cell' if cells == 1 else f'{cells:,} cells'} against their exact values: "
+        if len(self.z):
+            said += f"{100 * far:.3g} % of |z| above 2 (4.6 % by chance), the largest {self.z.abs().max():.2f}; "
+        if self.wrong.empty:
+            return said + f"none is farther off than chance allows (|z| < {self.limit:.2f})."
+        return said + f"{len(self.wrong):,} are farther off than chance allows (|z| < {self.limit:.2f})."
+
+
+def check(out: str | Path) -> Checked:
+    """Compare the simulated means of a dataset with their exact values; raise UserError where it has no runs enough."""
+    target = storage.target(out)
+    owned = manifest.opened(target, run=True)
+    if not block_files.present(target):
+        raise UserError(
+            f"{target.name}: has no runs to be compared with exact values; run the study with evaluation = 'runs'."
+        )
+    stats = open_result(out).stats
+    runs = stats[(stats.method == "runs") & stats.metric.isin(METRICS) & (stats.diverged == 0)]
+    if not (runs.n >= FEW).any():
+        raise UserError(f"{target.name}: has fewer than {FEW} runs a cell, expected more; add some with --seeds.")
+    exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules).stats
+    refused = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
+    known = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
+    peaks = stats[stats.metric == "max_abs_error"][[*KEY[:-1], "mean"]].rename(columns={"mean": "max_abs_error"})
+    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(known, on=KEY).merge(peaks, on=KEY[:-1], how="left")
+    return Checked(judged(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
+
+
+def judged(both: pd.DataFrame) -> pd.DataFrame:
+    """Return matched means with their z, and how far apart they are where runs do not vary."""
+    apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
+    error = np.hypot(both.se, both.exact_se)
+    squares, lost = both.metric.str.endswith("mse"), LOST * both.max_abs_error.fillna(0.0)
+    zero = np.where(squares, np.maximum(ZERO, lost) ** 2, np.maximum(ZERO, lost))  # below it all is rounding
+    left = np.where(squares, 2 * np.sqrt(size) * lost + lost**2, lost)
+    varies = (error > 1e-12 * size) & (size > zero)
+    t: Any = apart / np.where(varies, error, 1.0)
+    p = stdtr(both.n - 1, -t.abs())  # as the normal number that is as rare
+    z = np.where(varies, np.where(p > 0, -ndtri(np.maximum(p, 1e-300)), np.inf) * np.sign(t), np.nan)
+    still = np.where(varies | (size <= zero), 0.0, np.maximum(apart.abs() - left, 0.0) / np.where(size > 0, size, 1.0))
+    return both.assign(z=z, apart=still)

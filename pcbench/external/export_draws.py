@@ -1,0 +1,209 @@
+"""`pcbench external prepare`: what every run of a study measures and when it arrives, as files that any program reads.
+
+Nothing in them says what is true: an estimate made of them cannot have seen it.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench.dataset import atomic_files, manifest, parquet_io, storage, write_table
+from pcbench.dynamics import linear
+from pcbench.external import runs
+from pcbench.planning import setting
+from pcbench.planning.padding import Plan
+from pcbench.plants import signals_of
+from pcbench.runtime import config
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.simulation.schedule.common_times import NEVER
+from pcbench.study.grid import Grid
+
+FOLDER = "draws"
+SAMPLES = {
+    "scenario": (pa.string(), "", "name of the scenario"),
+    "cell": (pa.int64(), "", "number of the cell in the scenario"),
+    "seed": (pa.int64(), "", "seed index of the run"),
+    "channel": (pa.int64(), "", "output, from 1"),
+    "sample": (pa.int64(), "", "which sample of its channel, from 0"),
+    "sampled_tick": (
+        pa.int64(),
+        "",
+        "its stamp: the tick at which observers assume it was taken; below 0: before the run, of the state at 0",
+    ),
+    "sampled": (pa.float64(), "s", "the same in seconds"),
+    "arrived_tick": (
+        pa.int64(),
+        "",
+        "tick at which it arrives, before that tick's estimate; null: never within the run",
+    ),
+    "arrived": (pa.float64(), "s", "the same in seconds"),
+    "value": (pa.float64(), "unit of the output", "what was measured, noise included"),
+}
+CELL = {
+    "scenario": ("", "name of the scenario"),
+    "cell": ("", "number of the cell in the scenario"),
+    "axes": ("", "the cell's value of each axis"),
+    "dt": ("s", "length of a tick"),
+    "ticks": ("", "N, the ticks of a run"),
+    "signals": ("", "name and unit of each state and unknown, in the order of the estimates"),
+    "period": ("ticks", "[q] sampling period of each output; the mean if intervals vary"),
+    "intervals": ("ticks", "every interval between samples that can occur, if all outputs are sampled together"),
+    "delay": ("ticks", "[q] assumed delay of each output; the mean if it varies"),
+    "latest": ("ticks", "assumed greatest age of a measurement at its arrival"),
+    "noise_std": ("unit of the output", "[q] assumed standard deviation of the measurement noise"),
+    "R": ("product of the outputs' units", "[q, q] assumed covariance of the noise of a measurement"),
+    "Q": ("product of the states' units", "[n, n] assumed covariance of the process noise of one tick"),
+    "input_intensity": ("input^2/s", "assumed intensity of white noise on the input, if parameters drift"),
+    "P0": ("product of the states' units", "[n, n] covariance of x(0) - xhat(0)"),
+    "unknown_std": ("unit of the unknown", "[s] typical size of each unknown input or parameter"),
+    "unknown0": ("unit of the unknown", "[s] value of each unknown to begin with"),
+    "unknown_range": ("unit of the unknown", "[s, 2] limits of each unknown; null: none"),
+    "model": (
+        "",
+        "nominal model: A, B, C, D, the matrix E of an unknown input (null: none), whether A and B are of one tick "
+        "(`discrete`), and Phi, Gamma of one tick with a held input",
+    ),
+}
+README = """# What every run measures, and when it arrives
+
+Written by `pcbench external prepare`. Ticks are whole numbers. With `--csv` each table is a `.csv` file too.
+
+`samples.parquet`, a row for each sample of each channel:
+
+| column | unit | meaning |
+|---|---|---|
+{rows}
+
+`inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next.
+`starts.parquet` has xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
+
+`cells.json`, a table for each cell: what pcbench's own designs may assume too. n states, m inputs, q outputs, s unknowns.
+
+| key | unit | meaning |
+|---|---|---|
+{keys}
+
+At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input
+u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
+
+Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario,
+cell, seed, tick, and one for each signal by its name. Then: `pcbench external score DIR estimates.parquet --name my-observer`.
+"""
+
+
+def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = SILENT) -> storage.Target:
+    """Write the draws of a study into a folder, which is then the study's: its results are made in it, and scored into it.
+
+    With `csv` the tables are written as CSV files in addition to Parquet.
+    """
+    with config.float64():
+        target = storage.target(out)
+        owned = manifest.claim(target, grid)
+        plans = [runs.planned(cell) for cell in owned.cells]
+        storage.make(target)
+        if storage.text(target, manifest.TEXT) is None:
+            manifest.renew(target, owned)
+        seeds = grid.study.first_seed + np.arange(grid.study.seeds)
+        progress.begin("runs", len(seeds) * len(plans))
+        samples, starts = [], []
+        for p in plans:
+            for run in runs.runs(p, grid.study.root_seed, seeds):
+                samples.append(_samples(p, run))
+                starts.append(_keys(p, 1, seed=run.seed) | {f"x{i + 1}": [v] for i, v in enumerate(run.xhat0.tolist())})
+                progress.step(1)
+        schema = pa.schema(
+            [pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()]
+        )
+        every = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
+        columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
+        tables = {
+            "samples": pa.Table.from_arrays(columns, schema=schema),
+            "starts": _joined(starts),
+            "inputs": _joined([_inputs(p) for p in plans]),
+        }
+        files = {f"{FOLDER}/{name}.parquet": parquet_io.encoded(table) for name, table in tables.items()}
+        for name, table in tables.items():
+            if csv:
+                files[f"{FOLDER}/{name}.csv"] = write_table.as_csv(table)
+            else:
+                storage.remove(target, f"{FOLDER}/{name}.csv")
+        files[f"{FOLDER}/cells.json"] = (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode()
+        rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
+        keys = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in CELL.items())
+        files[f"{FOLDER}/README.md"] = README.format(rows=rows, keys=keys).encode()
+        atomic_files.put_all(target, files)
+        return target
+
+
+def _keys(p: Plan, many: int, **more: Any) -> dict[str, list[Any]]:
+    keys = {"scenario": p.cell.scenario.name, "cell": p.cell.number} | more
+    return {name: [value] * many for name, value in keys.items()}
+
+
+def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
+    dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
+    taken = np.array([s.stamp(p.cell.times.error) for s in run.samples])
+    arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
+    return _keys(p, len(taken), seed=run.seed) | {
+        "channel": [s.channel + 1 for s in run.samples],
+        "sample": [s.number for s in run.samples],
+        "sampled_tick": taken,
+        "sampled": taken * dt,
+        "arrived_tick": arrives,
+        "arrived": arrives * dt,
+        "value": run.values,
+    }
+
+
+def _inputs(p: Plan) -> dict[str, Any]:
+    u = np.asarray(p.problem.inputs)
+    ticks = np.arange(len(u))
+    return (
+        _keys(p, len(u))
+        | {"tick": ticks, "t": ticks * p.cell.scenario.dt}
+        | {f"u{i + 1}": c for i, c in enumerate(u.T)}
+    )
+
+
+def _joined(parts: list[dict[str, Any]]) -> pa.Table:
+    return pa.concat_tables([pa.table(part) for part in parts], promote_options="default")
+
+
+def _cell(p: Plan) -> dict[str, Any]:
+    """What a program should know of a cell: what observers of pcbench are told too."""
+    known, s = setting(p.cell), p.cell.scenario
+    Phi, Gamma = linear.one_tick(known.model, known.dt)
+    model = {
+        "A": known.model.A,
+        "B": known.model.B,
+        "C": known.model.C,
+        "D": known.model.feedthrough,
+        "E": known.model.E,
+        "discrete": known.model.discrete,
+        "Phi": Phi,
+        "Gamma": Gamma,
+    }
+    return {
+        "scenario": s.name,
+        "cell": p.cell.number,
+        "axes": dict(p.cell.values),
+        "dt": s.dt,
+        "ticks": p.cell.times.ticks,
+        "signals": [{"name": name, "unit": unit} for name, unit in signals_of(s)],
+        "period": list(known.period),
+        "intervals": list(known.intervals),
+        "delay": list(known.delay),
+        "latest": known.latest,
+        "noise_std": list(known.noise_std),
+        "R": np.diag(np.square(known.noise_std)).tolist(),
+        "Q": known.process_noise.tolist(),
+        "input_intensity": known.input_intensity,
+        "P0": np.asarray(known.P0).tolist(),
+        "unknown_std": list(known.unknown_std),
+        "unknown0": list(known.unknown0),
+        "unknown_range": [[v if np.isfinite(v) else None for v in limits] for limits in known.unknown_range],
+        "model": {name: None if value is None else np.asarray(value).tolist() for name, value in model.items()},
+    }

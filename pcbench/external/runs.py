@@ -1,0 +1,81 @@
+"""The runs of a cell without any observer: where the state is, what is measured, and when it arrives."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench import planning
+from pcbench.engine import initial_state, lane_array
+from pcbench.errors import UserError
+from pcbench.planning import padding
+from pcbench.planning.padding import Plan
+from pcbench.simulation import measurements, trajectory
+from pcbench.simulation.schedule import common_times, random_times
+from pcbench.study.grid import Cell
+
+TOGETHER = 64  # runs that are recorded at a time
+Floats = NDArray[np.float64]
+
+
+class Run(NamedTuple):
+    """One run, of N ticks."""
+
+    seed: int
+    x: Floats  # [N+1, n + s] what is to be estimated
+    xhat0: Floats  # [n]
+    samples: list[common_times.Sample]
+    values: Floats  # [samples]
+
+
+def planned(cell: Cell) -> Plan:
+    """Return a cell laid out without observers; raise UserError of one that no guest can take part in."""
+    s = cell.scenario
+    if s.loop.controller:
+        raise UserError(
+            f"{s.name}: got a closed loop, expected an open one: in a loop every observer has a plant of its own, and draws "
+            "cannot be written before it estimates; export the controller's scenario with an input instead."
+        )
+    if s.sampling.continuous:
+        raise UserError(
+            f"{s.name}: got continuous measurement, expected samples; take a scenario with a sampling period."
+        )
+    (p,) = padding.fit(list(planning.drafts([cell], ())))
+    return p
+
+
+def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
+    """Yield the runs of a planned cell; every one has the numbers that it has in the simulation, whatever runs beside it."""
+    for first in range(0, len(seeds), TOGETHER):
+        yield from _some(p, root_seed, seeds[first : first + TOGETHER])
+
+
+def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
+    ticks, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
+    nothing = common_times.schedule([], ticks, q)
+    still, root = p.problem._replace(schedule=nothing), np.asarray(root_seed)
+    layout = p.layout._replace(observers=(), consistency=False)
+    x = np.asarray(trajectory.compiled_some()(layout, 1, ticks + 1, still, root, seeds).x)
+    first = _starts(layout, still, root, seeds)
+    each = [_samples(p, root_seed, int(seed)) for seed in seeds]
+    many = 1 + max(s.number for mine in each for s in mine)
+    clean, noise = (np.asarray(a) for a in measurements.compiled()(layout, many, still, root, seeds, x[:, :n]))
+    for i, (seed, mine) in enumerate(zip(seeds, each, strict=True)):
+        values = [clean[max(s.taken, 0), s.channel, i] + noise[s.number, s.channel, i] for s in mine]
+        yield Run(int(seed), x[..., i], first[:, i], mine, np.array(values))
+
+
+def _starts(layout: Any, problem: Any, root: Any, seeds: Any) -> Floats:
+    ready, width = jax.tree.map(jnp.asarray, problem), len(seeds)
+    found = initial_state.first_estimate(layout._replace(width=width), ready, root, jnp.asarray(seeds))
+    return np.asarray(lane_array.to_array(found, width))
+
+
+def _samples(p: Plan, root_seed: int, seed: int) -> list[common_times.Sample]:
+    clocks, ticks = p.cell.times.clocks, p.cell.times.ticks
+    if not p.cell.times.random:
+        return [s for s in common_times.samples(clocks, ticks) if s.taken <= ticks]
+    return random_times.realised(clocks, ticks, len(p.problem.noise_std), root_seed, seed)

@@ -1,0 +1,66 @@
+"""What gains of several origins are worth: on the runs they were tuned on, on others, and against the bound."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pcbench.dataset import parquet_io, run_study, storage
+from pcbench.dataset.result import Result
+from pcbench.dataset.run_study import How
+from pcbench.dataset.verify import FAIR
+from pcbench.gains.gain_variants import ExplicitStudy, Version, trained_on
+from pcbench.gains.objective import Objective
+from pcbench.study import parse
+
+
+def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
+    """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
+
+    One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
+    square) with their standard errors, `training` of an exact tuning the expected value; `gap` is held_out less training,
+    `rms_efficiency` the bound over steady_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
+    `certified` is that of stats; `note` says where a start was kept, and why. With `out` the table stands there as
+    fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
+    """
+    if made.aim is None:
+        return result
+    beside = None if out is None else f"{out}/training"
+    training = run_study.execute(
+        parse.grid_of(trained_on(made.study), {}, []), beside, how._replace(until_se=None, max_seeds=None)
+    )
+    result.fair = table(made.versions, made.aim, training.stats, result.stats)
+    if out is not None:
+        found = pa.Table.from_pandas(result.fair, preserve_index=False)
+        storage.put_table(storage.target(str(out)), FAIR, parquet_io.sealed(found))
+    return result
+
+
+def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_out: pd.DataFrame) -> pd.DataFrame:
+    """Return the table from the stats of the training runs and of the study's own."""
+    rows: list[dict[str, Any]] = []
+    for cell in held_out.cell.unique():
+        for v in versions:
+            a, b = (_row(stats, cell, v.label, aim, aim.metric) for stats in (training, held_out))
+            share = _row(held_out, cell, v.label, aim, "rms_efficiency")
+            rows.append(
+                {"scenario": b["scenario"], "cell": cell, "observer": v.observer, "tuning": v.tuning, "label": v.label}
+                | {"signal": aim.name, "metric": aim.metric, "unit": b["unit"]}
+                | {"training": a["mean"], "training_se": a["se"], "held_out": b["mean"], "held_out_se": b["se"]}
+                | {"gap": b["mean"] - a["mean"], "gap_se": float(np.hypot(a["se"], b["se"])), "diverged": b["diverged"]}
+                | {
+                    "rms_efficiency": share["mean"],
+                    "efficiency_low": share["ci_low"],
+                    "efficiency_high": share["ci_high"],
+                }
+                | {"certified": b["certified"], "note": v.note}
+            )
+    return pd.DataFrame(rows)
+
+
+def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> dict[str, Any]:
+    mine = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
+    found: list[dict[str, Any]] = stats[mine].to_dict("records")  # type: ignore[assignment]
+    return found[0] if found else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)

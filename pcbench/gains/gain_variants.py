@@ -1,0 +1,331 @@
+"""Studies whose gains come about in several ways, and what each of them is worth: `tuning` of a study.
+
+    paper     as a scenario's source prints them (its options), with the study's own options over them
+    design    by the observer's own design for the noise and the delays as they are
+    tuned     by `tune`: the same budget for every observer, from the better of the two above on the training runs;
+              with `only` the options of those names, of each observer that has them
+
+Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
+the study's own, on which all are compared. Where [tune] is `exact` there are the study's own alone. Of a study with several
+cells gains are tuned in the first and run in all; with `cells = "all"` they are tuned in every cell for itself. Observers
+without a design of their own, or without free parameters, have fewer versions. The study returned has explicit options only,
+so any machine can run, verify and merge it.
+"""
+
+import itertools
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench import planning
+from pcbench.dataset import run_study, storage
+from pcbench.dataset.manifest import BESIDE, TEXT
+from pcbench.dataset.seed_ranges import Seeds, common, counted
+from pcbench.errors import UserError
+from pcbench.gains import expected_objective, parameters, tune, tune_only
+from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
+from pcbench.gains.objective import Objective, objective_of
+from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study import Study, TunedCell, TunedOptions, given, observers_of, scenarios_of
+from pcbench.study.grid import Grid, cells
+from pcbench.study.grid import points as grid_points
+from pcbench.study.lookup import entry_in
+from pcbench.study.parse import grid_of, one_cell
+
+JUDGES = counted(tune.JUDGES.first, 256)
+
+
+class Version(NamedTuple):
+    """One observer with the gains of one tuning."""
+
+    label: str  # in the tables
+    observer: str  # as the study names it
+    tuning: str
+    note: str = ""  # why its gains are not those found
+
+
+class ExplicitStudy(NamedTuple):
+    """A study with every option explicit, and the versions that its labels stand for."""
+
+    grid: Grid
+    versions: list[Version]  # empty: one tuning only, nothing to compare
+    aim: Objective | None = None
+
+    @property
+    def study(self) -> Study:
+        """Return the study itself."""
+        return self.grid.study
+
+
+def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progress = SILENT) -> ExplicitStudy:
+    """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
+
+    Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
+    """
+    study = grid.study
+    if study.tunings == ["published"]:
+        return ExplicitStudy(grid, [])
+    if study.tunings == ["design"]:
+        labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
+        designed = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
+        return ExplicitStudy(_with(study, {o: how for o, how in designed.items() if how}), [])
+    if len(study.scenarios) > 1:
+        raise UserError(
+            f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
+            "for one task; run a study for each."
+        )
+    aim = objective_of(
+        study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
+    )
+    if study.tune.exact_objective:
+        expected_objective.offered(aim, f"{study.name}: tune")
+    _apart(study)
+    _ours(study, out, overwrite)
+    scenario = scenarios_of(study)[study.scenarios[0]]
+    paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
+    tune_only.require_tunable(study, list(paper))
+    tune_only.require_free_labels(study, scenario, list(paper))
+    points = _points(study) if "tuned" in study.tunings else [{}]
+    gains = []
+    for i, point in enumerate(points):
+        here = _at(study, point) if "tuned" in study.tunings else study
+        folder = None if out is None else f"{out}/tuning"
+        if len(points) > 1:
+            folder = folder and f"{folder}/{cells(here, scenario.name)[0].digest}"
+            progress.note(f"tuning in cell {i + 1} of {len(points)}")
+        gains.append(_gains_in(here, paper, aim, folder, progress))
+    versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
+    if len(study.tunings) == 1:  # no other version to be told from
+        observer_of = {v.label: v.observer for v in versions}
+        gains = [each.renamed(observer_of) for each in gains]
+        versions = [v._replace(label=v.observer) for v in versions]
+    order = list(paper)
+    versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
+    every = {v.label: gains[0].options[v.label] for v in versions}
+    record = None
+    if "tuned" in study.tunings:
+        tuned = [v.label for v in versions if v.tuning == "tuned"]
+        cells_tuned = [
+            TunedCell(cell=point, options={label: each.options[label] for label in tuned})
+            for point, each in zip(points, gains, strict=True)
+        ]
+        record = TunedOptions(
+            scenario=scenario.name,
+            cell=points[0],
+            metric=aim.metric,
+            signal=aim.name,
+            options={label: gains[0].found.get(label, {}) for label in tuned},
+            cells=cells_tuned if len(points) > 1 else None,
+        )
+    return ExplicitStudy(_with(study, every, list(every), record), versions, aim)
+
+
+class _Gains(NamedTuple):
+    """The gains of all versions in one cell."""
+
+    versions: list[Version]
+    options: dict[str, dict[str, Any]]  # by label
+    found: dict[str, dict[str, Any]]  # by label, the options that tuning found; none where the start was kept
+
+    def renamed(self, labels: dict[str, str]) -> "_Gains":
+        """Return these gains under other labels; a label without a new one is left out."""
+        return _Gains(
+            [v._replace(label=labels[v.label]) for v in self.versions if v.label in labels],
+            {labels[label]: each for label, each in self.options.items() if label in labels},
+            {labels[label]: each for label, each in self.found.items() if label in labels},
+        )
+
+
+def _gains_in(
+    study: Study, paper: dict[str, dict[str, Any]], aim: Objective, folder: str | None, progress: Progress
+) -> _Gains:
+    """The gains of all versions in a study of one cell; what tuning leaves stands in `folder`."""
+    versions, options = _untuned(study, paper)
+    by_label: dict[str, dict[str, Any]] = {}
+    if "tuned" in study.tunings:
+        starts = _better(study, versions, options, aim, progress)
+        for observer, start in starts.items():
+            note, found = _tuned(study, observer, start, aim, folder, progress)
+            label = f"{observer}-tuned"
+            versions.append(Version(label, observer, "tuned", note))
+            options[label], by_label[label] = start | found, found
+    return _Gains(versions, options, by_label)
+
+
+def _versions_in(points: list[dict[str, Any]], gains: list[_Gains]) -> list[Version]:
+    """The versions that there are in some cell. One that a cell lacks has the gains as printed there, and its note says so."""
+    first: dict[str, Version] = {}
+    for each in gains:
+        first |= {v.label: v for v in each.versions if v.label not in first}
+    out = []
+    for label, version in first.items():
+        notes = []
+        for each in gains:
+            mine = [v.note for v in each.versions if v.label == label]
+            if not mine:
+                each.options[label] = each.options[f"{version.observer}-published"]
+            notes.append(mine[0] if mine else "nothing to tune, so gains as printed")
+        at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
+        several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
+        out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else several))
+    return out
+
+
+def _with(
+    study: Study,
+    options: dict[str, dict[str, Any]],
+    observers: list[str] | None = None,
+    record: TunedOptions | None = None,
+) -> Grid:
+    changes: dict[str, Any] = {"options": study.options | options, "tuning": "published"}
+    return grid_of(study, changes | {"observers": observers, "tuned": record and record.model_dump()}, [])
+
+
+def _points(study: Study) -> list[dict[str, Any]]:
+    """The values of the axes in every cell in which gains are tuned."""
+    every = grid_points(study.vary, list(study.axes.values()))
+    if study.tune.cells == "first":
+        every = itertools.islice(every, 1)
+    return [dict(zip(study.axes, point, strict=True)) for point in every]
+
+
+def _at(study: Study, point: dict[str, Any]) -> Study:
+    """The study in one cell."""
+    return study.model_copy(update={"axes": {name: [value] for name, value in point.items()}})
+
+
+def trained_on(study: Study) -> Study:
+    """Return the study on what gains are tuned on: the training runs, or expected values."""
+    if study.tune.exact_objective:
+        return study.model_copy(update={"evaluation": "exact"})
+    its = _training(study)
+    return study.model_copy(update={"first_seed": its.first, "seeds": its.many})
+
+
+def _apart(study: Study) -> None:
+    """Raise UserError where the study's own seeds are among those it tunes on."""
+    if study.tune.exact_objective:  # it is tuned on none
+        return
+    mine = counted(study.first_seed, study.seeds)
+    for its in (_training(study), JUDGES):
+        if common(mine, its).many:
+            raise UserError(
+                f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
+                "which gains are tuned; give another first_seed."
+            )
+
+
+def _training(study: Study) -> Seeds:
+    return counted(tune.TRAINING.first, study.tune.training)
+
+
+def _ours(study: Study, out: str | Path | None, overwrite: bool) -> None:
+    """Raise UserError where a folder holds something else, before anything is written; `overwrite` removes earlier tunings."""
+    if out is None:
+        return
+    target = storage.target(str(out))
+    said, names = storage.text(target, TEXT), storage.names(target)
+    others = [name for name in names if not name.startswith(BESIDE)]
+    if said is None and others:
+        raise UserError(
+            f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+        )
+    if said is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
+        raise UserError(
+            f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
+            "start over with --overwrite."
+        )
+    ours = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
+    for name in [name for name in names if overwrite and ours.fullmatch(name)]:
+        storage.remove(target, name)
+
+
+def _untuned(study: Study, papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
+    """The versions as printed and by design, and the options of each."""
+    versions: list[Version] = []
+    options: dict[str, dict[str, Any]] = {}
+    for observer, paper in papers.items():
+        ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
+        for tuning, more in ways.items():
+            if more is not None:
+                versions.append(Version(f"{observer}-{tuning}", observer, tuning))
+                options[f"{observer}-{tuning}"] = paper | dict(more)
+    return versions, options
+
+
+def _better(
+    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Objective, progress: Progress
+) -> dict[str, dict[str, Any]]:
+    """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
+    free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
+    if not free_ones:
+        return {}
+    progress.note("comparing starts")
+    here = trained_on(study)
+    labels = [v.label for v in free_ones]
+    stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
+    rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
+    best: dict[str, tuple[tuple[float, float], str]] = {}
+    for v in free_ones:
+        mean = float(rows["mean"][v.label])
+        merit = float(rows["diverged"][v.label]), mean if np.isfinite(mean) else np.inf
+        if v.observer not in best or merit < best[v.observer][0]:
+            best[v.observer] = merit, v.label
+    return {observer: options[label] for observer, (_, label) in best.items()}
+
+
+def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
+    """Say whether a version has free parameters that its gains depend on."""
+    only = tune_only.only(study, version.observer)
+    if not parameters.tunable(entry_in(study, version.observer)) or only == []:
+        return False
+    here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "published"})
+    cell = one_cell(here, [version.observer], [])[1]
+    known, chosen = planning.setting(cell), cell.options[version.observer]
+    entry = cell.entry(version.observer)
+    designed = planning.designed(version.observer, entry, known, chosen)
+    try:
+        return bool(tune.freed(version.observer, entry, known, chosen, designed, only, study.name))
+    except parameters.NothingFree:
+        return False
+
+
+def _tuned(
+    study: Study, observer: str, start: dict[str, Any], aim: Objective, folder: str | None, progress: Progress
+) -> tuple[str, dict[str, Any]]:
+    """Why the start is kept (empty: it is not), and the options found."""
+    renamed = Progress(
+        begin=lambda what, many: progress.note(f"tuning {observer}"),
+        note=lambda text: progress.note(f"tuning {observer}: {text}"),
+    )
+    options = study.options | {observer: start}
+    changes: dict[str, Any] = {
+        "options": options,
+        "tuning": "published",
+        "observers": [observer],
+        "seeds": 1,
+        "first_seed": 0,
+    }
+    here = study.model_copy(update=changes)
+    try:
+        found = tune.tune(
+            here,
+            observer,
+            budget=study.tune.budget,
+            objective=study.tune.objective,
+            signal=study.tune.signal,
+            exact_objective=study.tune.exact_objective,
+            only=tune_only.only(study, observer),
+            training=tune.TRAINING if study.tune.exact_objective else _training(study),
+            judges=tune.JUDGES if study.tune.exact_objective else JUDGES,
+            out=folder and f"{folder}/{observer}",
+            progress=renamed,
+        )
+    except tune.NoStart:
+        return "no start of it works on the training runs", {}
+    except AnotherTuning as error:
+        raise UserError(f"{str(error).removesuffix('.')}, or start over with --overwrite.") from None
+    return found.kept_start, {} if found.kept_start else found.found

@@ -1,0 +1,61 @@
+"""Start against tuned, on the training runs and on runs that no gradient has seen: the tables' own numbers."""
+
+from typing import Any
+
+from pcbench.dataset import run_study
+from pcbench.dataset.seed_ranges import Seeds
+from pcbench.gains.history import Judgement
+from pcbench.gains.objective import Objective
+from pcbench.observers import base_of
+from pcbench.statistics import POOLED
+from pcbench.study import Study, given, parse, scenarios_of
+
+WORSE = 2.0  # standard errors that tuned may be worse than its start
+
+
+def judge(
+    study: Study,
+    observer: str,
+    found: dict[str, Any],
+    aim: Objective,
+    seeds: dict[str, Seeds],
+) -> list[Judgement]:
+    """Run start and tuned on the same draws, for each range of seeds."""
+    base = base_of(observer) or observer
+    mine = given(study, scenarios_of(study)[study.scenarios[0]], observer)
+    labels = f"{base}-start", f"{base}-tuned"
+    options = {k: v for k, v in study.options.items() if k != observer or k == base}
+    options |= {labels[0]: mine, labels[1]: mine | found}
+    metric, out = POOLED.get(aim.metric, aim.metric), []
+    for what, each in seeds.items():
+        changes = {"observers": list(labels), "options": options, "first_seed": each.first, "seeds": each.many}
+        result = run_study.execute(parse.grid_of(study, changes, []))
+        stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
+        (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
+        sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
+        (a, a_se, bad), (b, b_se, worse) = stats.loc[list(labels), ["mean", "se", "diverged"]].to_numpy().tolist()
+        judgement = Judgement(
+            what=what,
+            seeds=each,
+            start=a,
+            start_se=a_se,
+            tuned=b,
+            tuned_se=b_se,
+            difference=sign * float(pair["mean_diff"]),
+            difference_se=float(pair["se"]),
+            diverged=(int(bad), int(worse)),
+        )
+        out.append(judgement)
+    return out
+
+
+def against(judged: list[Judgement]) -> str:
+    """Return why what was found is not used (worse than its start on the judging runs); empty where it is."""
+    (j,) = (each for each in judged if each.what == "judging")
+    if j.diverged[1] > j.diverged[0]:
+        return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, {j.diverged[0]} with the start"
+    if j.difference != j.difference:
+        return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, as with the start"
+    if not j.difference <= WORSE * j.difference_se:
+        return f"worse than its start on the judging runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
+    return ""

@@ -1,0 +1,168 @@
+"""Delays that are random from sample to sample, as modes: the delays of the newest samples, and what leads from mode to mode.
+
+How much later sample i arrives is w_i, a Markov chain over a few values (`delay_values`, `delay_self_transition`), drawn by
+itself (`delay_weights`, `delay_gamma_mean`, `delay_jitter`), or both. What happens from the tick of sample i up to that of
+sample i + 1 depends on w_i .. w_(i-L+1), where samples i - L and before have arrived by then. Those L numbers are the mode:
+within it the schedule is known and the error affine in normals, with mean m and covariance P given the mode. At the next sample
+
+    m+_b = sum_a q(a | b) m_a,   P+_b = sum_a q(a | b) (P_a + d_a d_a'),   d_a = m_a - m+_b
+
+with a the mode before, and q(a | b) how probable it is given b (jump-linear systems: Costa, Fragoso, Marques, Discrete-Time
+Markov Jump Linear Systems, 2005). The chain starts as it is in the long run, so how often a mode is there is the same at every
+tick, and a mean over schedules is one over modes. Overtaking is covered: L grows with the longest delay.
+
+Covered is one sensor whose instants are not random and whose modes are at most `MOST`, which cost no more than as many drawn
+schedules. What an observer remembers besides numbers that noise reaches (which sample was the newest, a covariance) must
+depend on the mode alone: that is looked at wherever modes meet (`merging`). A filter that puts samples in order does so, as all
+that is older has arrived; one whose covariance depends on all delays (`kf-ignore-delay`) does not, and is averaged over
+drawn schedules, with the error that remains. So are losses and random instants beside such delays, and more modes.
+"""
+
+import itertools
+import math
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.moments import uses_last_arrival
+from pcbench.moments.realisations import Realised
+from pcbench.planning.padding import Plan
+from pcbench.simulation.schedule import common_times, sampling
+from pcbench.simulation.schedule.common_times import Schedule
+from pcbench.simulation.schedule.sampling import Clock
+
+MOST = 64  # modes of a cell: as many as schedules are drawn where there is no recursion, unless more are asked for
+Values = NDArray[np.float64]
+
+
+class Chain(NamedTuple):
+    """How much later the samples of a clock arrive; m values."""
+
+    later: tuple[int, ...]  # [m] ticks
+    often: Values  # [m] in the long run, which is also how it starts
+    following: Values  # [m, m] from one to the next
+
+
+class Mode(NamedTuple):
+    """One mode among those of its cell."""
+
+    number: int
+    share: float  # how often it is there
+    source: tuple[int, ...]  # the modes that may have been before it
+    weight: tuple[float, ...]  # and how probable each is
+    merged: NDArray[np.bool_]  # [N+1] ticks at which it takes their place
+
+
+def over_modes(p: Plan) -> list[Realised] | None:
+    """Return a cell of one observer in each of its modes; None where its schedules are averaged over, or not random."""
+    clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
+    if not delays_alone(p):
+        return None
+    chain = _chain(clock)
+    layout = p.layout._replace(width=1, watch=False, lifted=0)
+    length = _length(clock, chain, ticks, uses_last_arrival.asked(layout, p.problem))
+    if len(chain.later) ** length > MOST:
+        return None
+    every = [a for a in itertools.product(range(len(chain.later)), repeat=length) if _share(chain, a) > 0]
+    taken = sampling.instants(clock, ticks)[:-1]
+    merged = np.isin(np.arange(ticks + 1), taken[1:])
+    plans = _schedules(p, clock, chain, length, taken)
+    out = []
+    for number, mode in enumerate(every):
+        source, weight = _before(chain, every, mode)
+        about = Mode(number, _share(chain, mode), source, weight, merged)
+        out.append(Realised(layout, p.problem._replace(schedule=plans(mode)), (), mode=about))
+    return out
+
+
+def delays_alone(p: Plan) -> bool:
+    """Return whether all that is random besides the noise is how late samples of one sensor are."""
+    clocks = p.cell.times.clocks
+    if len(clocks) > 1 or not clocks[0].random or p.layout.drifting or p.problem.network:
+        return False
+    return not (_sure(clocks[0]).random or clocks[0].early)
+
+
+def _sure(clock: Clock) -> Clock:
+    """A clock whose samples are not later than its delay."""
+    return clock._replace(spread=0, steps=(), stay=(), share=())
+
+
+def _chain(clock: Clock) -> Chain:
+    """How late samples are: a chain of steps or steps drawn one by one, and jitter drawn by itself."""
+    steps, many = clock.steps or (0,), len(clock.steps) or 1
+    if clock.share or not clock.steps:
+        often = np.array(clock.share or (1.0,))
+        T = np.tile(often, (many, 1))
+    else:
+        often, stay = np.array(sampling.stationary(clock.stay)), np.array(clock.stay)
+        T = np.where(np.eye(many, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(many - 1, 1))
+    jitter = np.full(clock.spread + 1, 1 / (clock.spread + 1))
+    later = tuple(step + more for step in steps for more in range(clock.spread + 1))
+    return Chain(later, np.kron(often, jitter), np.kron(T, np.tile(jitter, (len(jitter), 1))))
+
+
+def _length(clock: Clock, chain: Chain, ticks: int, asked: bool) -> int:
+    """How many of the newest samples tell what happens until the next one, with the last arrival's tick where it is `asked`."""
+    taken = np.array(sampling.instants(clock, ticks))
+    usual = taken[1:] if clock.delay is None else taken[:-1] + clock.delay
+    first, last, taken = usual + min(chain.later), usual + max(chain.later), taken[:-1]
+    many = len(taken)
+    back = next(n for n in range(1, many + 1) if (last[: many - n] < taken[n:]).all())
+    if not asked:
+        return back
+    return next(
+        n for n in range(back + 1, many + back + 1) if (first[n - back :][: many - n] >= last[: many - n]).all()
+    )
+
+
+def _share(chain: Chain, mode: tuple[int, ...]) -> float:
+    """How often a mode is there: values of the newest sample first."""
+    old = mode[::-1]
+    return float(chain.often[old[0]] * math.prod(chain.following[a, b] for a, b in itertools.pairwise(old)))
+
+
+def _before(
+    chain: Chain, every: list[tuple[int, ...]], mode: tuple[int, ...]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Which modes may have been before one, and how probable each is."""
+    number = {each: i for i, each in enumerate(every)}
+    each = [(*mode[1:], oldest) for oldest in range(len(chain.later))]
+    each = [before for before in each if before in number and chain.following[before[0], mode[0]] > 0]
+    weight = np.array([_share(chain, before) * chain.following[before[0], mode[0]] for before in each])
+    return tuple(number[before] for before in each), tuple((weight / weight.sum()).tolist())
+
+
+def _schedules(p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int]) -> Any:
+    """Return what gives the schedule of a mode: at every tick what happens if the newest samples are as late as it says.
+
+    Samples that are late by L values in turn have, in every L-th interval, what one mode says.
+    """
+    ticks, channels, error = p.cell.times.ticks, len(p.problem.noise_std), p.cell.times.error
+
+    @lru_cache(None)
+    def in_turn(values: tuple[int, ...]) -> Schedule:
+        turns = tuple(chain.later[v] for v in values)
+        return common_times.schedule(
+            common_times.samples([_sure(clock)._replace(turns=turns)], ticks), ticks, channels, error
+        )
+
+    newest = np.searchsorted(taken, np.arange(ticks + 1), "right") - 1
+
+    def of(mode: tuple[int, ...]) -> Schedule:
+        each = [in_turn(tuple(mode[(last - i) % length] for i in range(length))) for last in range(length)]
+        slots = max(one.arrive.shape[1] for one in each)
+        each = [common_times.pad_slots(one, slots) for one in each]
+        return jax.tree.map(partial(_interval_by_interval, newest % length), *each)
+
+    return of
+
+
+def _interval_by_interval(which: NDArray[Any], *each: Any) -> Any:
+    """Put tables of ticks together: at each tick that of the schedule asked for; what has no ticks is the same in all."""
+    if len(each[0]) != len(which):
+        return each[0]
+    return np.stack(each)[which, np.arange(len(which))]

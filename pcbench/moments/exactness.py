@@ -1,0 +1,55 @@
+"""Is a cell's answer exact? Found by trying, cell by cell and observer by observer, for ours and a user's alike.
+
+A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
+it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign satisfies too. A run that may leave the
+scenario's divergence threshold counts as diverged and enters no average, so there the moments of all runs are no answer.
+"""
+
+import numpy as np
+
+from pcbench.moments import digits
+from pcbench.moments.error_sums import strayed
+from pcbench.moments.plant_affinity import ROUNDING
+from pcbench.moments.solve import CellMoments
+from pcbench.plants import signals_of
+
+INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
+
+
+def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
+    """Return a sentence that says why an observer's moments are not exact in a cell, and what to do; empty where they are."""
+    p, s = cell.planned, cell.sums
+    mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
+    names = [name for name, _ in signals_of(p.cell.scenario)]
+    if chance := p.cell.scenario.sampling.outlier_probability:
+        return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {instead}."
+    if np.isfinite(degrees := p.cell.scenario.sampling.student_t_dof):
+        return (
+            f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
+        )
+    if any(p.cell.scenario.sampling.quantization_step):
+        return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
+    if said := digits.lost(cell, label):
+        return f"{where} {said}; shorten the horizon, or {instead}."
+    part = strayed(s, mine, cell.reached)
+    worst = int(np.argmax(part))
+    reach = s.reach[mine].max(-1)
+    bounded = (
+        np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()
+    )  # or the run itself, where linear maps overflow
+    if part[worst] > ROUNDING and (np.isfinite(part[worst]) or bounded):
+        off = f"{part[worst]:.1g} of its size" if np.isfinite(part[worst]) else "more than a number can hold"
+        return (
+            f"{where} is not affine in the noise: {names[worst]} is off by {off} where an affine observer is off by less than "
+            f"{ROUNDING:.0e}; {instead}."
+        )
+    bound = np.asarray(p.problem.bound)[: len(reach)]
+    beyond = ~(reach <= bound)
+    if beyond.any():
+        i = int(np.argmax(beyond))
+        far = f"reaches {reach[i]:.3g}" if np.isfinite(reach[i]) else "grows beyond what a number can hold"
+        return (
+            f"{where} may leave its bound: {names[i]} {far} within six standard deviations, expected at most "
+            f"{bound[i]:.3g}, beyond which a run counts as diverged; {instead}."
+        )
+    return ""

@@ -1,0 +1,99 @@
+"""Exact moments of one cell with their derivatives by an observer's gains: forward through the very program, no seed anywhere.
+
+Forward mode follows loops from event to event, which backward mode cannot, and there are few directions: one for each free
+parameter of a tuning. Directions stand side by side where `program` has cells: all have the gains asked for, each a derivative
+of its own. A tick's matrix is taken anew where its value differs from the last one's; so that a matrix is not taken for
+unchanged whose derivative alone differs, at a gain of 0, the last place has gains a little off (`OFF`), and no derivative.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+
+from pcbench.engine import runner
+from pcbench.moments import program
+from pcbench.moments.error_sums import Sums
+from pcbench.moments.inputs import Given, own_of, together
+from pcbench.moments.noise_state import form_of
+from pcbench.moments.plant_affinity import ROUNDING, bent
+from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
+from pcbench.moments.solve import CellMoments, refused
+from pcbench.moments.types import Shape
+from pcbench.planning.padding import Plan
+
+OFF = 1e-3  # relative
+Direction = list[Any]  # of every array of real numbers among the gains
+
+
+class Sloped(NamedTuple):
+    """Of one cell with one observer."""
+
+    cell: CellMoments
+    slopes: Sums  # [..., D] by direction
+
+
+def single(p: Plan) -> Realised | None:
+    """Return a planned cell of one observer as its moments move; None where they are known by drawn schedules alone."""
+    mixed = over_losses(p) if losses_alone(p) else None
+    return mixed or (None if random(p) else realised(p, 0, 0))
+
+
+def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direction]], Sloped]:
+    """Return a function of gains and of so many directions among them; it is compiled when it is first called."""
+    (label, _), *_ = p.layout.observers
+    tree = jax.tree.structure(p.problem.gains[label])
+    real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
+    width = directions + 1
+    bare = one.problem._replace(gains={})
+    given = together([bare] * width, [one.network] * width, [one.chance] * width)
+    every = jax.tree.map(lambda a: np.size(a) > 0, p.problem.gains[label])
+    flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
+    shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
+    bend = bent(p)
+    made: list[Any] = []
+
+    def sums(given: Given, others: list[Array], reals: list[Array]) -> Sums:
+        left, right = iter(reals), iter(others)
+        gains = jax.tree.unflatten(tree, [next(left if mine else right) for mine in real])
+        problem = given.problem._replace(gains={label: gains})
+        return program.run(one.layout, shape, given._replace(problem=problem)).sums
+
+    def both(given: Given, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
+        return jax.jvp(partial(sums, given, others), (reals,), (ways,))
+
+    def at(gains: Any, ways: list[Direction]) -> Sloped:
+        if bend > ROUNDING:
+            nothing = refused(len(p.problem.band), bend)
+            return Sloped(_cell(p, one, nothing), nothing)
+        leaves = [np.asarray(a) for a in jax.tree.leaves(gains)]
+        reals = [_beside(a, width) for a, mine in zip(leaves, real, strict=True) if mine]
+        others = [np.stack([a] * width, -1) if a.size else a for a, mine in zip(leaves, real, strict=True) if not mine]
+        empty = [np.zeros_like(a) for a, mine in zip(leaves, real, strict=True) if mine]
+        tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
+        call = given, others, reals, tangents
+        if not made:
+            options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
+            made.append(jax.jit(both).lower(*call).compile(options))
+        value, slopes = jax.tree.map(np.asarray, made[0](*call))
+        mine = jax.tree.map(lambda a: a[..., :1], value)
+        return Sloped(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))
+
+    return at
+
+
+def _beside(a: Any, width: int) -> Any:
+    """An array of gains for each place, the last a little off; an empty one as it is."""
+    if not a.size:
+        return a
+    size = np.max(np.abs(a)) or 1.0
+    off = OFF * size * np.random.default_rng(a.size).uniform(0.5, 1.0, a.shape)
+    return np.stack([a] * (width - 1) + [a + off], -1)
+
+
+def _cell(p: Plan, one: Realised, sums: Sums) -> CellMoments:
+    """The moments of the cell itself."""
+    return CellMoments(p, False, {p.labels[0]: slice(0, len(sums.mean))}, sums, mixture=one.chance < 1)

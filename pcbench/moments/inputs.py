@@ -1,0 +1,128 @@
+"""What a program of exact moments takes: many cells of one shape, their numbers and their schedules side by side.
+
+What is the same in all cells of a batch stays one array; small arrays of numbers that may differ are one a cell, [..., C].
+Cells whose long tables differ are not put in one batch.
+"""
+
+import itertools
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.simulation.schedule.common_times import NEVER, Schedule
+from pcbench.simulation.types import Problem
+
+KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
+SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
+SMALL = 256  # numbers of an array that each cell may have its own of,
+TIMES = ("windows", "jumps", "network")  # but for these
+
+
+class Event(NamedTuple):
+    """What happens in C cells at one tick; of E of them, [E, ...]."""
+
+    sense: Any  # [C] the packet taken; -1: none
+    snapshot: Any  # [C]
+    sampled: Any  # [q, C] which channels are
+    arrive: Any  # [S, C]
+    believed: Any  # [S, C]
+    mask: Any  # [S, q, C]
+    index: Any  # [S, q, C]
+    ticks_since_arrival: Any  # [S, C]
+    also: Any  # [M, C] more packets that are noted
+
+
+class Plan(NamedTuple):
+    """Schedules of C cells, by event: a tick at which something happens in any of them, and tick 0."""
+
+    at: Any  # [E] ticks, beyond N + 1 behind the last
+    events: Event
+    early: Any  # [e, q, C] samples of packets taken before tick 0
+
+
+class Given(NamedTuple):
+    """The numbers of C cells."""
+
+    problem: Problem  # own arrays of each cell are [..., C]; its schedule stands in `plan`
+    plan: Plan
+    arrivals: Any  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
+    ticks: Any  # [N+1, P, w] of the process and of commands
+    start: Any  # [P, 2 n] of the start
+    chance: Any  # [C] that a sample arrives at all
+    network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
+    mix: Any = ()  # merging.Mix, where the cells are modes
+
+
+def plan_of(schedules: list[Schedule]) -> Plan:
+    """Lay out schedules of one shape side by side."""
+    ticks, some = len(schedules[0].event), schedules[0].event.copy()
+    for s in schedules[1:]:
+        some |= s.event
+    some[0] = True
+    at = np.flatnonzero(some)
+    room = min(_room(len(at) + 1), ticks + 1)  # one behind the last, and few sizes, for few programs
+    rows = np.pad(at, (0, room - len(at)))
+    each = {id(s): _events(s, rows) for s in schedules}  # cells of a study share them
+    fields = zip(*(each[id(s)] for s in schedules), strict=True)
+    events = Event(*(np.stack(field, -1) for field in fields))
+    at = np.pad(at, (0, room - len(at)), constant_values=NEVER)
+    return Plan(at, events, np.stack([s.early for s in schedules], -1))
+
+
+def _room(many: int) -> int:
+    """The least of 64, 256, 1024 ... that holds so many."""
+    return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= many)
+
+
+def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
+    return Event(
+        sense=s.sense[at],
+        snapshot=s.snapshot[at],
+        sampled=s.sample[at] >= 0,
+        arrive=s.arrive[at],
+        believed=s.believed[at],
+        mask=s.mask[at],
+        index=s.number[at],
+        ticks_since_arrival=s.ticks_since_arrival[at],
+        also=s.also[at],
+    )
+
+
+def own_of(problem: Problem) -> tuple[bool, ...]:
+    """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
+    fields = problem._replace(schedule=())._asdict()
+    return tuple(
+        name not in TIMES and 0 < np.size(a) <= SMALL for name, field in fields.items() for a in jax.tree.leaves(field)
+    )
+
+
+def shared_of(problem: Problem) -> tuple[Any, ...]:
+    """Return what must be equal in two cells that share a batch: every array that is not each cell's own."""
+    leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
+    common = [np.asarray(a) for a, own in zip(leaves, own_of(problem), strict=True) if not own]
+    return tree, tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
+
+
+def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]) -> Given:
+    """Lay out the numbers of cells that share their long tables side by side."""
+    flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
+    own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
+    leaves = [
+        np.stack(each, -1) if mine else np.asarray(each[0])
+        for mine, each in zip(own, zip(*flat, strict=True), strict=True)
+    ]
+    p, draw = problems[0], np.random.default_rng(KEY).normal
+    every = len(p.process_std) + (len(p.network.std) if p.network else 0)
+    ticks, slots = p.schedule.arrive.shape
+    size = np.asarray(SCALES)
+    return Given(
+        problem=jax.tree.unflatten(tree, leaves),
+        plan=plan_of([p.schedule for p in problems]),
+        arrivals=draw(size=(ticks, len(size), slots, len(p.noise_std))) * size[:, None, None],
+        ticks=draw(size=(ticks, len(size), every)) * size[:, None],
+        start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
+        chance=np.array(chance),
+        network=tuple(np.stack(each, -1) for each in zip(*network, strict=True)),
+    )

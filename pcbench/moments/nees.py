@@ -1,0 +1,79 @@
+"""Does an observer know how wrong it is? Exactly: what it believes of its error at the last tick against what is true of it.
+
+    E e' P^-1 e / n = tr(P^-1 (S + m m')) / n,   E e_i^2 / P_ii = (S_ii + m_i^2) / P_ii
+
+with m and S mean and covariance of e, P what is believed; both are 1 of a true P. Of a normal error the share within k sigma
+follows. States that are known count in neither, and a singular P has its pseudo-inverse and its rank, as in runs
+(`simulation.nees`).
+Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.simulation.nees import KNOWN, RANK
+from pcbench.statistics.consistency import SIGMAS
+from pcbench.statistics.distributions import normal_below
+from pcbench.statistics.moments import Values
+
+
+class Believed(NamedTuple):
+    """The errors of one observer's n states at the last tick, in S realisations."""
+
+    mean: Values  # [n, S]
+    covariance: Values  # [n, n, S]
+    P: Values  # [n, n, S] believed
+    prior: Values  # [n] standard deviations
+
+
+class Squares(NamedTuple):
+    """Expected normalised squares, by realisation."""
+
+    whole: Values  # [1, S] over the rank of P among the states that count
+    signal: Values  # [n, S], NaN of a state that is known
+    states: Values  # [1, S] that rank
+
+
+def squares(b: Believed) -> Squares:
+    """Return the expected normalised squares."""
+    second = b.covariance + b.mean[:, None] * b.mean[None]
+    whole, many = [], []
+    for s in range(b.P.shape[-1]):
+        counts = _counts(b)[:, s]
+        mine = np.ix_(counts, counts)
+        trace, rank = _normalised(b.P[..., s][mine], second[..., s][mine])
+        many.append(rank)
+        whole.append(trace / rank if rank else np.nan)
+    return Squares(np.array([whole]), _diagonal(second) / _variances(b), np.array([many], float))
+
+
+def _normalised(P: Values, second: Values) -> tuple[float, int]:
+    """Return the trace of P^+ S, and the rank of P."""
+    std = np.sqrt(np.diag(P))
+    size, V = np.linalg.eigh(P / np.outer(std, std))
+    spans = size > RANK * size.max(initial=0.0)
+    along = np.einsum("ij,ik,kj->j", V, second / np.outer(std, std), V)
+    return float(np.sum(along[spans] / size[spans])), int(spans.sum())
+
+
+def inside(b: Believed) -> list[Values]:
+    """Return for each of SIGMAS the share [n, S] of normal errors that lies within so many, NaN of a state that is known."""
+    sigma, std = np.sqrt(_variances(b)), np.sqrt(np.maximum(_diagonal(b.covariance), 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = [[normal_below((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
+    still = [np.where(np.isnan(sigma), np.nan, (np.abs(b.mean) <= k * sigma) * 1.0) for k in SIGMAS]
+    return [np.where(std > 0, high - low, alone) for (high, low), alone in zip(ends, still, strict=True)]
+
+
+def _counts(b: Believed) -> np.ndarray:
+    return _diagonal(b.P) > np.square(KNOWN * b.prior)[:, None]
+
+
+def _variances(b: Believed) -> Values:
+    return np.where(_counts(b), _diagonal(b.P), np.nan)
+
+
+def _diagonal(P: Values) -> Values:
+    """The diagonal [n, S] of matrices [n, n, S]."""
+    return np.einsum("iis->is", P)

@@ -1,0 +1,95 @@
+"""What is random besides the noise: schedules, networks and plants that each run draws, put in as the numbers of one run.
+
+Given those an error is affine in normals, and moments are exact; over them moments are averaged, with a standard error.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from pcbench.moments import uses_last_arrival
+from pcbench.moments.noise_state import forms
+from pcbench.planning import alone
+from pcbench.planning.padding import Plan
+from pcbench.simulation import rng
+from pcbench.simulation.schedule import common_times
+from pcbench.simulation.schedule.random_times import Times
+from pcbench.simulation.types import Layout, Problem
+
+
+class Realised(NamedTuple):
+    """A cell with everything drawn but its noise."""
+
+    layout: Layout
+    problem: Problem
+    network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
+    chance: float = 1.0  # that a sample arrives at all
+    mode: Any = None  # modes.Mode, of a cell that is there once for each of its modes
+
+
+def random(p: Plan) -> bool:
+    """Return whether runs of a cell differ in more than their noise."""
+    sent = p.problem.network
+    network = bool(sent) and (sent.jitter > 0 or sent.loss > 0)
+    return isinstance(p.problem.schedule, Times) or p.layout.drifting or network
+
+
+def realised(p: Plan, root_seed: int, seed: int) -> Realised:
+    """Return a cell as one run has it, but for its noise."""
+    one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, Times) else p
+    layout, problem = one.layout._replace(width=1, watch=False, lifted=0), one.problem
+    plant = layout.plant
+    if not (layout.pending or (layout.drifting and plant.of_run)):
+        return Realised(layout, problem, ())
+    root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
+    if layout.drifting and plant.of_run:
+        problem = problem._replace(
+            params=jax.tree.map(np.asarray, plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn)))
+        )
+        layout = layout._replace(drifting=False)
+    if not layout.pending:
+        return Realised(layout, problem, ())
+    decisions = -(-len(problem.schedule.event) // int(problem.network.every))
+    late, lost = (
+        np.asarray(rng.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]
+        for stream in ("command_jitter", "command_loss")
+    )
+    return Realised(layout, problem, (late, lost))
+
+
+@lru_cache(1024)
+def _drift(root_seed: int, seed: int, many: int) -> Array:
+    """The numbers [many] that one run draws for its plant, the same in all cells; drawn one run at a time they take 6 ms."""
+    return rng.uniforms(jnp.asarray(root_seed), jnp.asarray([seed]), "drift", jnp.asarray(0), 1, many)[0][:, 0]
+
+
+def losses_alone(p: Plan) -> bool:
+    """Return whether all that is random besides the noise is which samples of one sensor are lost, each by itself."""
+    clocks, sent = p.cell.times.clocks, p.problem.network
+    if len(clocks) > 1 or not clocks[0].loss or clocks[0].burst or p.layout.drifting or sent:
+        return False
+    return not clocks[0]._replace(loss=0.0).random
+
+
+def over_losses(p: Plan) -> Realised | None:
+    """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
+
+    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance; or
+    where it asks when the last arrival was. Then its map depends on earlier losses: moments are averaged over drawn schedules.
+    """
+    clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
+    sure = common_times.schedule(
+        common_times.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
+    )
+    one = p.problem._replace(schedule=sure)
+    layout = p.layout._replace(width=1, watch=False, lifted=0)
+    known = forms(layout, one)
+    if forms(layout, p.problem) != known or "other" in known or uses_last_arrival.asked(layout, one):
+        return None
+    ring = max(layout.ring, common_times.in_flight(sure))
+    return Realised(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -1,0 +1,151 @@
+"""The rows of `stats` that need no seeds: expected values without a standard error, and for the others why they are missing.
+
+Rows of one observer in one cell are columns; which rows there are is found once for all cells that know the same.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.moments import nees
+from pcbench.moments.solve import CellMoments
+from pcbench.statistics.consistency import INSIDE
+from pcbench.statistics.distributions import normal_quantile
+from pcbench.statistics.estimates import Estimate, positive, reached, root, student
+from pcbench.statistics.moments import Values, moments
+from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
+
+POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}
+OF_LOOP = ("pooled_tracking_rmse", "steady_pooled_tracking_rmse")
+OF_RUN = ("lq_cost", "steady_lq_cost", "pooled_input_rms", "steady_pooled_input_rms")
+RUNS_ONLY = {
+    "rmse": "the mean of a root is not the root of the mean: pooled_rmse is exact",
+    "steady_rmse": "the mean of a root is not the root of the mean: steady_pooled_rmse is exact",
+    "max_abs_error": "the largest of many ticks depends on all of them together",
+    "steady_max_abs_error": "the largest of many ticks depends on all of them together",
+    "settling_time": "the last of many ticks depends on all of them together",
+    "recovery_time": "the last of many ticks depends on all of them together",
+    "unsettled_rate": "the last of many ticks depends on all of them together",
+    "divergence_rate": "the first of many ticks depends on all of them together",
+}
+ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
+NUMBERS = Estimate._fields[1:]
+ORDER = (
+    *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
+    *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error", *OF_LOOP, *OF_RUN),
+    *("nees", "nees_dof", "signal_nees"),
+    *(*POOLED, "divergence_rate", "unsettled_rate", "rms_efficiency", *INSIDE),
+)
+ALWAYS = (
+    "mae",
+    "mse",
+    "final_error",
+    "steady_mae",
+    "steady_mse",
+    *POOLED,
+)  # of every signal that has an exact answer at all
+NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
+
+
+Columns = dict[str, list[Any]]
+
+
+class Which(NamedTuple):
+    """The rows of an observer in a cell: of each its signal (by number), its metric, and why it has no number, or None."""
+
+    signal: list[int]
+    metric: list[str]
+    reason: list[str | None]
+    places: NDArray[np.intp]  # among the numbers of all metrics and signals, and behind them blank ones
+    final: tuple[int, ...]  # rows of last errors that are normal
+
+
+def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
+    """Return the rows of an observer as columns, each with its `method` and the `reason` for a blank.
+
+    `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
+    there is none.
+    """
+    found = _found(cell, label, bound)
+    normal = not cell.planned.layout.scattered and not cell.mixture
+    many = cell.signals[label].stop - cell.signals[label].start
+    jumps = bool((cell.planned.problem.jumps < cell.planned.cell.times.ticks).any())
+    numbers = np.full((len(found) + 1, many, len(NUMBERS)), np.nan)
+    for at, e in enumerate(found.values()):
+        numbers[at, : len(e.mean)] = np.array(e[1:]).T[:many]
+    known = tuple(tuple(row) for row in (~np.isnan(numbers[:-1, :, 0])).tolist())
+    which = _which(tuple(found), known, many, why, normal, jumps)
+    values = numbers.reshape(-1, len(NUMBERS))[which.places]
+    out: Columns = {"signal": which.signal, "metric": which.metric, "diverged": [0] * len(which.metric)}
+    n = np.array([*(e.n for e in found.values()), 0])[which.places // many]
+    out |= {"n": n.tolist()} | dict(zip(NUMBERS, values.T.tolist(), strict=True))
+    spread = np.full((len(COLUMNS), len(which.metric)), np.nan)
+    if which.final and not cell.random:
+        spread[:, list(which.final)] = _quantiles(cell, label)[:, [which.signal[row] for row in which.final]]
+    out |= dict(zip(COLUMNS, spread.tolist(), strict=True))
+    return out | {"method": ["none" if reason else "exact" for reason in which.reason], "reason": which.reason}
+
+
+@lru_cache(256)
+def _which(
+    found: tuple[str, ...], known: tuple[tuple[bool, ...], ...], many: int, why: str, normal: bool, jumps: bool
+) -> Which:
+    """Return the rows there are where so many signals have so much `found`, and of that `known`."""
+    rows: list[tuple[int, str, str | None, int]] = []
+    final: list[int] = []
+    for i in range(many):
+        for metric in ORDER:
+            said = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
+            there = metric in found and known[found.index(metric)][i]
+            if metric == "recovery_time" and not jumps:
+                continue
+            if not (there or metric in RUNS_ONLY or (why and metric in ALWAYS)):
+                continue
+            blank = bool(said) or metric not in found
+            if metric == "final_error" and not said and normal:
+                final.append(len(rows))
+            rows.append((i, metric, said or None, (len(found) if blank else found.index(metric)) * many + i))
+    signal, metrics, reason, places = map(list, zip(*rows, strict=True))
+    return Which(signal, metrics, reason, np.array(places), tuple(final))
+
+
+def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
+    """Every metric that is exact, of signals."""
+    mine, s = cell.signals[label], cell.sums
+    n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
+    out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[mine], True)}
+    for i, (prefix, count) in enumerate((("", n), ("steady_", n - tail))):
+        squares = _over(cell, s.square[i, mine] / count)
+        pooled = root(squares)
+        out |= {prefix + "mae": _over(cell, s.absolute[i, mine] / count), prefix + "mse": squares}
+        out |= {prefix + "pooled_rmse": pooled}
+        if len(s.off):
+            out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
+            out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
+            if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):
+                out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
+        if bound is not None and prefix:
+            out["rms_efficiency"] = reached(bound[: len(pooled.mean)], pooled)
+    if label in cell.last:
+        b = cell.last[label]
+        for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(b), strict=True):
+            out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
+        out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, nees.inside(b), strict=True)}
+    return out
+
+
+def _over(cell: CellMoments, values: Any, signed: bool = False) -> Estimate:
+    """Values [K, S] averaged over what is random besides the noise; without an error where nothing is."""
+    if cell.random:
+        return (student if signed else positive)(moments(values))
+    value, nothing = values[:, 0], np.zeros(len(values))
+    return Estimate(0, value, nothing, value, value)
+
+
+def _quantiles(cell: CellMoments, label: str) -> Values:
+    """Quantiles [of COLUMNS, signals] of the last errors, which are normal: each is its own interval."""
+    mine = cell.signals[label]
+    each = {q: cell.sums.mean[mine, 0] + cell.sums.std[mine, 0] * normal_quantile(int(q[1:]) / 100) for q in QUANTILES}
+    return np.stack([each[name.split("_")[0]] for name in COLUMNS])

@@ -1,0 +1,122 @@
+"""Observers that compare what arrives with their own estimate of an age `a` ago, right or wrong: what two rivals share.
+
+With z = xhat - xbar (`sample_rate`), e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) where channel j brings a sample
+r_j at k, else 0:
+
+    z(k) = step z(k - every) + here e(k),   z(k+1) = ... + next e(k)
+
+`every` samples back is where the recursion starts from; before sample 0 xhat is xhat(0) and u is 0. Time index: the estimate
+is of now, after the jump.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.observers.parts import sample_rate
+from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.sample_rate import ModelRun, SampledModel, read, ring, write
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
+from pcbench.synthesis.certificate import DesignContext
+
+
+class Gains(NamedTuple):
+    """n states, q outputs."""
+
+    model: SampledModel
+    step: Float[Leaf, "n n"]
+    every: Int[Leaf, ""]  # samples
+    ages: Int[Leaf, " q"]  # samples, as believed
+    here: Float[Leaf, "n q"]  # corrects the estimate at the sample that brings the error
+    next: Float[Leaf, "n q"]  # corrects the estimate one sample later
+    first: Int[Leaf, ""]  # the first sample that corrects
+    room: Room  # for as many samples as it must look back
+
+
+class Memory(NamedTuple):
+    """What stands between ticks."""
+
+    run: ModelRun
+    alone: Float[Array, "ring n"]  # the model alone at past samples
+    past: Float[Array, "ring n"]  # z at past samples
+    z: Float[Array, " n"]  # at the last sample
+    push: Float[Array, " n"]  # what the next one is corrected by
+
+
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0)."""
+    none = jnp.zeros_like(xhat0)
+    return Memory(sample_rate.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
+
+
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+    """Note nothing: the age is believed, not known."""
+    return jnp.zeros(0)
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Correct by what arrives, each channel against its believed age."""
+    ages, C, k = gains.ages, gains.model.C, memory.run.sample
+    known = known_input(gains.model.D, now, ages * gains.model.period)
+    expected = []
+    for j in range(C.shape[0]):
+        then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + known[j])
+    counts = arrival.mask & (k >= gains.first)
+    e = jnp.where(counts, arrival.value - jnp.stack(expected), 0.0)
+    return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Advance by one tick; where a sample is due, advance the recursion by one sample."""
+    run, due = sample_rate.flow(gains.model, memory.run, now)
+    k = memory.run.sample
+    past = write(memory.past, k, memory.z, due)
+    z = gains.step @ read(past, k + 1 - gains.every) + memory.push
+    return Memory(
+        run,
+        write(memory.alone, k + 1, run.xbar, due),
+        past,
+        jnp.where(due, z, memory.z),
+        jnp.where(due, 0.0, memory.push),
+    )
+
+
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now."""
+    return memory.run.xbar + memory.run.carried @ memory.z
+
+
+OBSERVER = Observer(init, snapshot, jump, flow, estimate)
+
+
+def corrected_next(setting: DesignContext, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
+    """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
+    return Gains(
+        model=sample_rate.model_of(setting),
+        step=A,
+        every=np.asarray(1),
+        ages=np.array(ages),
+        here=np.zeros_like(K),
+        next=K,
+        first=np.asarray(0),
+        room=np.zeros(max(setting.reach, *ages, 1)),
+    )
+
+
+def corrected_here(setting: DesignContext, step: Matrix, K: Matrix, d: int) -> Gains:
+    """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
+    return Gains(
+        model=sample_rate.model_of(setting),
+        step=step,
+        every=np.asarray(d),
+        ages=np.full(K.shape[1], d),
+        here=K,
+        next=np.zeros_like(K),
+        first=np.asarray(d),
+        room=np.zeros(max(setting.reach, d)),
+    )

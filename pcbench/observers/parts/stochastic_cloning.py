@@ -1,0 +1,177 @@
+"""Clones: copies of the estimate at the ticks at which samples were taken, with the covariance of them and of the present.
+
+    z = (x, x_1, ..., x_J),   moves by x alone: x <- E x, P_xx <- E P_xx E' + Q, P_xi <- E P_xi
+
+A clone is made when a sample is taken (`Observer.sampled`), over the oldest of J; the sample updates through it when it
+arrives: with h = P c_i, c_i being c in the place of clone i, s = c_i'h + r and any gain K of the whole z,
+
+    z <- z + K (y - c'x_i),   P <- P - K h' - h K' + s K K'
+
+which is the true covariance whatever the gain. `Gain` chooses it. Means are less the response to the input (`prediction`).
+Covariances stand at the last event and are carried to the next. J is the most samples that can be on their way at once; a
+sample that has no clone any more is lost.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from pcbench.dynamics.integrate import after, covariance_after
+from pcbench.errors import UserError
+from pcbench.observers.parts import kalman, linear_filter, reorder_buffer
+from pcbench.protocols import Arrival, InnovationStats, Now, Room, vmap_as_unit
+from pcbench.synthesis.certificate import DesignContext
+
+MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
+LARGE = 256  # entries of P from which functions are vectorised in one piece
+Gain = Callable[
+    [Array, Array, Array], Array
+]  # (h [joint], s, which rows are of now or of the sample's time) -> K [joint]
+
+
+class Memory(NamedTuple):
+    """The estimate of now, and where it stood when samples were taken; joint = (J + 1) n."""
+
+    g: Float[Array, " n"]
+    xhat: Float[Array, " n"]
+    clones: Float[Array, "J n"]  # less g
+    P: Float[Array, "joint joint"]
+    at: Int[Array, ""]  # the tick of P
+    taken: Int[Array, " J"]  # ticks; -1: none
+    made: Int[Array, ""]  # how many clones there were
+    tick: Int[Array, ""]
+
+
+def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
+    """Start from the prior, without clones."""
+    first, J = linear_filter.prior(gains, xhat0), gains.own.shape[0]
+    n = first.mean.shape[0]
+    P = jnp.zeros(((J + 1) * n, (J + 1) * n)).at[:n, :n].set(first.P)
+    zero = jnp.asarray(0)
+    return Memory(
+        g=jnp.zeros(n),
+        xhat=first.mean,
+        clones=jnp.zeros((J, n)),
+        P=P,
+        at=zero,
+        taken=jnp.full(J, -1),
+        made=zero,
+        tick=zero,
+    )
+
+
+def carried(gains: Any, memory: Memory, now: Now) -> Memory:
+    """Return the memory with the covariance of now."""
+    n, age = memory.xhat.shape[0], now.tick - memory.at
+    powers = gains.motion.powers
+    own = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
+    across = after(powers, age, memory.P[:n, n:])
+    P = jnp.block([[own, across], [across.T, memory.P[n:, n:]]])
+    return memory._replace(P=P, at=now.tick)
+
+
+def on_sample(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
+    """Make a clone of the present, in place of the oldest."""
+    found: Memory = _in_one_piece(memory, lambda memory, mask: _sampled(gains, memory, now, mask))(memory, mask)
+    return found
+
+
+def _sampled(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
+    memory = carried(gains, memory, now)
+    J, n = memory.clones.shape
+    mine = jnp.arange(J) == memory.made % J
+    row = jnp.repeat(jnp.append(False, mine), n)
+    wide = jnp.tile(memory.P[:n], (J + 1, 1))
+    P = jnp.where(row[:, None], wide, memory.P)
+    P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
+    there = jnp.any(mask)
+    return memory._replace(
+        clones=jnp.where((mine & there)[:, None], memory.xhat - memory.g, memory.clones),
+        P=jnp.where(there, P, memory.P),
+        taken=jnp.where(mine & there, now.tick, memory.taken),
+        made=memory.made + there,
+    )
+
+
+def _in_one_piece(memory: Memory, f: Any) -> Any:
+    """Vectorise f in one piece if P is large: entry by entry it would compile for minutes."""
+    return vmap_as_unit(f) if memory.P.size >= LARGE else f
+
+
+def jumping(gain: Gain) -> Any:
+    """Return the jump of an observer with this gain."""
+
+    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        found: Memory = _in_one_piece(memory, lambda memory, arrival: jumped(gains, memory, now, arrival))(
+            memory, arrival
+        )
+        return found
+
+    def jumped(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+        n, P = memory.xhat.shape[0], memory.P
+        z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
+        mine = jnp.append(False, memory.taken == sample.taken)
+        near = jnp.repeat(mine.at[0].set(True), n)
+        value, known = linear_filter.value_of(gains, sample), jnp.any(mine)
+        for channel in range(gains.C.shape[0]):
+            c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+            there = (mine[:, None] * c[None, :]).reshape(-1)
+            h = P @ there
+            s = there @ h + r
+            K = jnp.where(mask, gain(h, s, near), 0.0)
+            z = z + K * (value[channel] - c @ sample.snapshot - there @ z)
+            P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
+        return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
+
+    return jump
+
+
+def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
+    """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
+    found: InnovationStats = _in_one_piece(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(
+        memory, arrival
+    )
+    return found
+
+
+def _innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
+    sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+    z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
+    mine = jnp.append(False, memory.taken == sample.taken)
+    value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
+    for channel in range(gains.C.shape[0]):
+        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+        there = (mine[:, None] * c[None, :]).reshape(-1)
+        h = P @ there
+        nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
+        total = kalman.judged(total, nu, s, mask)
+        K = kalman.gain(h, s, mask)
+        z, P = z + K * nu, kalman.covariance(P, K, there, r)
+    return total
+
+
+def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
+    """Return the covariance of the present, carried to now."""
+    n = memory.xhat.shape[0]
+    P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P[:n, :n])
+    return linear_filter.spread(gains, memory, P)
+
+
+def room(setting: DesignContext, name: str) -> Room:
+    """Return room for a clone of every sample on its way; raise UserError where it is not told when samples are taken."""
+    if setting.error:
+        raise UserError(
+            f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
+            "is told of a sample when it is taken; leave it out, or take kf."
+        )
+    if setting.flight > MOST:
+        raise UserError(
+            f"{name} in {setting.scenario}: got up to {setting.flight} samples on their way at once, expected at most {MOST}: "
+            "each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
+        )
+    return np.zeros(setting.flight)

@@ -1,0 +1,26 @@
+"""Each paper's printed numbers and claims against what comes out here, line by line."""
+
+from collections.abc import Callable
+
+from pcbench.papers import arm, cart, chain, helicopter, pi_pco
+from pcbench.papers.claim import Claim
+
+PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
+    "arm": (
+        "Peng, Appl. Sci. 7 (2017) 67: sliding-mode and PI observers with an unknown input, on a flexible-joint arm",
+        arm.claims,
+    ),
+    "cart": (
+        "Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart",
+        cart.claims,
+    ),
+    "chain": (
+        "Alipouri, Zhong, Actuators 10 (2021) 281: a chain of observers for unequal delays, on the stirred tank heater",
+        chain.claims,
+    ),
+    "helicopter": (
+        "Hernandez-Gonzalez et al., Aerospace 11 (2024) 206: a high-gain observer with late samples, on a helicopter",
+        helicopter.claims,
+    ),
+    "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),
+}

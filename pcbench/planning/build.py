@@ -1,0 +1,239 @@
+"""From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
+
+from collections.abc import Callable, Container, Iterable, Iterator
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from pcbench import plants
+from pcbench.engine import runner
+from pcbench.engine.products import blocks
+from pcbench.engine.products.affine_detection import plant_goes
+from pcbench.errors import UserError
+from pcbench.observers import base_of
+from pcbench.planning import loop_setup, memo, padding
+from pcbench.planning.design_context import prepared, setting
+from pcbench.planning.error_bound import bound
+from pcbench.planning.padding import Plan
+from pcbench.plants import lti
+from pcbench.scenarios import Scenario
+from pcbench.scenarios.signals import SINGLE, inputs, jumps
+from pcbench.simulation.measurement_noise import Outliers, Rounding
+from pcbench.simulation.schedule import common_times, periodic, random_times
+from pcbench.simulation.types import Layout, Problem
+from pcbench.study import Study
+from pcbench.study.grid import Cell, cells_of
+from pcbench.synthesis.certificate import DesignContext, power_of_2
+
+AnySchedule = common_times.Schedule | random_times.Times  # one for all runs, or numbers by which each run draws its own
+
+
+def plan(study: Study) -> list[Plan]:
+    """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
+    return padding.fit(list(drafts(cells_of(study), runs=lambda cell: study.seeds)))
+
+
+def drafts(
+    every: list[Cell],
+    wanted: Container[tuple[str, int]] | None = None,
+    ask: memo.Once | None = None,
+    runs: Callable[[Cell], int] | None = None,
+    skip: int = 0,
+    apart: bool = False,
+) -> Iterator[Plan]:
+    """Yield a draft of every cell but the first `skip`; in a closed loop one for each observer, whose plant is its own.
+
+    If they are to be `apart`, each expensive observer has a draft of its own too.
+
+    Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
+    `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
+    """
+    ask = ask or memo.once()
+    most: dict[str, DesignContext] = {}
+    settings = [setting(cell, ask) for cell in every]
+    for cell, known in zip(every, settings, strict=True):
+        if not cell.times.random:
+            most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
+    for cell, known in zip(every[skip:], settings[skip:], strict=True):
+        if cell.times.random:  # then room for all would cost more than a program
+            known = known._replace(spare=power_of_2(known.overtaking))
+        else:
+            known = known.roomier(most[cell.scenario.plant])
+        for options in _programs(cell, apart) if wanted is None or cell.key in wanted else [{}]:
+            p = draft(cell, options, known, ask)
+            yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell), options))) if runs else p
+
+
+def _programs(cell: Cell, apart: bool) -> list[dict[str, BaseModel]]:
+    """Return the options of a cell's observers, those of one program at a time."""
+    loop = bool(cell.scenario.loop.controller)
+    alone = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]
+    others = {o: given for o, given in cell.options.items() if o not in alone}
+    return [group for group in (others, *({o: cell.options[o]} for o in alone)) if group] or [{}]
+
+
+def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
+    """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same.
+
+    Of observers whose bits depend on it, as many in every call (`Entry.lanes`). The definition has as many in all calls of a
+    program with the observers `labels`.
+    """
+    if cell.engine == "definition":
+        return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
+    if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
+        return min(fixed)
+    most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
+    if runs is None or cell.scenario.loop.controller or cell.times.random:
+        return most
+    return next((lanes for lanes in runner.NARROW if runs <= lanes < most), most)
+
+
+def draft(
+    cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: memo.Once = memo.anew
+) -> Plan:
+    """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
+    s, known = cell.scenario, known or setting(cell, ask)
+    true, belief, choices = s.truth, s.belief, cell.choices
+    plant, n = plants.entry_of(s), cell.times.ticks
+    designs = {o: memo.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
+    names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
+    numbers = ({"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
+    numbers |= {"sensor_delay": _late(cell)} if "sensor_delay" in plant.numbers._fields else {}
+    numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
+    drawn, around = (
+        choices.random_initial_state and not belief.initial_box,
+        choices.random_initial_state and bool(belief.initial_box),
+    )
+    spread = belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)
+    signals = len(true.x0) + len(belief.unknown_std)
+    schedule, room = _schedule(cell, ask)
+    problem = Problem(
+        params=prepared(plant, plants.varied(plants.numbers_of(s), numbers), s.dt, n, ask),
+        gains={names[o]: d.gains for o, d in designs.items()},
+        schedule=schedule,
+        inputs=_inputs(cell, known, ask),
+        dt=np.asarray(s.dt),
+        x0=np.array(belief.xhat0 if drawn else true.x0),
+        xhat0=np.array(true.x0 if around else belief.xhat0),
+        spread0=np.diag(spread),
+        noise_std=np.array(s.sampling.noise_std),
+        band=np.array(s.scoring.settle_band),
+        bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), signals),
+        windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
+        process_std=np.array(true.process_std),
+        jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
+        scatter=np.array(belief.initial_box) * around,
+        network=loop_setup.network(cell),
+        weights=loop_setup.weights(cell),
+        outliers=_outliers(s),
+        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither))
+        if any(step := s.sampling.quantization_step)
+        else (),
+        tail=np.asarray(dof) if np.isfinite(dof := s.sampling.student_t_dof) else (),
+    )
+    layout = Layout(
+        plant=plant.plant,
+        observers=tuple((names[o], cell.entry(o).observer) for o in options),
+        width=width(cell, labels=options),
+        ring=room,
+        random_initial_state=drawn or choices.initial_spread > 0,
+        continuous=s.sampling.continuous,
+        drifting=bool(true.parameter_drift and plant.plant.of_run),
+        controller=loop_setup.controller(cell),
+        scattered=bool(belief.initial_box),
+        pending=loop_setup.pending(cell),
+        consistency=choices.consistency,
+        defined=cell.engine == "definition",
+    )
+    return Plan(
+        cell=cell,
+        layout=layout._replace(lifted=_chunks(layout, problem, ask) if cell.engine == "products" else 0),
+        problem=problem,
+        certificates={o: d.certificate for o, d in designs.items()},
+        bound=bound(cell, known, ask) if options else None,
+        predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
+        labels=tuple(options),
+        reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
+    )
+
+
+def _outliers(s: Scenario) -> Any:
+    """The numbers of samples that are outliers; (): none is."""
+    chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
+    return Outliers(np.asarray(chance), np.asarray(scale)) if chance else ()
+
+
+def _late(cell: Cell) -> float:
+    """The delay of samples [s] of a plant that has it among its signals; the mean where it varies."""
+    clock = cell.times.clocks[0]
+    return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
+
+
+def _chunks(layout: Layout, problem: Problem, ask: memo.Once) -> int:
+    """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
+    schedule = problem.schedule
+    room = blocks.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0
+    if not room:
+        return 0
+    bare = layout._replace(observers=(), width=1, ring=1)
+    shapes = tuple(np.shape(a) for a in jax.tree.leaves((problem.params, problem.inputs, problem.process_std)))
+    goes: bool = ask("lifted", (bare, shapes), lambda: plant_goes(bare, problem._replace(gains={})))
+    return room if goes else 0
+
+
+def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:
+    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
+
+    Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
+    """
+    s, m = cell.scenario, known.model.B.shape[1]
+    if s.loop.controller:
+        return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
+    n = cell.times.ticks
+    u: NDArray[np.float64] = ask(
+        "inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, s.dt * np.arange(n + 1, dtype=float), m)
+    )
+    if u.shape[1] != m:
+        raise UserError(
+            f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
+            f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
+        )
+    return u
+
+
+def _schedule(cell: Cell, ask: memo.Once) -> tuple[AnySchedule, int]:
+    """The same for all runs of a cell."""
+    key = tuple(cell.times.clocks), cell.times.ticks, cell.times.error, cell.scenario.sampling.continuous
+    return ask("schedule", (*key, len(cell.scenario.sampling.delay)), lambda: schedule_of(cell))
+
+
+def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:
+    """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
+    s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
+    error, channels = cell.times.error, len(s.sampling.delay)
+    if s.sampling.continuous:
+        return periodic.at_every_tick(n, channels), 1
+    if cell.times.random and run is None:
+        return random_times.times(clocks, n, channels, error), random_times.room(clocks, n, error)
+    if len(clocks) == 1 and clocks[0].plain and not error:
+        return periodic.regular(clocks[0], n, channels)
+    schedule = common_times.schedule(samples_of(cell, run), n, channels, error)
+    return schedule, common_times.in_flight(schedule)
+
+
+def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[common_times.Sample]:
+    """Return every sample of a cell, lost ones too; of one run (root seed, seed), where sampling is random."""
+    clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
+    random = run is not None and cell.times.random
+    return random_times.realised(clocks, n, channels, *run) if random and run else common_times.samples(clocks, n)
+
+
+def alone(p: Plan, root_seed: int, seed: int) -> Plan:
+    """Return a cell laid out for one run: where sampling is random, on the schedule of that run."""
+    schedule, room = schedule_of(p.cell, (root_seed, seed))
+    return p._replace(
+        problem=p.problem._replace(schedule=schedule), layout=p.layout._replace(ring=max(room, p.layout.ring))
+    )

@@ -1,0 +1,100 @@
+"""What a designer is told of a cell: the model, the times, the noise."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jax.tree_util import Partial
+
+from pcbench.dynamics import linear
+from pcbench.errors import unknown
+from pcbench.planning import memo
+from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_in, varied
+from pcbench.scenarios import Scenario
+from pcbench.simulation.schedule import common_times, random_times, sampling
+from pcbench.study.grid import Cell
+from pcbench.synthesis.certificate import DesignContext
+
+
+def prepared(plant: PlantSpec, numbers: Any, dt: float, ticks: int, ask: memo.Once) -> Any:
+    """Return a plant's numbers for the ticks of a horizon."""
+    try:
+        key = plant.prepare, memo.key_of(numbers), dt, ticks
+    except TypeError:
+        return plant.prepare(numbers, dt, ticks)
+    return ask("params", key, lambda: jax.tree.map(_here, plant.prepare(numbers, dt, ticks)))
+
+
+def _here(leaf: Any) -> Any:
+    """A leaf as NumPy's: jax's own are fetched once, not for every cell."""
+    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+
+def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
+    """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
+    s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
+    belief, noise = s.belief, s.sampling.noise_std
+    period, delay = [0] * len(noise), [0] * len(noise)
+    plant, many = entry_of(s), len(belief.unknown_std)
+    told = (plant.model, plant.successor, plant.sensor, plant.parts)
+    params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
+    field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
+    back = clocks[0].stamp.reach(n)[0]
+    for clock in clocks:
+        for j in clock.channels:
+            if isinstance(clock.profile, tuple):
+                period[j] = round(sum(clock.profile) / len(clock.profile))
+            else:
+                period[j] = clock.period
+            late = period[j] if clock.delay is None else clock.delay
+            delay[j] = late + clock.later + cell.times.error
+    return DesignContext(
+        scenario=s.name,
+        model=plant.nominal(numbers_of(s)),
+        dt=s.dt,
+        ticks=n,
+        period=tuple(period),
+        delay=tuple(delay),
+        noise_std=tuple(
+            belief.assumed_noise_scale * (std or spare)
+            for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)
+        ),
+        P0=np.diag(np.square(belief.prior_std)),
+        input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
+        overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),
+        process_std=belief.assumed_process_std or s.truth.process_std,
+        error=cell.times.error,
+        reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
+        flight=random_times.room(clocks, n, cell.times.error),
+        latest=max(sampling.ages(clock, n)[1] for clock in clocks) + cell.times.error + back,
+        unknown_std=belief.unknown_std,
+        unknown0=belief.unknown0 or (0.0,) * many,
+        unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,
+        field=field,
+        successor=successor,
+        sensor=sensor,
+        parts=parts,
+        variant=partial(_variant, s),
+        xhat0=belief.xhat0,
+        intervals=ask("intervals", (clocks[0], n), lambda: tuple(sampling.intervals(clocks[0], n)))
+        if len(clocks) == 1
+        else (),
+    )
+
+
+def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
+    """The model that observers would be told with other parameters."""
+    known = parameters_in(s)
+    for name in parameters:
+        if name not in known:
+            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, known)
+    return entry_of(s).nominal(varied(numbers_of(s), parameters))
+
+
+def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
+    """How many newer samples may arrive before one; of one clock with samples of one age, none."""
+    if sampling.any_random(clocks):
+        return random_times.overtaking(clocks, ticks)
+    alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
+    return 0 if alone else common_times.overtaking(common_times.samples(clocks, ticks))

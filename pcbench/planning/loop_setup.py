@@ -1,0 +1,149 @@
+"""What closes a loop: the controller with its numbers, the way of its commands, and room for what a schedule can ask for."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.tree_util import Partial
+from pydantic import BaseModel
+
+from pcbench import controllers
+from pcbench.controllers import ControllerContext
+from pcbench.controllers.parts.common import Options
+from pcbench.controllers.parts.set_points import reference
+from pcbench.errors import UserError, raised
+from pcbench.plants import entry_of, numbers_of
+from pcbench.protocols import Controller
+from pcbench.simulation import actuator_delay, law_conformance, metrics
+from pcbench.simulation import command_network as network_of
+from pcbench.simulation.schedule import common_times, random_times
+from pcbench.study import controller_table, times
+from pcbench.study.grid import Cell
+
+
+class Reach(NamedTuple):
+    """Ticks that a loop looks back and ahead."""
+
+    back: int  # commands it keeps
+    ahead: int
+
+
+def options(cell: Cell) -> BaseModel:
+    """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
+    s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
+    return controllers.entry_of(s).options.model_validate(dict(s.loop.control) | chosen)
+
+
+def controller(cell: Cell) -> Controller | None:
+    """Return the control law of a cell; None of an open loop."""
+    s = cell.scenario
+    return controllers.law_of(controllers.entry_of(s), options(cell)) if s.loop.controller else None
+
+
+def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
+    """Return the ticks of commands to keep behind and beyond.
+
+    `back`: so that inputs since the oldest sample that may still be used again can be read, the actuator's delay included.
+    `ahead`: past the end, until the last command acts.
+    """
+    s, delay = cell.scenario, times.actuator_delay(cell.scenario)
+    known = oldest(cell, overtaking, ticks)
+    longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
+    back = actuator_delay.rows_needed(delay, s.dt, ticks, known + 1)
+    return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
+
+
+def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
+    """Return how many ticks back an observer may ask for an input: to the oldest sample that may still be used again."""
+    if cell.times.random:
+        found = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)
+    else:
+        found = common_times.oldest(common_times.samples(cell.times.clocks, ticks), overtaking)
+    return found + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
+
+
+def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
+    """Return what the designer of a law knows of a cell, with room for `reach`."""
+    s, plant = cell.scenario, entry_of(cell.scenario)
+    params = plant.prepare(numbers_of(s), s.dt, ticks)
+    return controller_table.told(s)._replace(
+        ticks=ticks,
+        rows=reach.back,
+        ahead=reach.ahead,
+        field=Partial(plant.model, params) if plant.model else None,
+        inverse=Partial(plant.inverse, params) if plant.inverse else None,
+    )
+
+
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator_delay.Line]:
+    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
+    s, known = cell.scenario, told(cell, reach, ticks)
+    law = _numbers(cell, known)
+    if controller_table.held(s):
+        return law, actuator_delay.held_line(known.late, reach.back, ticks + reach.ahead)
+    return law, actuator_delay.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
+
+
+def _numbers(cell: Cell, told: ControllerContext) -> Any:
+    """The law's numbers; raise UserError where a law of a user's own does not keep to the protocol."""
+    s, entry = cell.scenario, controllers.entry_of(cell.scenario)
+    if "controller" not in s.own:
+        return entry.prepare(options(cell), told)
+    name = s.loop.controller
+    try:
+        numbers = entry.prepare(options(cell), told)
+        traced = jax.tree.map(np.asarray, numbers)
+    except Exception as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(
+            f"controller {name}: prepare: got {raised(error)}, expected a pytree of arrays; mend that line."
+        ) from error
+    (n, m), signals = told.model.B.shape, len(s.scoring.settle_band)
+    law_conformance.check(
+        name, controllers.law_of(entry, options(cell)), traced, law_conformance.Sizes(n, signals - n, m)
+    )
+    return numbers
+
+
+def pending(cell: Cell) -> int:
+    """Return the room of the network to the plant; 0 where all runs share an actuator line."""
+    numbers = network(cell)
+    if not numbers:
+        return 0
+    return network_of.room(int(numbers.every), int(numbers.delay), int(numbers.jitter))
+
+
+def network(cell: Cell) -> Any:
+    """Return the numbers of the network to the plant; () where there is none."""
+    s = cell.scenario
+    loop = s.loop
+    if not (loop.command_jitter or loop.command_loss or loop.command_std):
+        return ()
+    told = controller_table.told(s)
+    return network_of.Numbers(
+        every=np.asarray(told.every(getattr(options(cell), "period", None))),
+        delay=np.asarray(times.whole(loop.actuator_delay or 0.0, s)),
+        jitter=np.asarray(times.whole(loop.command_jitter, s)),
+        loss=np.asarray(loop.command_loss),
+        std=np.full(told.model.B.shape[1], loop.command_std),
+    )
+
+
+def weights(cell: Cell) -> Any:
+    """Return the weights of the cost; () of an open loop, and of one whose effort no table shows."""
+    s = cell.scenario
+    if not controller_table.held(s):
+        return ()
+    given, known = options(cell), controller_table.told(s)
+    n, m = known.model.B.shape
+    none = np.zeros((0, n)), np.zeros((0, m))
+    Q1, Q2 = getattr(given, "Q1", None), getattr(given, "Q2", None)
+    if Q1 is None:
+        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)), *none)
+    points = given.set_point if isinstance(given, Options) else {}
+    aims = reference(points, known.states, known.tick, known.dt, cell.times.ticks + 1) if points else none
+    sizes = controller_table.sizes(s, "controller")
+    return metrics.Weights(
+        controller_table.matrix(Q1, (n, n), "Q1", sizes), controller_table.matrix(Q2, (m, m), "Q2", sizes), *aims
+    )

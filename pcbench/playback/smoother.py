@@ -1,0 +1,112 @@
+"""The smoother that sees a whole log: the best estimate of a linear model from all samples, those to come too.
+
+A Kalman filter over ticks, each sample used at the tick at which it was taken, and the adjoint backwards:
+
+    forward    x-, P- at each tick; channel by channel nu = y - c x - D u, s = c P c' + r, K = P c' / s
+    backward   lambda <- lambda - c' (K' lambda + nu / s) over the channels, then A' lambda over a tick
+    smoothed   x- - P- lambda
+
+No covariance is inverted, so a model without process noise is as good as another. Noise and prior are what designers are told.
+Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973).
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+
+from pcbench.dynamics import linear
+from pcbench.protocols import Leaf
+from pcbench.runtime import memory, program_cache
+from pcbench.synthesis.certificate import DesignContext
+
+MOST = 1 << 26  # numbers that are kept of a whole log, at most
+COPIES = 1.5  # of them that are held at a time, with what else grows
+
+
+class Linear(NamedTuple):
+    """One tick of a linear model with its noise; n states, m inputs, q outputs."""
+
+    Phi: Float[Leaf, "n n"]
+    Gamma: Float[Leaf, "n m"]
+    Q: Float[Leaf, "n n"]
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]
+    x0: Float[Leaf, " n"]
+    P0: Float[Leaf, "n n"]
+
+
+class Forward(NamedTuple):
+    """What is kept of every tick."""
+
+    x: Array  # [N, n] before its samples
+    P: Array  # [N, n, n]
+    K: Array  # [N, q, n] 0 of a channel without a sample
+    nu: Array  # [N, q] likewise
+    s: Array  # [N, q] 1 of such a channel
+
+
+def model_of(known: DesignContext, xhat0: Any) -> Linear | None:
+    """Return the model that a setting tells of; None of one that is not linear, or is pushed by what nobody knows."""
+    if known.field or known.successor or known.model.E is not None or known.unknown_std:
+        return None
+    Phi, Gamma = linear.one_tick(known.model, known.dt)
+    Q = linear.input_noise(known.model, known.input_intensity, known.dt) + known.process_noise
+    R, model = known.noise_variance, known.model
+    return Linear(Phi, Gamma, Q, model.C, model.feedthrough, R=R, x0=np.asarray(xhat0, float), P0=known.P0)
+
+
+def fits(model: Linear, ticks: int) -> bool:
+    """Say whether there is memory to smooth so many ticks.
+
+    It is asked beforehand: a compiled program that finds none may end the process.
+    """
+    q, n = model.C.shape
+    numbers = ticks * (2 * n + n * n + q * (n + 3) + model.Gamma.shape[1])
+    return numbers <= MOST and COPIES * 8 * numbers <= memory.free()
+
+
+def forward(model: Linear, u: Array, y: Array) -> Forward:
+    """Filter samples y [N, q] (NaN: none) at the ticks at which they were taken, under inputs u [N, m]."""
+
+    def step(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], Forward]:
+        (x, P), (u, y) = carry, row
+        before = x, P
+        gains: list[Array] = []
+        left: list[Array] = []
+        spreads: list[Array] = []
+        for c, d, r, value in zip(model.C, model.D, model.R, y, strict=True):
+            there = ~jnp.isnan(value)
+            s = c @ P @ c + r
+            K = jnp.where(there, P @ c / s, 0.0)
+            nu = jnp.where(there, value - c @ x - d @ u, 0.0)
+            keep = jnp.eye(len(x)) - jnp.outer(K, c)
+            x, P = x + K * nu, keep @ P @ keep.T + r * jnp.outer(K, K)
+            gains, left, spreads = [*gains, K], [*left, nu], [*spreads, jnp.where(there, s, 1.0)]
+        kept = Forward(*before, jnp.stack(gains), jnp.stack(left), jnp.stack(spreads))
+        return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), kept
+
+    return lax.scan(step, (jnp.asarray(model.x0), jnp.asarray(model.P0)), (u, y))[1]
+
+
+def smooth(model: Linear, u: Array, y: Array) -> Array:
+    """Return the smoothed states [N, n] at every tick."""
+    f = forward(model, u, y)
+
+    def back(after: Array, row: Forward) -> tuple[Array, Array]:
+        for j in reversed(range(len(model.R))):
+            there = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
+            after = jnp.where(there, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
+        return model.Phi.T @ after, row.x - row.P @ after
+
+    return lax.scan(back, jnp.zeros(len(model.Phi)), f, reverse=True)[1]
+
+
+@cache
+def compiled() -> Any:
+    """Return `smooth` compiled, once for each shape in a process."""
+    return program_cache.bounded(smooth)

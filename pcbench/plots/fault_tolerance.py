@@ -1,0 +1,101 @@
+"""How much of each fault an observer bears before the model alone is better, of a study that varies its axes one by one."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pcbench.dataset.result import Result
+from pcbench.errors import UserError
+from pcbench.plots import frames, scales
+from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots.labels import about, named
+from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots.palette import SOFT, styles
+
+ALONE = "model-only"  # the model alone
+BESIDE = 2  # panels
+
+
+def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
+    """Return axis, value, observer, part: the mean of a metric over that of the model alone, of axes that hold numbers."""
+    whole = frames.rows(result, scenario, signal, metric)
+    alone = whole[whole.observer == ALONE].set_index("cell")["mean"]
+    at, out = frames.values_at(whole, int(whole.cell.min())), []
+    for axis in frames.varying(whole):
+        part = frames.fixed(whole, [axis], {a: v for a, v in at.items() if a != axis})
+        if any(isinstance(value, str) for value in part[axis]):
+            continue
+        found = part[part.observer != ALONE]
+        ratio = found["mean"].to_numpy() / alone.loc[found.cell].to_numpy()
+        out.append(pd.DataFrame({"axis": axis, "value": found[axis], "observer": found.observer, "part": ratio}))
+    return pd.concat(out, ignore_index=True) if out else pd.DataFrame(columns=["axis", "value", "observer", "part"])
+
+
+def borne(parts: pd.DataFrame) -> pd.DataFrame:
+    """Return axis, observer, most: the value, from the usual one on, up to which an observer is better than the model alone.
+
+    Between two values by a straight line; infinite (of the sign of the values) where it is better at all of them, and NaN where
+    it is worse at the usual value, the first. A mean that is not finite is of runs that diverged, and worse.
+    """
+    out = []
+    for (axis, observer), mine in parts.groupby(["axis", "observer"], sort=False):
+        usual = mine.value.iloc[0]
+        for sign in (1, -1):
+            side = mine[sign * (mine.value - usual) >= 0].sort_values("value", ascending=sign > 0, kind="stable")
+            if len(side) > 1:
+                out.append((axis, observer, _crossing(side.value.to_numpy(float), side.part.to_numpy(float), sign)))
+    return pd.DataFrame(out, columns=["axis", "observer", "most"])
+
+
+def _crossing(value: np.ndarray, part: np.ndarray, sign: int) -> float:
+    worse = np.flatnonzero(~(part <= 1))
+    if not len(worse):
+        return sign * float("inf")
+    i = int(worse[0])
+    if i == 0:
+        return float("nan")
+    if not np.isfinite(part[i]) or not np.isfinite(value[i - 1]):
+        return float(value[i - 1])
+    return float(value[i - 1] + (1 - part[i - 1]) / (part[i] - part[i - 1]) * (value[i] - value[i - 1]))
+
+
+def bearing(
+    result: Result,
+    *,
+    scenario: str | None = None,
+    signal: str | None = None,
+    metric: str = frames.METRIC,
+    paper: Paper = PAPER,
+) -> Figure:
+    """Return the errors of observers over those of the model alone, a panel for each axis; above 1 the model alone is better.
+
+    The study varies its axes one by one (`vary = "one-at-a-time"`), and `model-only` is among its observers: else UserError.
+    """
+    whole = frames.rows(result, scenario, signal, metric)
+    if result.study.vary != "one-at-a-time" or ALONE not in set(whole.observer):
+        raise UserError(
+            f'bearing of {result.study.name}: got vary = "{result.study.vary}" and observers '
+            f'{", ".join(dict.fromkeys(whole.observer))}, expected vary = "one-at-a-time" and {ALONE} among them.'
+        )
+    parts = part_of_alone(result, whole.scenario.iloc[0], whole.signal.iloc[0], metric)
+    look = styles(parts.observer)
+    keys = [Key(o, look[o], "points") for o in dict.fromkeys(parts.observer)]
+    y = scales.of([*parts.part, 1.0], scales.is_wide([*parts.part, 1.0]))
+    units, panels, every = frames.units(result, whole), [], {}
+    axes: dict[str, Any] = {str(name): mine for name, mine in parts.groupby("axis", sort=False)}
+    for i, (name, mine) in enumerate(axes.items()):
+        over = f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}" if i == 0 else ""
+        every[name] = sorted(set(mine.value))
+        panels.append(Panel(scales.at(every[name]), y, frames.label(name, units), over, height=1.1))
+    figure, drawn = sheet(paper, about(result, whole, {}), panels, keys, columns=min(BESIDE, len(panels)))
+    with drawn_on(paper):
+        for ax, panel, (name, mine) in zip(drawn, panels, axes.items(), strict=True):
+            ax.axhline(1.0, color=SOFT, linewidth=0.9)
+            for key in keys:
+                line = mine[mine.observer == key.label].sort_values("value")
+                at = scales.places(panel.x, line.value, every[name])
+                ax.plot(at, line.part, color=key.style.colour, linestyle=key.style.line, linewidth=1.0,
+                        marker=key.style.marker, markersize=3.5)  # fmt: skip
+    return figure

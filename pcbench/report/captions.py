@@ -1,0 +1,133 @@
+"""What pictures show, in words: for those who do not see them, and as captions."""
+
+import numpy as np
+import pandas as pd
+
+from pcbench.plots import frames, one_run, scales
+from pcbench.plots.scales import number as exact
+from pcbench.plots.time_series import BANDS, over
+from pcbench.statistics.ranking import most_often
+
+WINNERS = (
+    "A cell is won where the best is surely better than every other (5 %, Holm); the number says how many times larger the "
+    "second's error is. Pale: it is not sure."
+)
+CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve it."
+COSTS = (
+    "Left and low is better. Counted from the observers' own functions; an observer that takes no sample has no place."
+)
+BEARING = "Above 1 the model alone is better. One fault at a time, the others at their first value."
+HONESTY = (
+    f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
+    "the band it is over-confident, below it cautious."
+)
+WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
+
+
+def number(value: float) -> str:
+    """Return a number with three digits."""
+    return exact(float(f"{value:.3g}")) if np.isfinite(value) else "-"
+
+
+def medians(part: pd.DataFrame, unit: str) -> str:
+    """Return the medians of a cell's rows."""
+    said = [f"{row['observer']} {_said(row['p50'], unit)}" for row in part.to_dict("records")]
+    return f"Medians: {', '.join(said)}."
+
+
+def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
+    """Return where each observer's curve begins and ends."""
+    words = any(isinstance(v, str) or v is None or v != v for v in part[axis])
+    first = part if words else part.sort_values(axis, kind="stable")
+    said = []
+    for observer, mine in first.groupby("observer", sort=False):
+        a, b = mine.iloc[0], mine.iloc[-1]
+        ends = [f"{_said(row['mean'], unit)} at {scales.word(row[axis])}" for row in (a, b)]
+        said.append(f"{observer}: {' to '.join(ends)}")
+    return "; ".join(said) + "."
+
+
+def ranges(part: pd.DataFrame, unit: str) -> str:
+    """Return the least and the largest value of each observer's map."""
+    said = []
+    for observer, means in part.groupby("observer", sort=False)["mean"]:
+        found = means[np.isfinite(means)]
+        known = f"{number(found.min())} to {number(found.max())}" if len(found) else "diverged in every run"
+        said.append(f"{observer} {known}")
+    return f"Ranges [{unit}]: {', '.join(said)}."
+
+
+def winners(found: pd.DataFrame) -> str:
+    """Return how many cells each observer wins; if none wins any, which are as good as the best."""
+    counted = found.text.value_counts()
+    names, most = ([], 0) if (found.winner != "").any() else most_often(found.leaders)
+    shared = f" None is better than {' and '.join(names)} in {most} of them." if most else ""
+    return f"Of {len(found)} cells: {', '.join(f'{name} {n}' for name, n in counted.items())}.{shared}"
+
+
+def convergence(part: pd.DataFrame) -> str:
+    """Return how wide the interval of each observer is in the end."""
+    last = part.groupby("observer", sort=False).last()
+    said = [f"{o} ± {number(100 * row.half)} % after {int(row.seeds):,} runs" for o, row in last.iterrows()]
+    return f"{', '.join(said)}." if said else "No mean has an interval."
+
+
+def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
+    """Return where one run ends, and how to read its picture, where errors of some observers over time are `exact`."""
+    ends = run[run.kind.isin(["truth", "estimate", "target"])].groupby("series", sort=False).value.last()
+    text = "At the end: " + ", ".join(f"{o} {_said(v, unit)}" for o, v in ends.items()) + "."
+    of = frozenset(run.series[run.kind == "rms"])
+    runs = "" if of <= exact else ", this one and the seeds after it"
+    band = f" Bands: nine in ten errors over {over(of, exact)}{runs}." if 0 < len(of) <= BANDS else ""
+    thin = (
+        " Thin lines: three standard deviations that an observer believes; one where errors are on a logarithmic axis."
+    )
+    return text, f"What leaves the range is cut off.{band}{thin if (run.kind == 'sigma').any() else ''}"
+
+
+def honesty(run: pd.DataFrame) -> str:
+    """Return what each observer's squared error is of what it believes, over the second half of a run in time."""
+    late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
+    said = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
+    return f"Mean over the second half: {', '.join(said)}."
+
+
+def costs(found: pd.DataFrame) -> str:
+    """Return what each observer costs."""
+    said = [
+        f"{row['observer']} {row['sample']:,} a sample, {row['tick']:,} a tick, {row['memory']:,} bytes"
+        for row in found.to_dict("records")
+    ]
+    return f"Multiplications of one run, and memory: {'; '.join(said)}."
+
+
+def borne(found: pd.DataFrame) -> str:
+    """Return how much of each fault observers bear before the model alone is better."""
+    said = []
+    for axis, mine in found.groupby("axis", sort=False):
+        each = [f"{row['observer']} {_most(row['most'])}" for row in mine.to_dict("records")]
+        said.append(f"{frames.label(str(axis))}: {', '.join(each)}")
+    return f"Better than the model alone: {'; '.join(said)}."
+
+
+def _most(value: float) -> str:
+    if np.isnan(value):
+        return "never"
+    return "everywhere" if np.isinf(value) else f"to {number(value)}"
+
+
+def fair(table: pd.DataFrame) -> str:
+    """Return what each observer's gains are worth on held-out runs."""
+    first = table[table.cell == table.cell.iloc[0]]
+    unit = first.unit.iloc[0]
+    said = [f"{r['observer']} {WORDS[r['tuning']]} {number(r['held_out'])} {unit}" for r in first.to_dict("records")]
+    return ", ".join(said) + "."
+
+
+def where(part: pd.DataFrame, cell: int) -> str:
+    """Return at which values of the axes a cell stands; empty where none varies."""
+    return ", ".join(frames.said(axis, value) for axis, value in frames.values_at(part, cell).items())
+
+
+def _said(value: float, unit: str) -> str:
+    return f"{number(value)} {unit}" if np.isfinite(value) else "(diverged in every run)"

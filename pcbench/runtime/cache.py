@@ -1,0 +1,59 @@
+"""The folder of everything that pcbench can make again; PCBENCH_CACHE names it. No jax.
+
+It holds machine code, so nobody else may write there: it is made for its owner alone, and refused where others may change it.
+"""
+
+import os
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+from pcbench.errors import UserError
+from pcbench.runtime import ending
+
+
+def folder(*parts: str) -> Path:
+    """Return the folder of everything pcbench can make again, or one below it; it is made where it can be.
+
+    Raises UserError where another user owns it, or may write there.
+    """
+    path = Path(os.environ.get("PCBENCH_CACHE") or user_cache_path("pcbench"))
+    for each in [path, *(path.joinpath(*parts[: i + 1]) for i in range(len(parts)))]:
+        _require_private(each)
+    return path.joinpath(*parts)
+
+
+def _require_private(path: Path) -> None:
+    with suppress(OSError):  # what cannot be made costs time, and holds nothing
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not hasattr(os, "geteuid"):  # a system with other rights than these
+        return
+    if found.st_uid != os.geteuid():
+        raise UserError(
+            f"{path}: got a cache that another user owns, expected one of yours: it holds programs, which are run; name a "
+            "folder of yours with PCBENCH_CACHE."
+        )
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UserError(
+            f"{path}: got a cache that other users may write to, expected one that only you may change: it holds programs, "
+            "which are run; remove it, or name a folder of yours alone with PCBENCH_CACHE."
+        )
+
+
+def keep(path: Path, content: str | bytes) -> None:
+    """Put a text or bytes into the cache, whole or not at all; where they cannot be written, that only costs time."""
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with ending.uncut():
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
+                beside.write(content.encode() if isinstance(content, str) else content)
+            os.replace(beside.name, path)
+    except OSError:
+        return

@@ -1,0 +1,64 @@
+"""How this process computes: float64, and compiled programs remembered between processes."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from platform import machine
+
+import jax
+
+from pcbench.errors import UserError, said, shown
+from pcbench.runtime import blas_threads
+from pcbench.runtime.cache import folder
+
+ISA = "--xla_cpu_max_isa"  # the instruction set; AVX is the last one of x86 without FMA
+
+
+def setup() -> None:
+    """Give this process to pcbench: float64, compiled programs remembered between processes, linear algebra on one thread.
+
+    The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
+    own jax configuration leaves it out: pcbench then computes the same, from jax 0.11 on but for the last bit
+    (`without_fma`), and compiles anew in every process.
+    """
+    blas_threads.one()
+    if flags := without_fma(os.environ.get("XLA_FLAGS", "")):
+        os.environ["XLA_FLAGS"] = flags
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(folder("programs")))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def without_fma(flags: str) -> str:
+    """Return XLA_FLAGS with which x86 processors do not join a product and a sum into one operation (FMA), from jax 0.11 on.
+
+    Whether the compiler joins them depends on what else is in a program: the last bit of a run would depend on which other
+    observers are simulated with it. An instruction set that the flags name already stays.
+    """
+    newer = jax.__version_info__[:2] > (0, 10)
+    return f"{flags} {ISA}=AVX".strip() if newer and machine() in ("x86_64", "AMD64") and ISA not in flags else flags
+
+
+@contextmanager
+def float64() -> Iterator[None]:
+    """Return a context in which jax computes in float64 and compiles, whatever the host program chose.
+
+    Raises UserError where jax cannot use the platform that JAX_PLATFORMS names.
+    """
+    try:
+        with jax.enable_x64(True), jax.disable_jit(False):
+            yield
+    except RuntimeError as error:
+        if not str(error).startswith("Unable to initialize backend"):
+            raise
+        raise UserError(
+            f"JAX_PLATFORMS: got {shown(os.environ.get('JAX_PLATFORMS', ''))}, which jax cannot use here "
+            f"({said(str(error).partition(': ')[2])}), expected a platform that it has; write cpu, or leave it out."
+        ) from None
+
+
+def name() -> str:
+    """Return a name that tells this process from all others, on any machine."""
+    return f"{socket.gethostname()}-{os.getpid()}"

@@ -1,0 +1,240 @@
+"""The delayed sampler as integer data: which sample is taken and which arrives at every tick.
+
+Everything is a whole number of ticks. One *packet* is one sampling instant: whatever channels are sampled at that tick
+travel under one number, each with a delay of its own, so a packet may arrive in parts. At a tick, arrivals are handed
+over one packet at a time, the oldest first; each has a slot. Where sampling is random, every run has a schedule of its own
+(`random_times`).
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.simulation.schedule.sampling import LOST, Clock, age, instants
+
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+NEVER = 2**30  # the arrival of a lost sample
+
+
+class Schedule(NamedTuple):
+    """N + 1 ticks, q channels, S arrival slots a tick; -1 means nothing."""
+
+    sense: Ints  # [N+1] the packet taken at this tick
+    sample: Ints  # [N+1, q] which sample of its channel, from 0; -1 of a channel that is not in it
+    snapshot: Ints  # [N+1] the packet for which observers note what they will need
+    arrive: Ints  # [N+1, S] the packets that arrive
+    believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
+    mask: Bools  # [N+1, S, q] the channels that arrive with it
+    number: Ints  # [N+1, S, q] which sample of its channel
+    ticks_since_arrival: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
+    event: Bools  # [N+1] anything taken or arriving
+    next_event: Ints  # [N+1] the first later tick with an event, or N + 1
+    early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
+    also: Ints  # [N+1, M] more packets for which observers note the same: their stamps say the same tick
+
+
+class Sample(NamedTuple):
+    """One channel measured once."""
+
+    channel: int
+    number: int  # which sample of its channel, from 0
+    taken: int  # tick
+    arrives: int  # tick, not before `taken`; NEVER where it is lost
+    ahead: int = 0  # ticks by which its stamp is later than `taken`
+
+    def stamp(self, error: int) -> int:
+        """Return the tick at which observers assume it was taken, `error` ticks earlier; of one before tick 0 the true one."""
+        return max(self.taken - error + self.ahead, 0) if self.taken >= 0 else self.taken
+
+
+def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
+    """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
+    out = []
+    for clock in clocks:
+        if clock.plain:
+            late = clock.period if clock.delay is None else clock.delay
+            each = enumerate(range(0, ticks + 1, clock.period))
+            out += [Sample(j, i, taken, taken + late) for i, taken in each for j in clock.channels]
+            continue
+        due, last = instants(clock, ticks), None
+        for i, taken in enumerate(due[:-1]):
+            arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+            if clock.turns:
+                turn = clock.turns[i % len(clock.turns)]
+                arrives = NEVER if turn == LOST else arrives + turn
+            if clock.early:
+                taken, arrives = taken - age(clock, taken), taken
+                if taken == last:  # as late as the time that has passed: nothing new comes
+                    continue
+                last = taken
+            ahead = clock.stamp.ahead(taken)
+            out += [Sample(channel, i, taken, arrives, ahead) for channel in clock.channels]
+    return out
+
+
+def overtaking(found: list[Sample]) -> int:
+    """Return how many newer samples may arrive before one: the places an observer needs to keep them in order."""
+    each = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    taken, arrives = each.T
+    counts, shift = np.zeros(len(each), int), 1
+    while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
+        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+        shift += 1
+    return int(counts.max(initial=0))
+
+
+def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -> Schedule:
+    """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
+
+    Samples that are taken at one tick have one stamp.
+
+    The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
+    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more. A sample taken
+    before tick 0 has measured the start, as if at tick 0.
+    """
+    instants = sorted({s.taken for s in samples if s.taken <= ticks})
+    packet = {tick: i for i, tick in enumerate(instants)}
+    by_arrival: dict[int, dict[int, list[Sample]]] = {}
+    for s in samples:
+        if s.taken <= ticks and s.arrives <= ticks:
+            by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
+    slots = max((len(group) for group in by_arrival.values()), default=1)
+    stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
+    noted = _noted(samples, packet, ticks, error)
+    early, notes = sum(tick < 0 for tick in instants), max((len(each) for each in noted.values()), default=1) - 1
+    out = at_no_tick(ticks, channels, slots, early, notes)
+    for s in samples:
+        if s.taken < 0:
+            out.early[packet[s.taken], s.channel] = s.number
+        elif s.taken <= ticks:
+            out.sense[s.taken] = packet[s.taken]
+            out.sample[s.taken, s.channel] = s.number
+    for tick, each in noted.items():
+        out.snapshot[tick], out.also[tick, : len(each) - 1] = each[0], each[1:]
+    last = 0
+    for tick in sorted(by_arrival):
+        for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
+            out.arrive[tick, slot] = packet[taken]
+            out.believed[tick, slot] = stamps[taken]
+            out.ticks_since_arrival[tick, slot] = tick - last
+            for s in group:
+                out.mask[tick, slot, s.channel] = True
+                out.number[tick, slot, s.channel] = s.number
+        last = tick
+    return with_events(out)
+
+
+def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
+    """Return a schedule of nothing, with room."""
+    n, q = ticks + 1, channels
+    return Schedule(
+        sense=np.full(n, -1, np.int32),
+        sample=np.full((n, q), -1, np.int32),
+        snapshot=np.full(n, -1, np.int32),
+        arrive=np.full((n, slots), -1, np.int32),
+        believed=np.zeros((n, slots), np.int32),
+        mask=np.zeros((n, slots, q), bool),
+        number=np.full((n, slots, q), -1, np.int32),
+        ticks_since_arrival=np.zeros((n, slots), np.int32),
+        event=np.zeros(n, bool),
+        next_event=np.full(n, n, np.int32),
+        early=np.full((early, q), -1, np.int32),
+        also=np.full((n, notes), -1, np.int32),
+    )
+
+
+def with_events(out: Schedule) -> Schedule:
+    """Fill in at which ticks something happens."""
+    n = len(out.event)
+    out.event[:] = (out.sense >= 0) | (out.snapshot >= 0) | (out.arrive >= 0).any(1)
+    due = np.where(out.event, np.arange(n), n)
+    out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
+    return out
+
+
+def _noted(samples: list[Sample], packet: dict[int, int], ticks: int, error: int) -> dict[int, list[int]]:
+    """The packets for which observers note at each tick what they will need."""
+    out: dict[int, set[int]] = {}
+    for s in samples:
+        if s.taken <= ticks and 0 <= s.taken - error + s.ahead <= ticks:
+            out.setdefault(s.taken - error + s.ahead, set()).add(packet[s.taken])
+    return {tick: sorted(each) for tick, each in out.items()}
+
+
+def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
+    """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
+    each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
+    return schedule(samples(each, ticks), ticks, len(period))
+
+
+def oldest(found: list[Sample], overtaking: int) -> int:
+    """Return how old an input an observer may ask for.
+
+    Of sample i in the order of taking: the latest arrival among samples 0 .. i, less the tick at which sample i - (2 K + 1) was
+    taken, K = `overtaking`; the largest over i.
+    """
+    each = np.array(
+        sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in found if s.arrives < NEVER}), int
+    ).reshape(-1, 2)
+    taken, arrives = each.T
+    back = 2 * overtaking + 1
+    before = np.concatenate([np.zeros(back, int), taken])[: len(taken)]
+    return int((np.maximum.accumulate(arrives) - before).max(initial=0))
+
+
+def in_flight(plan: Schedule) -> int:
+    """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
+    noted = np.concatenate([plan.snapshot[:, None], plan.also], 1)
+    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
+    waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
+    return max([int(waiting.max()), *(newer - number + 1 for newer, number in _written_over(plan, noted))])
+
+
+def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
+    """Yield the newest packet that is still to arrive when an older one is noted, whose stamp is later; and that older one."""
+    newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
+    older = (noted >= 0) & (noted < newest)
+    if not older.any():
+        return
+    first, last = (np.full(len(plan.sense) + len(plan.early), fill) for fill in (NEVER, -1))
+    np.maximum.at(last, plan.arrive[plan.arrive >= 0], np.nonzero(plan.arrive >= 0)[0])
+    np.minimum.at(first, noted[noted >= 0], np.nonzero(noted >= 0)[0])
+    for k, number in zip(np.nonzero(older)[0], noted[older], strict=True):
+        kept = np.flatnonzero((first < k) & (last >= k))
+        if kept.size and kept[-1] > number:
+            yield int(kept[-1]), int(number)
+
+
+def pad_early(plan: Schedule, packets: int) -> Schedule:
+    """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
+    if packets == len(plan.early):
+        return plan
+    return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
+
+
+def pad_notes(plan: Schedule, many: int) -> Schedule:
+    """Add room for notes of one tick, so that schedules of one study share a shape."""
+    if many == plan.also.shape[1]:
+        return plan
+    return plan._replace(also=np.pad(plan.also, [(0, 0), (0, many - plan.also.shape[1])], constant_values=-1))
+
+
+def pad_slots(plan: Schedule, slots: int) -> Schedule:
+    """Add empty arrival slots so that schedules of one study share a shape."""
+    more = slots - plan.arrive.shape[1]
+    if not more:
+        return plan
+
+    def wider(x: NDArray, fill: int) -> NDArray:
+        return np.pad(x, [(0, 0), (0, more)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)
+
+    return plan._replace(
+        arrive=wider(plan.arrive, -1),
+        believed=wider(plan.believed, 0),
+        mask=wider(plan.mask, 0),
+        number=wider(plan.number, -1),
+        ticks_since_arrival=wider(plan.ticks_since_arrival, 0),
+    )

@@ -1,0 +1,207 @@
+"""Sampling that is random: for every run its own instants, arrivals and losses, from its own draws.
+
+A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay), one
+of `loss` and one of `delay_chain`, addressed as all draws are, under the clock's first channel: changing one choice leaves the
+other draws alone. Where its delay is a Markov chain over m values, the first sample's is drawn as often as it is there in the
+long run, and each next one is the same with a probability of its own, or any of the others alike. Where losses come in bursts
+the same number is held against another probability after a loss. How wrong a stamp is, is drawn under the tick at which its
+sample is taken, for all clocks alike.
+Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from pcbench.protocols import Leaf
+from pcbench.simulation import rng
+from pcbench.simulation.schedule import sampling
+from pcbench.simulation.schedule.common_times import NEVER, Sample
+from pcbench.simulation.schedule.sampling import Clock
+
+
+class Times(NamedTuple):
+    """How C clocks take their samples: numbers, all traced. M samples a clock, q channels; ticks."""
+
+    due: Leaf  # [C, M+1] instants before jitter, of clocks whose intervals are not random
+    low: Leaf  # [C] the least random interval, and
+    high: Leaf  # [C] the largest; 0 where intervals are not random
+    delay: Leaf  # [C] -1: one interval
+    jitter: Leaf  # [C]
+    spread: Leaf  # [C] jitter of the delay
+    steps: Leaf  # [C, m] a sample arrives later by one of them; m = 0: by none
+    stay: Leaf  # [C, m] probability that the next sample has the same one
+    share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; m = 0: they are a chain
+    loss: Leaf  # [C] probability
+    bursts: Leaf  # [C, 2] probability after a sample that was not lost, and after one that was; [C, 0]: the same
+    channel: Leaf  # [C] the first channel: the address of the clock's draws
+    clock_of: Leaf  # [q] the clock of each channel
+    error: Leaf  # the observers believe samples to be so much older than they are
+    stamp: Any = ()  # Stamp, where stamps are wrong
+
+
+def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
+    """Return the numbers of clocks over a horizon."""
+    count = max(_most(clock, ticks) for clock in clocks) + 1
+    due = np.full((len(clocks), count), NEVER)
+    limits = [sampling.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
+    for row, clock in zip(due, clocks, strict=True):
+        instants = sampling.instants(clock, ticks + clock.jitter)
+        row[: len(instants)] = instants
+    clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
+    return Times(
+        due=due,
+        low=np.array([low for low, _ in limits]),
+        high=np.array([high for _, high in limits]),
+        delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
+        jitter=np.array([c.jitter for c in clocks]),
+        spread=np.array([c.spread for c in clocks]),
+        steps=np.array([c.steps for c in clocks], int),
+        stay=np.array([c.stay for c in clocks], float),
+        share=np.array([np.cumsum(c.share) for c in clocks], float),
+        loss=np.array([c.loss for c in clocks], float),
+        bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
+        channel=np.array([c.channels[0] for c in clocks]),
+        clock_of=np.array(clock_of),
+        error=np.asarray(error),
+        stamp=jax.tree.map(np.asarray, clocks[0].stamp) if any(clocks[0].stamp) else (),
+    )
+
+
+def _most(clock: Clock, ticks: int) -> int:
+    """The most samples a clock can take at ticks 0 .. `ticks`."""
+    if clock.profile == "uniform":
+        return (ticks + clock.jitter) // sampling.uniform_range(clock.period)[0] + 1
+    return len(sampling.instants(clock, ticks + clock.jitter)) - 1
+
+
+def padded(t: Times, samples: int, steps: int = 0) -> Times:
+    """Add instants that never come, and to shares of delays the last again, so that the times of one study share a shape."""
+    more = samples - t.due.shape[1]
+    t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
+    if not (many := t.share.shape[1]):
+        return t
+    wide = [(0, 0), (0, max(steps - many, 0))]
+    return t._replace(steps=np.pad(t.steps, wide, "edge"), share=np.pad(t.share, wide, "edge"))
+
+
+def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
+    """Return when every sample of clock c is taken and when it arrives (NEVER: lost), [M, L] each."""
+    count = t.due.shape[1]
+    timing, losing = (
+        rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
+    )
+    step = t.low[c] + _whole(timing[:, 0], t.high[c] - t.low[c] + 1)
+    random = jnp.cumsum(jnp.concatenate([jnp.zeros_like(step[:1]), step[1:]]), 0)
+    due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
+    moved = _whole(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
+    taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
+    late = _whole(timing[:, 2], t.spread[c] + 1)
+    if t.steps.shape[1]:
+        late = late + t.steps[c][_which_step(t, c, root_seed, seeds)]
+    arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
+    return taken[:-1], jnp.where(_lost(t, c, losing[:-1, 0]), NEVER, jnp.minimum(arrives, NEVER))
+
+
+def _lost(t: Times, c: int, uniform: Array) -> Array:
+    """Return which samples of clock c are lost, [M, L]: the first as often as any, each next by what became of the last."""
+    first = uniform < t.loss[c]
+    if not t.bursts.shape[1]:
+        return first
+
+    def following(lost: Array, u: Array) -> tuple[Array, Array]:
+        after = u < jnp.where(lost, t.bursts[c, 1], t.bursts[c, 0])
+        return after, after
+
+    return jnp.concatenate([first[:1], lax.scan(following, first[0], uniform[1:])[1]])
+
+
+def _which_step(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
+    """Return which of its steps every sample of clock c has, [M+1, L]."""
+    uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
+    return jnp.searchsorted(t.share[c][:-1], uniform, side="right") if t.share.shape[1] else _chain(t, c, uniform)
+
+
+def _chain(t: Times, c: int, uniform: Array) -> Array:
+    """Return the steps that a Markov chain comes to by uniform numbers, [M+1, L]."""
+    many, stay = t.steps.shape[1], t.stay[c]
+    weights = 1 / (1 - stay)
+    ends = jnp.cumsum(weights / jnp.sum(weights))
+    first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
+
+    def following(now: Array, u: Array) -> tuple[Array, Array]:
+        left = (u - stay[now]) / (1 - stay[now])  # uniform again where it is left
+        other = (now + 1 + jnp.clip(_whole(left, many - 1), 0, max(many - 2, 0))) % many
+        after = jnp.where(u < stay[now], now, other)
+        return after, after
+
+    return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
+
+
+def believed(t: Times, root_seed: Array, seeds: Array, taken: Array) -> Array:
+    """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
+    if not t.stamp:
+        return taken - t.error
+    key = rng.run_keys(root_seed, seeds, "stamp", 1)
+    uniform = lax.map(lambda at: rng.uniforms_of(key, [at])[0], taken)
+    off = t.stamp.offset + jnp.round(t.stamp.drift * taken).astype(int)
+    return taken - t.error + off + _whole(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
+
+
+def _whole(uniform: Array, many: Array) -> Array:
+    return jnp.floor(uniform * many).astype(int)
+
+
+def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
+    """Return the samples of one run as `common_times.samples` does for clocks that are not random."""
+    t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
+    out = []
+    for c, clock in enumerate(clocks):
+        run = jnp.asarray(root_seed), jnp.asarray([seed])
+        taken, arrives = clock_times(t, c, *run)
+        ahead = believed(t, *run, taken) - taken
+        each = enumerate(zip(*(a[:, 0].tolist() for a in (taken, arrives, ahead)), strict=True))
+        out += [Sample(j, i, *times) for i, times in each if times[0] <= ticks for j in clock.channels]
+    return out
+
+
+def room(clocks: list[Clock], ticks: int, error: int) -> int:
+    """Return how many packets the network must be able to hold, whatever the draws."""
+    back = 0
+    while (more := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
+        back = more  # a note may be due for a sample that is taken so much behind the horizon, and whose stamp has drifted more
+    longest = max(sampling.ages(c, ticks)[1] for c in clocks) + back
+    return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
+
+
+def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
+    """Return the age that the sample before the newest, and before all that it may overtake, has when a sample arrives.
+
+    Where samples are lost, of as many in a row as are not seen in 1e12 samples.
+    """
+    age = max(sampling.ages(c, ticks)[1] for c in clocks)
+    interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
+    loss = max(sampling.breaks(c)[1] for c in clocks)
+    lost = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
+    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + lost) * interval
+
+
+def overtaking(clocks: list[Clock], ticks: int) -> int:
+    """Return how many newer samples may arrive before one, whatever the draws; no more than all others of a run."""
+    least = [sampling.intervals(c, ticks)[0] for c in clocks]
+    wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
+
+    def ahead(own: int, other: int) -> int:
+        if own == other:  # ages that differ by so much at most
+            apart = clocks[own].latest - clocks[own].earliest
+            return max(apart - 1, 0) // least[own]
+        span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1 + wrong
+        return span // least[other] + 1 if span >= 1 else 0
+
+    many = range(len(clocks))
+    others = sum(_most(c, ticks) for c in clocks) - 1
+    return min(max(sum(ahead(own, other) for other in many) for own in many), others)

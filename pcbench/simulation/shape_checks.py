@@ -1,0 +1,104 @@
+"""Does an observer keep the protocol? Asked of its shapes alone, before anything is compiled or simulated."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from pcbench.errors import UserError, raised
+from pcbench.protocols import Arrival, Observer
+from pcbench.simulation.types import Problem, present
+
+
+def check(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:
+    """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
+
+    `estimate` must return [n], or [n + s] with the plant's unknowns, `snapshot` a vector, and `jump` and `flow` the memory's
+    own structure, shapes and types; and so must `field`, where measurements are `continuous`.
+    """
+    n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
+    signals = len(p.band)
+    state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
+
+    def arriving(f: Any) -> Any:
+        def at_event(p: Problem, memory: Any, value: Any, snapshot: Any) -> Any:
+            arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), snapshot, k)
+            return f(p.gains[label], memory, present(p, k, False), arrival)
+
+        return at_event
+
+    def ask(name: str, f: Any, *args: Any) -> Any:
+        try:
+            return jax.eval_shape(f, p, *args)
+        except Exception as error:
+            raise UserError(
+                f"observer {label}: {name} cannot be traced ({raised(error)}); expected pure jax.numpy code "
+                "for one run, with jnp.where in place of if."
+            ) from error
+
+    memory = ask("init", lambda p, x: observer.init(p.gains[label], x), state)
+    snapshot = ask(
+        "snapshot", lambda p, m: jnp.asarray(observer.snapshot(p.gains[label], m, present(p, k, False))), memory
+    )
+    if snapshot.ndim != 1:
+        raise UserError(
+            f"observer {label}: snapshot returned shape {snapshot.shape}, expected a vector [r]; use jnp.atleast_1d."
+        )
+    xhat = ask("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
+    if xhat.shape not in ((n,), (signals,)):
+        more = f", or ({signals},) with its unknown inputs" if signals > n else ""
+        raise UserError(
+            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}; "
+            "return all of it."
+        )
+    _same(label, "jump", ask("jump", arriving(observer.jump), memory, value, snapshot), memory)
+    if (told := observer.on_sample) is not None:
+        mask = jax.ShapeDtypeStruct((q,), bool)
+        _same(
+            label,
+            "on_sample",
+            ask("on_sample", lambda p, m, f: told(p.gains[label], m, present(p, k, False), f), memory, mask),
+            memory,
+        )
+    if (init_random := observer.init_random) is not None:
+        words = jax.ShapeDtypeStruct((2,), jnp.uint32)
+        own = ask("init_random", lambda p, m, w, x: init_random(p.gains[label], m, w, x), memory, words, state)
+        _same(label, "init_random", own, memory)
+    if (covariance := observer.covariance) is not None:
+        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
+        if P.shape != (*xhat.shape, *xhat.shape):
+            raise UserError(
+                f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
+                "of all that it estimates; return all of it."
+            )
+    if observer.innovation is not None:
+        found = ask("innovation", arriving(observer.innovation), memory, value, snapshot)
+        if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in (
+            *([()] * many for many in (2, 3, 4)),
+            [*[()] * 4, value.shape],
+        ):
+            raise UserError(
+                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "
+                "numbers nu has, or what pcbench.InnovationStats has; return that of them."
+            )
+    if continuous and observer.field is not None:
+        field = observer.field
+        _same(
+            label,
+            "field",
+            ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
+            memory,
+        )
+    flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
+    _same(label, "flow", flowed, memory)
+
+
+def _same(label: str, name: str, found: Any, memory: Any) -> None:
+    def form(tree: Any) -> Any:
+        return jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree)
+
+    if str(jax.tree.structure(found)) != str(jax.tree.structure(memory)) or form(found) != form(memory):
+        raise UserError(
+            f"observer {label}: {name} returned {form(found)}, expected the memory that init returns, {form(memory)}; "
+            "keep its structure, shapes and types."
+        )

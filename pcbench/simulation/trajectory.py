@@ -1,0 +1,133 @@
+"""Runs with everything in sight: recorded at every tick 0 .. N, or at every so many. The ticks are `simulate_runs.tick`."""
+
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench.runtime import program_cache
+from pcbench.simulation import closed_loop, nees, simulate_runs
+from pcbench.simulation.simulate_runs import Run, Shift
+from pcbench.simulation.types import Layout, Problem, params_of, present, truth
+
+
+class Recording(NamedTuple):
+    """Every tick 0 .. N of one run."""
+
+    x: Array  # [N+1, n + s] the state, and what the plant has of unknowns
+    estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
+    u: Array  # [N+1, m] the input held over the tick
+    arrived: Array  # [N+1, q] what arrived at this tick, the newest of each channel; NaN where nothing did
+    brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
+    target: Array  # [N+1, r] the set point of a closed loop
+    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if there is consistency
+
+
+class Thinned(NamedTuple):
+    """Every so many ticks of L runs on one schedule: K rows."""
+
+    x: Array  # [K, n + s, L]
+    estimates: dict[str, Array]  # [K, n or n + s, L]
+    held: Array  # [K, q, L] what has arrived and is held; NaN before
+    target: Array  # [K, r] the set point of a closed loop
+    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if there is consistency
+    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
+
+
+def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
+    """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
+    start, params, drawn = _started(layout, p, root_seed, seed)
+
+    def read(k: Array, run: Run) -> Recording:
+        brought = _brought(layout, p, k, run)
+        return Recording(
+            x=truth(layout, params, present(p, k, True), run.x),
+            estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
+            u=closed_loop.pushed(present(p, k, True, run.commands), run.commands).u,
+            arrived=_newest(brought),
+            brought=brought,
+            target=closed_loop.aims(layout, p, k),
+            sigma=_sigma(layout, p, k, run),
+        )
+
+    ticks = jnp.arange(p.schedule.event.shape[0])
+    step = partial(simulate_runs.tick, layout, p, params, drawn, read=read, shift=shift)
+    return lax.scan(step, start, ticks)[1]
+
+
+def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Array, seeds: Array) -> Thinned:
+    """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
+    ticks = jnp.arange(every * (rows - 1) + 1)
+
+    def one(seed: Array) -> Thinned:
+        start, params, drawn = _started(layout, p, root_seed, seed)
+
+        def read(k: Array, run: Run) -> Thinned:
+            e = simulate_runs.errors(layout, p, params, k, run)
+            squares = simulate_runs.normalized_errors(layout, p, k, run, e) if layout.consistency else {}
+            return Thinned(
+                x=truth(layout, params, present(p, k, True), run.x),
+                estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
+                held=_newest(_brought(layout, p, k, run)),
+                target=closed_loop.aims(layout, p, k),
+                sigma=_sigma(layout, p, k, run),
+                nees={label: (each.whole, each.states) for label, each in squares.items()},
+            )
+
+        def step(carry: tuple[Run, Array, Thinned], k: Array) -> tuple[tuple[Run, Array, Thinned], None]:
+            run, held, table = carry
+            run, row = simulate_runs.tick(layout, p, params, drawn, run, k, read)
+            row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
+            place = jnp.where(k % every == 0, k // every, rows)  # the last row takes what is not kept
+            put = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
+            return (run, row.held, jax.tree.map(lambda a, v: put(a, v.astype(a.dtype)), table, row)), None
+
+        shape = jax.eval_shape(lambda: read(ticks[0], start))
+        table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
+        end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
+        return jax.tree.map(lambda a: a[:rows], end[2])
+
+    return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1))(seeds)  # type: ignore[arg-type]
+
+
+def _started(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> tuple[Run, Any, simulate_runs.Draws]:
+    """A run before tick 0, the plant's numbers in it, and its draws."""
+    drawn = simulate_runs.draw(layout, p, root_seed, seed)
+    params = params_of(layout, p, drawn.plant)
+    return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
+
+
+def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
+    """The standard deviations of their errors that observers report at tick k."""
+    if not layout.consistency:
+        return {}
+    found = nees.covariances(layout, p, k, run.memories, run.commands)
+    return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
+
+
+def _brought(layout: Layout, p: Problem, k: Array, run: Run) -> Array:
+    """What each packet brings that arrives at tick k: [S, q], NaN where nothing."""
+    values = run.flight.values[p.schedule.arrive[k] % layout.ring]
+    return jnp.where(p.schedule.mask[k], values, jnp.nan)
+
+
+def _newest(brought: Array) -> Array:
+    """What arrives at a tick, the newest of each channel: [q], NaN where nothing does."""
+    y = brought[0]
+    for value in brought[1:]:
+        y = jnp.where(jnp.isnan(value), y, value)
+    return y
+
+
+@cache
+def compiled() -> Any:
+    """Return `record` compiled, once for each shape in a process."""
+    return program_cache.bounded(record, 0)
+
+
+@cache
+def compiled_some() -> Any:
+    """Return `record_some` compiled, once for each shape in a process."""
+    return program_cache.bounded(record_some, (0, 1, 2))

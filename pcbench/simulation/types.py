@@ -1,0 +1,146 @@
+"""What a run is made of: the layout that fixes its program, the numbers of its cell, its state, and the present of a tick."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
+from pcbench.simulation import actuator_delay, command_network, metrics
+
+PerLane = (
+    Any  # a LaneArray where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
+)
+Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
+Notes = dict[str, PerLane]  # by observer label: [r]
+
+
+class Layout(NamedTuple):
+    """What is compiled into the program, with the shapes and the structure of a `Problem`, whose numbers are traced."""
+
+    plant: Plant
+    observers: tuple[tuple[str, Observer], ...]  # (label, functions)
+    width: int  # lanes
+    ring: int  # packets the network can hold
+    random_initial_state: bool  # x(0) = x0 + spread0 @ normal instead of x0
+    watch: bool = True  # settling time and divergence, besides the streams
+    continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
+    drifting: bool = False  # the plant's numbers are of each run's own
+    controller: Controller | None = None  # of a closed loop, which has one observer
+    commands: int = 0  # rows of the closed loop's ring of commands
+    scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
+    pending: int = 0  # commands that a network on the way to the plant has room for; 0: there is an actuator line
+    lifted: int = 0  # room for the chunks by which an affine flow goes; 0: tick by tick
+    defined: bool = False  # the program is `simulate_runs` itself, not the engine that is equal to it
+    consistency: bool = False  # errors are compared with the covariances that observers believe them to have
+
+
+class Problem(NamedTuple):
+    """The numbers of one cell, all traced: another cell of these shapes runs the same program.
+
+    N ticks, n states, s unknowns beside them, m inputs, q outputs.
+    """
+
+    params: Any  # the plant's
+    gains: dict[str, Gains]  # by observer label
+    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
+    inputs: Any  # [N+1, m] u held over [t_k, t_k+1); of a log, Recent
+    dt: Leaf  # [s]
+    x0: Leaf  # [n] the start, or its mean
+    xhat0: Leaf  # [n]
+    spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
+    noise_std: Leaf  # [q]
+    band: Leaf  # [n + s] settling band of |e|
+    bound: Leaf  # [n + s] beyond it a run has diverged
+    windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
+    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
+    jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
+    control: Any = ()  # the controller's numbers
+    line: actuator_delay.Line = actuator_delay.NONE
+    scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
+    network: Any = ()  # network.Numbers, where commands are sent over one
+    weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
+    outliers: Any = ()  # sample_noise.Outliers, where some samples are
+    rounding: Any = ()  # sample_noise.Rounding, where samples are rounded
+    tail: Any = ()  # degrees of freedom of the noise of samples, where that is Student's t
+
+
+class Recent(NamedTuple):
+    """The inputs of some ticks in a row, in place of all: of a log, which may be longer than memory."""
+
+    rows: Leaf  # [K, m]
+    first: Leaf  # the tick of the first of them
+
+
+class Packet(NamedTuple):
+    """What travels together: one sampling instant."""
+
+    values: PerLane  # [q] what was measured
+    notes: Notes
+
+
+class Row(NamedTuple):
+    """What an arrival has besides its values and notes; q outputs."""
+
+    mask: PerLane  # [q]
+    age: PerLane  # [q] ticks, as assumed
+    number: PerLane  # [q]
+    ticks_since_arrival: PerLane
+
+
+class State(NamedTuple):
+    """What a block of lanes carries from tick to tick."""
+
+    x: PerLane  # [n]
+    drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
+    memories: Any  # Memories; between events on schedules of their own, packed
+    flight: Any  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
+    streams: dict[str, metrics.Stream]
+    watches: dict[str, metrics.Watch]
+    commands: Any = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
+    tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
+    law: Any = ()  # what the controller keeps
+    effort: Any = ()  # metrics.Effort of a closed loop
+
+
+class Outcome(NamedTuple):
+    """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
+
+    streams: dict[str, metrics.Stream]  # [W, n, L]
+    watches: dict[str, metrics.Watch]  # [n, L]
+    final: dict[str, Array]  # [n, L] the error at tick N-1
+    tracking: Any = ()  # Stream [W, r, L] of a closed loop
+    effort: Any = ()  # Effort [W, L] of a closed loop
+    consistency: Any = ()  # by observer label, consistency.Squares of those that have a covariance
+    actual: Any = ()  # [n + s, L] what observers estimate, as it is at tick N-1
+
+
+def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
+    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to snapshot and jump.
+
+    In a closed loop the inputs are those that the `commands` [R, m] become.
+    """
+
+    def past_u(age: Array) -> Array:
+        if isinstance(commands, command_network.Commands):
+            newest = k if decided else k - 1
+            return command_network.applied(commands, k - age, newest)
+        if isinstance(p.inputs, Recent):
+            place = jnp.clip(k - age - p.inputs.first, 0, len(p.inputs.rows) - 1)
+            return jnp.where(age <= k, p.inputs.rows[place], 0.0)
+        if isinstance(commands, tuple):
+            return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
+        return actuator_delay.read(p.line, commands, k - age, k if decided else k - 1)
+
+    return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
+
+
+def params_of(layout: Layout, p: Problem, drawn: Any) -> Any:
+    """Return the plant's numbers in the run that has `drawn` its own."""
+    return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
+
+
+def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:
+    """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
+    return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x

@@ -1,0 +1,213 @@
+"""What is known of each observer's runs in one cell, in chunks: rows of the table `stats`. NumPy and SciPy, no jax."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.statistics import consistency, streaming_quantiles
+from pcbench.statistics.estimates import Estimate, positive, reached, root, student, wilson
+from pcbench.statistics.metric_matrix import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
+from pcbench.statistics.moments import Moments, Values, merge, moments
+from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
+
+Row = dict[str, Any]
+DESCRIBED = (
+    *RUN_METRICS,
+    *POOLED,
+    "divergence_rate",
+    "unsettled_rate",
+    "rms_efficiency",
+    *consistency.BANDS.values(),
+    *consistency.INSIDE,
+)
+ESTIMATED = Estimate._fields[1:]
+BLANK = dict.fromkeys(COLUMNS, float("nan"))
+
+
+class Aggregate(NamedTuple):
+    """What is kept of one observer's runs in C cells; of those that diverged only how many there are."""
+
+    rows: dict[SignalMetric, int]
+    moments: Moments  # [C K]
+    order: streaming_quantiles.Order  # [C K]
+    diverged: int
+    unsettled: NDArray[np.int64]  # [C signals]
+    inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
+    judged: (
+        Moments | None
+    )  # [3 C] of innovations: their normalised squares, the numbers these are of, and the difference
+
+    @property
+    def cells(self) -> int:
+        """Return C."""
+        return len(self.moments.mean) // len(self.rows)
+
+
+class Described(NamedTuple):
+    """The rows of one observer in C cells, R of each."""
+
+    names: list[SignalMetric]  # [R]
+    n: NDArray[np.int64]  # [R]
+    diverged: int  # in each cell
+    values: Values  # [C, R, COLUMNS of an estimate and of quantiles]
+    shown: NDArray[np.bool_]  # [C, R] whether there is such a row
+
+
+def see(before: Aggregate | None, s: Stack) -> Aggregate:
+    """Return what is kept after one more chunk of an observer's runs."""
+    good = ~s.diverged
+    values = kept(s.values, good)
+    diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
+    inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
+    judged = _judged(s, values)
+    if before is None:
+        return Aggregate(
+            rows=s.rows,
+            moments=found,
+            order=streaming_quantiles.add(streaming_quantiles.EMPTY, values),
+            diverged=diverged,
+            unsettled=unsettled,
+            inside=inside,
+            judged=judged,
+        )
+    return before._replace(
+        moments=merge(before.moments, found),
+        order=streaming_quantiles.add(before.order, values),
+        diverged=before.diverged + diverged,
+        unsettled=before.unsettled + unsettled,
+        inside=before.inside + inside,
+        judged=merge(before.judged, judged) if before.judged and judged else None,
+    )
+
+
+def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
+    """Return the quantiles and their intervals [K, COLUMNS] by observer; one more pass where not all values are held."""
+    at = {n: positions(n) for n in {s.moments.n for s in seen.values()} if n}
+    where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
+    asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
+    sought = {label: streaming_quantiles.seek(seen[label].order, asked[label]) for label in where}
+    open_ = [label for label in where if not streaming_quantiles.settled(seen[label].order)]
+    parts: dict[str, list[list[Values]]] = {label: [] for label in where}
+    for chunk in chunks() if open_ else ():
+        for label in open_:
+            new = stack(chunk[label])
+            parts[label].append(streaming_quantiles.collect(sought[label], kept(new.values, ~new.diverged)))
+    out = {}
+    for label, s in seen.items():
+        out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
+        if label in where:
+            found = read(where[label], streaming_quantiles.select(s.order, sought[label], asked[label], parts[label]))
+            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, found)
+    return out
+
+
+def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Described:
+    """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
+
+    quantiles are [C K, COLUMNS]; bounds [C, signals], NaN where there is none.
+    """
+    many, K = len(s.unsettled) // s.cells, len(s.rows)
+    means = _means(s)
+    known: dict[str, Estimate] = {}
+    for metric, square in POOLED.items():
+        known[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(many)])))
+    if bounds is not None:
+        known["rms_efficiency"] = reached(bounds[:, :many].ravel(), known["steady_pooled_rmse"])
+    known["divergence_rate"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
+    known["unsettled_rate"] = wilson(s.unsettled, means.n)
+    known |= _known(s, means)
+    sizes = {metric: len(e.mean) // s.cells for metric, e in known.items()}
+    names = [
+        (metric, i)
+        for i in range(many)
+        for metric in DESCRIBED
+        if ((metric, i) in s.rows if metric not in known else i < sizes[metric])
+    ]
+    values = np.full((s.cells, len(names), len(ESTIMATED) + len(COLUMNS)), np.nan)
+    runs = [r for r, (metric, _) in enumerate(names) if metric not in known]
+    of_runs = np.concatenate([np.stack(means[1:], 1), quantiles], 1).reshape(s.cells, K, -1)
+    values[:, runs] = of_runs[:, [s.rows[names[r]] for r in runs]]
+    for metric, e in known.items():
+        at = [r for r, (name, _) in enumerate(names) if name == metric]
+        values[:, at, : len(ESTIMATED)] = np.stack(e[1:], 1).reshape(s.cells, sizes[metric], -1)
+        if (metric, 0) in s.rows:
+            values[:, at, len(ESTIMATED) :] = quantiles.reshape(s.cells, K, -1)[:, [s.rows[names[r]] for r in at]]
+    shown = np.ones(values.shape[:2], bool)
+    if bounds is not None:
+        shown[:, [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]] = ~np.isnan(bounds[:, :many])
+    n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
+    return Described(names, n, s.diverged, values, shown)
+
+
+def rows(d: Described, cell: int = 0) -> list[Row]:
+    """Return what is known of one of the cells as rows."""
+    each = zip(d.names, d.n.tolist(), d.values[cell].tolist(), d.shown[cell], strict=True)
+    return [
+        {"signal": i, "metric": metric, "n": n, "diverged": d.diverged}
+        | dict(zip((*ESTIMATED, *COLUMNS), row, strict=True))
+        for (metric, i), n, row, shown in each
+        if shown
+    ]
+
+
+def _means(s: Aggregate) -> Estimate:
+    """The means of all metrics: of those that have a sign with Student's interval."""
+    means, plain = positive(s.moments), student(s.moments)
+    signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
+    low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
+    return means._replace(ci_low=low, ci_high=high)
+
+
+def _every(s: Aggregate, at: list[int]) -> NDArray[np.int64]:
+    """Rows of one cell, in all of them."""
+    return np.add.outer(np.arange(s.cells) * len(s.rows), np.array(at, int)).ravel()
+
+
+def _of(e: Estimate, at: NDArray[np.int64]) -> Estimate:
+    return Estimate(e.n, *(values[at] for values in e[1:]))
+
+
+def _judged(s: Stack, values: Values) -> Moments | None:
+    """The moments of what the mean `nis` is made of; a run without a judged sample adds nothing to it."""
+    if ("nis", 0) not in s.rows:
+        return None
+    nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_dof"))
+    squares = np.where(degrees > 0, nis * degrees, 0.0)
+    return moments(np.concatenate([squares, degrees, squares - degrees]))
+
+
+def _over_all(judged: Moments) -> Estimate:
+    """All normalised squares over all numbers that they are of: a ratio of means, its standard error by the delta method.
+
+    With the ratio r the sum of squares of s - r d is a + r^2 b - r (a + b - c), of a, b and c those of s, d and s - d.
+    Source: Cochran, Sampling Techniques (1977), section 2.11.
+    """
+    (square, degrees, _), (a, b, c) = judged.mean.reshape(3, -1), judged.m2.reshape(3, -1)
+    some = np.where(degrees > 0, degrees, np.nan)
+    ratio = square / some
+    m2 = np.maximum((1 - ratio) * a + (ratio - 1) * ratio * b + ratio * c, 0.0) / some**2
+    return positive(Moments(judged.n, ratio, m2, ratio, ratio))
+
+
+def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
+    """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
+    if ("nees", 0) not in s.rows:
+        return {}
+    states = s.inside.shape[1] // s.cells
+    counts = ~np.isnan(means.mean[_every(s, [s.rows["signal_nees", i] for i in range(states)])])
+    shares = [wilson(count, means.n) for count in s.inside]
+    blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
+    whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_dof", 0]])])
+    each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
+    bands = {"nees_band": whole, "signal_nees_band": each}
+    if s.judged is not None:
+        bands["nis"] = _over_all(s.judged)
+        bands["nis_band"] = consistency.bands(means.n, s.judged.mean.reshape(3, -1)[1])
+    return dict(zip(consistency.INSIDE, blank, strict=True)) | bands
+
+
+def columns(e: Estimate) -> list[Row]:
+    """Return estimates [K] as K parts of rows."""
+    return [{"n": e.n} | dict(zip(ESTIMATED, row, strict=True)) for row in np.stack(e[1:], 1).tolist()]

@@ -1,0 +1,162 @@
+"""What suffices: the largest value of an axis at which an error surely stays below a limit, from rows of `stats`. No jax.
+
+A value suffices where no run diverged and the whole 95 % interval lies below the limit; it surely does not where the whole
+interval lies above, or where runs diverged (their errors left the scenario's divergence threshold, and no mean counts them).
+Between the two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
+"""
+
+from collections.abc import Iterable
+from math import isfinite, isnan, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pcbench.statistics.number_format import estimate
+
+SUFFICES, EXCEEDS, DIVERGES, UNDECIDED = "suffices", "exceeds", "diverges", "undecided"
+REFUSED = "refused"  # an observer cannot work at this value, or has no gains there
+NULL = "null"  # the metric has no value, though no run diverged
+FAILS = (EXCEEDS, DIVERGES)
+COUNTS = ("divergence_rate",)  # metrics that say themselves how many runs diverged
+
+
+class Point(NamedTuple):
+    """What is known of one observer at one value of the axis."""
+
+    value: float
+    verdict: str
+    mean: float = nan
+    low: float = nan
+    high: float = nan
+    runs: int = 0
+    why: str = ""  # of a refusal, its sentence
+
+
+class Answer(NamedTuple):
+    """What suffices for one observer."""
+
+    kind: str  # up to, every value, no value, undecided, refused, no number
+    largest: Point | None  # the largest value that suffices
+    exceeds: Point | None  # the smallest above it that surely does not
+    fails_below: Point | None  # the smallest that surely does not and is smaller than one that suffices
+    points: tuple[Point, ...]  # all, by value
+
+
+def point(row: Any, value: float, limit: float) -> Point:
+    """Return what a row of stats says of a value of the axis."""
+    mean, low, high, n, lost = (float(row[k]) for k in ("mean", "ci_low", "ci_high", "n", "diverged"))
+    known = Point(value, UNDECIDED, mean, low, high, int(n + lost))
+    if lost and row["metric"] not in COUNTS:
+        return known._replace(verdict=DIVERGES)
+    if isnan(mean):
+        return known._replace(verdict=NULL)
+    if high < limit:
+        return known._replace(verdict=SUFFICES)
+    return known._replace(verdict=EXCEEDS) if low > limit else known  # of one run the ends are null: undecided
+
+
+def points(
+    rows: pd.DataFrame, axis: str, limit: float, refused: Iterable[tuple[str, Point]] = ()
+) -> dict[str, list[Point]]:
+    """Return by observer what is known at every value of an axis, in order.
+
+    `rows` are those of stats of one metric, signal and scenario, the axis' column as numbers; no other axis varies.
+    """
+    out: dict[str, list[Point]] = {}
+    for row in rows.to_dict("records"):
+        out.setdefault(str(row["observer"]), []).append(point(row, float(row[axis]), limit))
+    for observer, each in refused:
+        out.setdefault(observer, []).append(each)
+    return {observer: sorted(each, key=lambda p: p.value) for observer, each in out.items()}
+
+
+def answer(found: list[Point]) -> Answer:
+    """Return what suffices for an observer, from its points in order; one of them at least."""
+    good = [p for p in found if p.verdict == SUFFICES]
+    largest = good[-1] if good else None
+    bad = [p for p in found if p.verdict in FAILS]
+    exceeds = next((p for p in bad if largest is None or p.value > largest.value), None)
+    below = bad[0] if largest and bad and bad[0].value < largest.value else None
+    return Answer(_kind(found, largest, exceeds), largest, exceeds, below, tuple(found))
+
+
+def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> str:
+    verdicts = {p.verdict for p in found}
+    if largest is not None:
+        return "every value" if verdicts == {SUFFICES} else "up to"
+    if verdicts == {REFUSED}:
+        return "refused"
+    if verdicts <= {NULL, REFUSED}:
+        return "no number"
+    return "no value" if exceeds is not None and verdicts <= {*FAILS, REFUSED} else "undecided"
+
+
+def answers(rows: pd.DataFrame, axis: str, limit: float) -> pd.DataFrame:
+    """Return what suffices, a row for each observer, from the values of an axis that were run; see `points` and `table`."""
+    return table({observer: answer(each) for observer, each in points(rows, axis, limit).items()}, axis)
+
+
+def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
+    """Return answers as a frame, a row for each observer.
+
+    `answer`: see `Answer.kind`. `largest` with its `mean` and interval: the largest value that suffices, and the metric there;
+    `exceeds`, `exceeds_*`: the smallest value above it that surely does not; `fails_below`: one below it that surely does not,
+    so that the error does not grow steadily; each NaN where there is none. `values` and `runs` (of a value, at most): what was
+    tried. `said`: the answer in words.
+    """
+    return pd.DataFrame([_row(observer, a, axis) for observer, a in found.items()])
+
+
+def _row(observer: str, a: Answer, axis: str) -> dict[str, Any]:
+    def ends(p: Point | None, name: str, prefix: str) -> dict[str, float]:
+        value, mean, low, high = (p.value, p.mean, p.low, p.high) if p else (nan,) * 4
+        return {name: value, f"{prefix}mean": mean, f"{prefix}ci_low": low, f"{prefix}ci_high": high}
+
+    return {
+        "observer": observer,
+        "answer": a.kind,
+        **ends(a.largest, "largest", ""),
+        **ends(a.exceeds, "exceeds", "exceeds_"),
+        "fails_below": a.fails_below.value if a.fails_below else np.nan,
+        "values": len(a.points),
+        "runs": max(p.runs for p in a.points),
+        "said": sentence(a, axis),
+    }
+
+
+def sentence(a: Answer, axis: str) -> str:
+    """Return an answer in words, with what is to be known of it."""
+    first, last = a.points[0], a.points[-1]
+    runs = max(p.runs for p in a.points)
+    said = {
+        "every value": f"every value of {axis} that was tried suffices, {first.value:g} to {last.value:g}",
+        "no value": f"no value of {axis} suffices: at {first.value:g} it {_is(first)} already",
+        "undecided": f"for no value of {axis} it is sure that it suffices, with {runs:,} runs each",
+        "refused": f"no value of {axis} can be run: {last.why}",
+        "no number": "the metric has no number here, so there is no answer",
+    }.get(a.kind, "")
+    parts = [said] if said else [f"{axis} up to {a.largest.value:g} suffices"] if a.largest else []
+    if a.kind == "up to" and a.exceeds:
+        parts.append(f"at {a.exceeds.value:g} it {_is(a.exceeds)}")
+    elif a.kind == "up to":
+        parts.append("beyond, nothing is sure")
+    if open_ := [p for p in a.points if p.verdict == UNDECIDED and a.largest and p.value > a.largest.value]:
+        parts.append(f"at {', '.join(f'{p.value:g}' for p in open_)} it is not decided with {runs:,} runs")
+    if a.fails_below and a.largest:
+        parts.append(
+            f"it is not monotone: at {a.fails_below.value:g} it {_is(a.fails_below)}, at {a.largest.value:g} it suffices"
+        )
+    odd = [p for p in a.points if p.verdict == REFUSED and a.kind != "refused"]
+    if odd:
+        parts.append(f"not at {', '.join(f'{p.value:g}' for p in odd)}, where {odd[0].why.rstrip('.')}")
+    if a.kind != "no number" and any(p.verdict == NULL for p in a.points):
+        missing = ", ".join(f"{p.value:g}" for p in a.points if p.verdict == NULL)
+        parts.append(f"at {missing} the metric has no number")
+    return "; ".join(parts) + "."
+
+
+def _is(p: Point) -> str:
+    if p.verdict == DIVERGES:
+        return "diverges in some runs" if isfinite(p.mean) else "diverges"
+    return f"is {estimate(p.mean, p.low, p.high)}"

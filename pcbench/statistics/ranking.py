@@ -1,0 +1,106 @@
+"""Who wins a cell, and how surely. No jax."""
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import pandas as pd
+
+from pcbench.statistics.aggregate import columns
+from pcbench.statistics.estimates import wilson
+
+ALPHA = 0.05
+Row = dict[str, Any]  # of stats or pairs, by column
+
+
+class Standing(NamedTuple):
+    """How observers stand in a cell."""
+
+    order: tuple[str, ...]  # the best first: the fewest diverged runs, and then the least mean
+    alike: tuple[str, ...]  # of the others, those that the best is not surely better than
+    p_value: float  # the largest of Holm's adjusted p-values of the best against another; NaN: there is no test
+    factor: float  # the second mean over the best; NaN: there is none
+    leaders: tuple[str, ...] = ()  # the best and those alike; empty: all runs diverged, or no test compares these
+
+    @property
+    def winner(self) -> str:
+        """Return the best where it is surely so; empty where it is not."""
+        return self.leaders[0] if len(self.leaders) == 1 else ""
+
+
+def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
+    """Return how observers stand in a cell.
+
+    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is surely better than another that
+    surely diverges more often (Wilson's intervals are apart) or is worse by Holm's adjusted p-value; where several runs
+    do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best where all
+    have diverged.
+    """
+    return stood(_records(rows), _records(pairs))
+
+
+def stood(rows: list[Row], pairs: list[Row]) -> Standing:
+    """Return the same from rows that are dicts: of many cells in a small part of the time."""
+    order = sorted(rows, key=_rank)
+    best, others, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
+    if not np.isfinite(best["mean"]):
+        return Standing(names, names, np.nan, np.nan)
+    met = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
+    alike = [str(o["observer"]) for o in others if not _apart(met, best, o)]
+    compared = {str(pair[side]) for pair in met if pair["n"] != 1 for side in ("observer_a", "observer_b")}
+    leaders = (names[0], *alike) if compared.issuperset(alike) else ()
+    second = float(others[0]["mean"]) if others else np.nan
+    factor = second / float(best["mean"]) if best["mean"] > 0 else np.inf if second > 0 else np.nan
+    tested = [float(pair["p_holm"]) for pair in met if not np.isnan(pair["p_holm"])]
+    return Standing(names, tuple(alike), max(tested, default=np.nan), factor, leaders)
+
+
+def most_often(leaders: Iterable[tuple[str, ...]]) -> tuple[list[str], int]:
+    """Return the observers that lead the most cells, and in how many cells; in none where no cell has leaders."""
+    many = Counter(observer for each in leaders for observer in each)
+    most = max(many.values(), default=0)
+    return sorted(observer for observer, count in many.items() if count == most), most
+
+
+def _rank(row: Row) -> tuple[Any, ...]:
+    """What rows are ordered by, the best first: the fewest diverged runs, then the least mean, last those without one."""
+    return row["diverged"], bool(np.isnan(row["mean"])), row["mean"]
+
+
+def by_cell(rows: pd.DataFrame) -> dict[int, list[Row]]:
+    """Return the rows of stats or pairs of each cell, in their order, as `stood` takes them."""
+    out: dict[int, list[Row]] = {}
+    for row in _records(rows):
+        out.setdefault(row["cell"], []).append(row)
+    return out
+
+
+def _records(rows: pd.DataFrame) -> list[Row]:
+    return cast(list[Row], rows.to_dict("records"))
+
+
+def diverges_more(best: Any, other: Any) -> bool:
+    """Say whether one row of stats surely has more diverged runs than another."""
+    if not other["diverged"]:
+        return False
+    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
+    return bool(low["ci_low"] > high["ci_high"])
+
+
+def fraction_of(diverged: int, kept: int) -> dict[str, float]:
+    """Return the share of runs that diverged, with Wilson's interval."""
+    return columns(wilson(np.array([diverged]), diverged + kept))[0]
+
+
+def _apart(pairs: list[Row], best: Row, other: Row) -> bool:
+    if diverges_more(best, other):
+        return True
+    row = next((pair for pair in pairs if other["observer"] in (pair["observer_a"], pair["observer_b"])), None)
+    if row is None:
+        return False
+    p, alike = float(row["p_holm"]), float(row["prob_a_better"]) == 0.5
+    several, sign = int(row["n"]) != 1, 1 if row["observer_a"] == best["observer"] else -1
+    if sign * float(row["mean_diff"]) > 0:  # fewer runs diverged, not surely, and the others are worse
+        return False
+    return several and not alike if np.isnan(p) else p <= ALPHA

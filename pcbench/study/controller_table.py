@@ -1,0 +1,157 @@
+"""A study's own controller, `[controller]`: which law closes the loop of its scenarios, with what options, how far away."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+
+from pcbench.controllers import CONTROLLERS, ControllerContext
+from pcbench.controllers import entry_of as law_of
+from pcbench.controllers.parts.validate import Sizes, matrix
+from pcbench.dynamics.linear import Model
+from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.errors import DesignError, UserError, unknown
+from pcbench.plants import entry_of, numbers_of, states_of
+from pcbench.scenarios import Scenario
+from pcbench.study import axes, times
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_options import filled
+from pcbench.study.pydantic_errors import sentence
+from pcbench.synthesis import lqr
+
+__all__ = ["Network", "Slowest", "closed", "held", "matrix", "sizes", "slowest", "told", "warning"]
+Size = Annotated[float, Strict(), Field(ge=0)]
+
+
+class Network(BaseModel):
+    """What `[controller]` says of the way to the plant, beside the law's own options."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+    use: str = Field(
+        description="which law: "
+        + ", ".join(name for name, e in CONTROLLERS.items() if e.check)
+        + ", or MODULE:NAME of one's own"
+    )
+    actuator_delay: Size = Field(0.0, description="from command to plant [s]")
+    command_jitter: Size = Field(0.0, description="a command comes up to this much later [s]")
+    command_loss: Size = Field(0.0, le=1, description="probability that a command never comes: the last one is held")
+    command_std: Size = Field(0.0, description="standard deviation of the noise of a command")
+
+
+def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own]) -> Scenario:
+    """Return a scenario with its loop closed by a study's controller; `own` has those of the user's, by MODULE:NAME.
+
+    Raises UserError naming the key that does not fit.
+    """
+    try:
+        way = Network.model_validate(given)
+    except ValidationError as error:
+        raise sentence(where, error, {"": [*Network.model_fields]}) from None
+    able = [name for name, entry in CONTROLLERS.items() if entry.check]
+    mine = own.get(way.use)
+    if mine is None and way.use not in able:
+        raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", way.use, able)
+    if s.sampling.prefilled:
+        raise UserError(
+            f"{where}: got a controller for {s.name}, whose measuring began before t = 0, expected a scenario that starts at "
+            "t = 0; leave the table out, or take another scenario."
+        )
+    control = {key: value for key, value in given.items() if key not in Network.model_fields}
+    entry = mine.entry if mine else CONTROLLERS[way.use]
+    fields, open_ended = entry.options.model_fields, entry.options.model_config.get("extra") == "allow"
+    for key in control:
+        if key not in fields and not open_ended:
+            raise unknown(where, f"option of {way.use}", key, [*fields, *Network.model_fields])
+    options = filled(entry.options, control, where)
+    if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
+        raise UserError(
+            f"{where}: got a plant with D in {s.name}, expected an output without the input: in a closed loop it is decided "
+            "after the measurement; leave D out."
+        )
+    if entry.check:
+        entry.check(options, sizes(s, where))
+    network = {name: getattr(way, name) for name in ("actuator_delay", *axes.COMMANDS)}
+    for name, value in network.items():
+        axes.point(name, value, s, f"{where}.{name}")
+    name, code = (mine.code.name, {**s.own, "controller": mine}) if mine else (way.use, s.own)
+    return s.having(controller=name, control=control, input="", own=code, **network)
+
+
+def held(s: Scenario) -> bool:
+    """Say whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
+    return bool(s.loop.controller) and law_of(s).check is not None
+
+
+def sizes(s: Scenario, where: str) -> Sizes:
+    """Return what the options of a law must fit."""
+    model = entry_of(s).nominal(numbers_of(s))
+    states = tuple(name for name, _ in states_of(s))
+    return Sizes(states, model.B.shape[1], len(model.C), s.dt, where)
+
+
+def told(s: Scenario) -> ControllerContext:
+    """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open."""
+    late = s.loop.actuator_delay or 0.0
+    return ControllerContext(
+        model=_at_rest(entry_of(s).nominal(numbers_of(s))),
+        dt=s.dt,
+        ticks=0,
+        rows=0,
+        ahead=0,
+        late=times.whole(late, s) + times.whole(s.loop.command_jitter, s) // 2,
+        states=tuple(name for name, _ in states_of(s)),
+        delay=times.actuator_delay(s),
+    )
+
+
+def _at_rest(model: Model) -> Model:
+    """The model with the known part of its unknown input in it, linearised at x = 0."""
+    if model.known is None or model.E is None:
+        return model
+    import jax
+    import jax.numpy as jnp
+
+    known = jax.tree.map(jnp.asarray, model.known)
+    slope = np.asarray(jax.jacfwd(known)(jnp.zeros(len(model.A))))
+    return model._replace(A=model.A + model.E @ slope)
+
+
+class Slowest(NamedTuple):
+    """The eigenvalue of a closed loop that is largest in size, over one period of its controller."""
+
+    mode: complex
+    late: float  # [s] of a command
+    period: float  # [s]
+
+
+def slowest(s: Scenario, where: str) -> Slowest | None:
+    """Return what a scenario's loop settles by, the state known; None where it has no law for any plant, or no linear one."""
+    if not held(s):
+        return None
+    entry, known = law_of(s), told(s)
+    options = entry.options.model_validate(dict(s.loop.control))
+    if entry.linear is None:
+        return None
+    try:
+        law = entry.linear(options, known)
+    except DesignError as error:
+        raise DesignError(f"{where}: {error}") from None
+    if law is None:
+        return None
+    late = 0 if getattr(options, "knows_delay", False) else known.late
+    every = known.every(getattr(options, "period", None))
+    modes = np.linalg.eigvals(lqr.closed(known.tick, law, every, late))
+    return Slowest(complex(modes[np.argmax(np.abs(modes))]), late * s.dt, every * s.dt)
+
+
+def warning(s: Scenario, where: str) -> str:
+    """Return a sentence that names the eigenvalue with which a scenario's loop does not settle; empty where it does."""
+    found = slowest(s, where)
+    if found is None or abs(found.mode) < 1:
+        return ""
+    return (
+        f"{where}: {s.loop.controller} does not stabilise the plant of {s.name}, its command {found.late:g} s late: the "
+        f"closed loop has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size {abs(found.mode):.6g}, "
+        "expected below 1."
+    )

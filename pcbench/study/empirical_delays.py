@@ -1,0 +1,132 @@
+"""Delays of a log in a study: `delay = "from:flight"` draws them as they were distributed, "in-turn:flight" takes them in turn.
+
+Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_values`. They occur as often,
+and as often one after the other, as in the log (`delay_self_transition`); `loss` is the share that never arrived.
+In turn: the log's instants become `sampling_pattern` (intervals) and `sampling_period` (their mean), what became of each sample
+`delay_sequence`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
+So the resolved study holds numbers alone, and needs no log. All in whole ticks.
+Not claimed: of what is drawn, that delays depend on no more than the one before, nor that losses come one by one.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import UserError, shown
+from pcbench.recordings import readers
+from pcbench.recordings.survey import survey
+from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
+from pcbench.study.lti import Lti
+
+FROM, IN_TURN = "from:", "in-turn:"
+MANY = 16  # parts
+MOST = 1 - 1e-6  # probability of a chain to stay
+DIGITS = 12  # of a second
+TAKEN = (*CHAIN, *SPREAD, *TURNS, "delay_jitter", "loss")  # what a log says, which a table may not say too
+INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
+Ticks = NDArray[np.float64]
+
+
+def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float) -> dict[str, Any]:
+    """Return a study's table with the delays of the log that it names; as it is where it names none."""
+    if not names_log(table):
+        return table
+    asked: str = table["delay"]
+    turns = asked.startswith(IN_TURN)
+    for key in (*TAKEN, *(INSTANTS if turns else ())):
+        if table.get(key):
+            raise UserError(
+                f"{where}.{key}: got {shown(table[key])} beside the delays of a log, expected one; leave it out."
+            )
+    name = Path(asked.removeprefix(IN_TURN if turns else FROM))
+    log = readers.opened(name if folder is None else folder / name)
+    survey(log)  # refuses rows and clocks that no delay can be read from
+    batches = list(log.measurements())
+    columns = ("channel", "sampled", "arrived")
+    channel, sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
+    late = np.rint((arrived - sampled) / tick)
+    if np.isnan(late).all():
+        raise UserError(
+            f"{where}.delay: got the log {name}, in which nothing arrived, expected samples that did; give another."
+        )
+    if turns:
+        order = np.argsort(sampled, kind="stable")
+        got = f"{where}.delay: got the log {name}"
+        return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
+    order = np.lexsort((sampled, channel))
+    order = order[~np.isnan(late[order])]
+    return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
+
+
+def names_log(table: dict[str, Any]) -> bool:
+    """Say whether the delay of a table is that of a log."""
+    asked = table.get("delay")
+    return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
+
+
+def duration_of(table: dict[str, Any]) -> float:
+    """Return the horizon of a table [s], as it says it or as its base has it; inf where that is a scenario of a user's own."""
+    said, base = table.get("duration"), table.get("base")
+    if isinstance(said, int | float) and said > 0:
+        return float(said)
+    if isinstance(base, str):
+        return SCENARIOS[base].duration if base in SCENARIOS else math.inf
+    return float(Lti.model_fields["duration"].default)
+
+
+def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> dict[str, Any]:
+    """Return instants and delays as they came, of samples sorted by when they were taken [s]; late [ticks], NaN: lost.
+
+    Raises UserError, which begins with what was `got`, where there are fewer than two instants, or samples of one tick were
+    not late alike: a study has one delay for all.
+    """
+    taken = np.rint((sampled - sampled[0]) / tick)
+    instants, first = np.unique(taken, return_index=True)
+    each = late[first]
+    unlike = ~((late == np.repeat(each, np.diff(np.append(first, len(taken))))) | np.isnan(late))
+    unlike |= np.isnan(late) != np.isnan(np.repeat(each, np.diff(np.append(first, len(taken)))))
+    if unlike.any():
+        t = sampled[np.argmax(unlike)]
+        raise UserError(
+            f"{got}, whose samples of {t:g} s were not late alike, expected one delay for all of one tick; give a log of one "
+            f"channel, or write {FROM} to draw them."
+        )
+    many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the last one is where it begins again
+    if many < 1 or np.isnan(each[:many]).all():
+        raise UserError(
+            f"{got}, of which nothing that arrived can be replayed, expected two samples or more; give another."
+        )
+    least = np.nanmin(each[:many])
+    intervals = np.diff(instants[: many + 1])
+    return {
+        "delay": round(float(least * tick), DIGITS),
+        "delay_sequence": [LOST if np.isnan(v) else round(float((v - least) * tick), DIGITS) for v in each[:many]],
+        "sampling_period": round(float(max(np.rint(intervals.mean()), 1) * tick), DIGITS),
+        "sampling_pattern": [round(float(v * tick), DIGITS) for v in intervals],
+    }
+
+
+def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> dict[str, Any]:
+    """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
+
+    A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the
+    next delay is the same as often as there, as far as a probability allows.
+    """
+    values = np.unique(np.quantile(late, (np.arange(MANY) + 0.5) / MANY, method="nearest"))
+    delay = round(float(values[0] * tick), DIGITS)
+    if len(values) == 1:
+        return {"delay": delay}
+    part = np.abs(late[:, None] - values).argmin(1)
+    often = np.bincount(part, minlength=len(values)) / len(part)
+    next_one = channel[1:] == channel[:-1]
+    again = float(np.sum((part[1:] == part[:-1]) & next_one) / max(np.sum(next_one), 1))
+    leave = min((1 - again) / len(values), float(often.min()))
+    return {
+        "delay": delay,
+        "delay_values": [round(float((v - values[0]) * tick), DIGITS) for v in values],
+        "delay_self_transition": [min(max(1 - leave / share, 0.0), MOST) for share in often.tolist()],
+    }

@@ -1,0 +1,305 @@
+"""The cells of a study: every point of its axes in every scenario, and the record of all that decides their numbers."""
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+
+from pcbench.errors import UserError
+from pcbench.observers import ObserverSpec, entry_of
+from pcbench.scenarios import Scenario
+from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
+from pcbench.study import axes as axis
+from pcbench.study.axes import axes_of
+from pcbench.study.lookup import own_in
+from pcbench.study.lti_plant import require_plant
+from pcbench.study.options import options_in_cell
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.times import Timing, times_of, whole
+
+MANY = 300_000  # runs of a scenario from which products save more than they take to compile
+
+
+class Cell(NamedTuple):
+    """One point of a study's axes in one scenario, every number resolved."""
+
+    scenario: Scenario  # with the axes' values put in
+    number: int  # from 0, within its scenario
+    values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
+    parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
+    choices: Choices
+    times: Timing
+    options: dict[str, BaseModel]  # by label of its observers, checked and complete
+    own: dict[str, Own]  # by label, of those that are the user's own
+    told: dict[str, str]  # by label, the digest of those
+    digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
+    engine: str = "steps"  # or definition, or products, see `Study`
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Return its scenario's name and its number: what a study knows it by."""
+        return self.scenario.name, self.number
+
+    def entry(self, label: str) -> ObserverSpec:
+        """Return the entry of an observer, one of the study's own or pcbench's."""
+        return self.own[label].entry if label in self.own else entry_of(label)
+
+    def having(self, **changes: Any) -> "Cell":
+        """Return the cell with fields of its scenario changed, and its times with them; it belongs to no study then."""
+        scenario = self.scenario.having(**changes)
+        return self._replace(scenario=scenario, times=times_of(scenario), digest="")
+
+
+class Grid(NamedTuple):
+    """A study with its cells, those of a scenario together."""
+
+    study: Study
+    cells: list[Cell]
+
+
+def cell_of(
+    scenario: Scenario,
+    number: int = 0,
+    values: dict[str, Any] | None = None,
+    parameters: dict[str, Any] | None = None,
+    choices: Choices | None = None,
+) -> Cell:
+    """Return a scenario as a cell that belongs to no study, with its times in ticks."""
+    return Cell(
+        scenario=scenario,
+        number=number,
+        values=values or {},
+        parameters=parameters or {},
+        choices=choices or Choices(),
+        times=times_of(scenario),
+        options={},
+        own={},
+        told={},
+        digest="",
+    )
+
+
+def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
+    """Return a cell for every combination of the axes in one scenario, in the order in which the axes are written.
+
+    Of a study that varies each by itself: the first values of all, then each other value of each axis.
+    """
+    base, where = scenarios_of(study)[scenario], where or study.name
+    axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
+    lengths = [len(values) for values in axes.values()]
+    many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
+    limits.require_few_cells(many, whole(base.duration, base), where)
+    choices, out, apart = choices_of(study), [], channels_apart(study)
+    options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
+    mine = {o: found for o in options if (found := own_in(study, o))}
+    digests = {o: told(each, mine.get(o)) for o, each in options.items()}
+    tuned = _TunedCells(study, base, where)
+    for index, point in enumerate(points(study.vary, list(axes.values()))):
+        given = dict(zip(axes, point, strict=True))
+        fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
+        changed = base.having(**fields, input=choices.input or base.loop.input)
+        if choices.unknown_input:
+            if not base.truth.unknown_input:
+                raise UserError(
+                    f"{where}: options.scenario.unknown_input: got {choices.unknown_input!r} for {scenario}, whose plant has "
+                    "no unknown input; expected a scenario such as arm/sine; leave it out."
+                )
+            changed = changed.having(unknown_input=choices.unknown_input)
+        _of_the_loop(changed, choices, where)
+        fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
+        values = {
+            name: axis.plain(name, changed.value(name), name in apart)
+            for name in axes_of(base)
+            if name in given or name not in axis.ASKED
+        }
+        parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
+        values |= {k: v for k, v in given.items() if k.startswith("plant.")}
+        parameters = dict(base.truth.parameters) | parameters
+        if base.plant == "lti":
+            require_plant(changed, parameters, where)
+        cell = cell_of(changed, index, values, parameters, choices)
+        here = tuned.options(cell, list(options))
+        by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
+        identified = cell._replace(digest=identity(cell, study.root_seed), engine=usable(study.engine or "steps"))
+        out.append(identified._replace(options=options | here, own=mine, told=by_label))
+    return out
+
+
+class _TunedCells:
+    """The options of the cells of a scenario that were tuned each for itself; of any other study there are none."""
+
+    def __init__(self, study: Study, base: Scenario, where: str):
+        record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
+        cells = (record and record.cells) or []
+        self.study, self.where, self.by_point = study, where, dict[tuple[Any, ...], dict[str, dict[str, Any]]]()
+        self.names = list(cells[0].cell) if cells else []
+        for i, each in enumerate(cells):
+            place = f"{where}: tuned.cells[{i}].cell"
+            if list(each.cell) != self.names:
+                raise UserError(
+                    f"{place}: got {', '.join(each.cell)}, expected {', '.join(self.names)}, as the first has."
+                )
+            point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in each.cell.items())
+            self.by_point[point] = each.options
+
+    def options(self, cell: Cell, labels: list[str]) -> dict[str, BaseModel]:
+        """Return the options of the labels that were tuned in this cell.
+
+        Raises UserError if they were tuned in other cells only.
+        """
+        if not self.by_point:
+            return {}
+        values = {f"plant.{name}": value for name, value in cell.parameters.items()}
+        point = tuple(values[name] if name in values else cell.scenario.value(name) for name in self.names)
+        if point in self.by_point:
+            found = self.by_point[point]
+            return {label: options_in_cell(self.study, label, found[label]) for label in labels if label in found}
+        lacking = sorted({label for found in self.by_point.values() for label in found} & set(labels))
+        if not lacking:
+            return {}
+        plain = [axis.plain(name, value, False) for name, value in zip(self.names, point, strict=True)]
+        at = ", ".join(f"{name} = {value}" for name, value in zip(self.names, plain, strict=True))
+        raise UserError(
+            f"{self.where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every cell; "
+            "tune again with this cell among the axes."
+        )
+
+
+def points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
+    """Yield the values of the axes in every cell."""
+    if vary == "all":
+        yield from itertools.product(*axes)
+        return
+    first = tuple(values[0] for values in axes)
+    yield first
+    for i, values in enumerate(axes):
+        yield from ((*first[:i], value, *first[i + 1 :]) for value in values[1:])
+
+
+def _told_too(given: dict[str, Any], base: Scenario) -> dict[str, Any]:
+    """Process noise of a cell that designers are told as it is, where they are told the scenario's own as it is."""
+    told = "process_std" in given and base.belief.assumed_process_std == base.truth.process_std
+    return {"assumed_process_std": given["process_std"]} if told else {}
+
+
+def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
+    """Raise UserError where a choice is for a closed loop and this one is open, or the other way round."""
+    given = [name for name, value in choices.loop().items() if value is not None]
+    if given and not s.loop.controller:
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
+            "commands, expected a closed loop such as helicopter/constant; leave it out."
+        )
+    if given and s.loop.controller != "pd":
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, whose loop is closed by "
+            f"{s.loop.controller}, expected pd, which alone has it; leave it out."
+        )
+    if choices.input and s.loop.controller:
+        raise UserError(
+            f"{where}: options.scenario.input: got {choices.input!r} for {s.name}, whose input a controller gives, expected a "
+            "path to follow (options.scenario.path); leave it out."
+        )
+
+
+def channels_apart(study: Study) -> set[str]:
+    """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
+    known, out = scenarios_of(study), set()
+    for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_self_transition"):
+        given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
+        if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
+            out.add(name)
+    return out
+
+
+def identity(cell: Cell, root_seed: int) -> str:
+    """Return the digest of all that decides a cell's numbers except its observers: equal for equal numbers."""
+    said = {
+        "scenario": cell.scenario.flat(),
+        "parameters": cell.parameters,
+        "choices": cell.choices.model_dump(),
+        "root_seed": root_seed,
+    }
+    return _hashed(said)[:16]
+
+
+def told(options: BaseModel, own: Own | None = None) -> str:
+    """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
+    if own:
+        return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]
+    return _hashed(options.model_dump())[:16]
+
+
+def _hashed(said: Any) -> str:
+    return hashlib.sha256(json.dumps(said, sort_keys=True, default=_plain).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else dict(value)
+
+
+def with_engine(grid: Grid, engine: str | None) -> Grid:
+    """Return the study with the engine that it names; if it names none, with the one that suits its size.
+
+    `engine` is the one with which its dataset was begun: it stays, and the definition computes what is added if that engine
+    cannot.
+    """
+    study, every = grid
+    runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
+    if engine is None:
+        name = usable(study.engine or ("products" if runs >= MANY else "steps"))
+    else:
+        name = engine if study.engine is None or usable(study.engine) == engine else study.engine
+    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=usable(name)) for c in every])
+
+
+def usable(engine: str) -> str:
+    """Return an engine, or the definition where that engine does not know the jax that is installed."""
+    from pcbench.engine import jaxpr_compat  # with jax
+
+    return engine if engine == "definition" or jaxpr_compat.is_known() else "definition"
+
+
+def engine_warnings(grid: Grid) -> list[str]:
+    """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
+    if grid.study.engine == "definition" or grid.study.evaluation == "exact":
+        return []
+    if all(c.engine != "definition" for c in grid.cells):
+        return []
+    return [
+        f"jax {version('jax')} is newer than what pcbench's engines were read against: runs are computed by their definition, "
+        "with the same numbers to 1e-11 and more slowly; install an earlier jax for speed."
+    ]
+
+
+def cells_of(study: Study) -> list[Cell]:
+    """Return the cells of all scenarios of a study."""
+    return [cell for name in study.scenarios for cell in cells(study, name)]
+
+
+def rooted(every: list[Cell], root_seed: int) -> list[Cell]:
+    """Return the cells as they are with another root seed, hence other draws."""
+    return [cell._replace(digest=identity(cell, root_seed)) for cell in every]
+
+
+def numbered(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
+    """Return the cells numbered anew; those whose digests are `known` (by scenario, in order of number) keep their numbers."""
+    numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in known.items()}
+    out = []
+    for cell in every:
+        taken = numbers.setdefault(cell.scenario.name, {})
+        out.append(cell._replace(number=taken.setdefault(cell.digest, len(taken))))
+    return out
+
+
+def numbering(every: list[Cell]) -> dict[str, list[str]]:
+    """Return by scenario the digests of its cells in order of number."""
+    out: dict[str, list[str]] = {}
+    for cell in sorted(every, key=lambda c: c.number):
+        out.setdefault(cell.scenario.name, []).append(cell.digest)
+    return out

@@ -1,0 +1,229 @@
+"""Reading a study: from a name or a TOML file, with changes put in, checked before anything runs.
+
+Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import ValidationError
+
+from pcbench.errors import UserError, short, unknown
+from pcbench.observers import OBSERVERS
+from pcbench.plants import signals_of
+from pcbench.scenarios import Scenario
+from pcbench.study import (
+    KEYS,
+    LTI,
+    Study,
+    checked_options,
+    controller_table,
+    fits,
+    labels_of,
+    limits,
+    scenarios_of,
+    sentence,
+)
+from pcbench.study.grid import Cell, Grid, cells
+from pcbench.study.load import Described, named, raw_of, where_of
+from pcbench.study.lookup import base_in
+from pcbench.study.plugins import registry
+from pcbench.study.plugins.references import Gate, Named, named_in
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_scenarios import plain
+from pcbench.study.scenario_schema import ScenarioTable
+
+ALL = "all"  # among observers: every one that can run
+
+
+def _from_here(named: Named, where: str) -> Own:
+    """Run the code that a study names, a path taken from the working folder."""
+    return registry.load(named.kind, named.reference, where)
+
+
+FROM_HERE = Gate(_from_here, files=True)  # of a study that the user gives
+
+
+def load(what: str, overrides: list[str] | None = None) -> Study:
+    """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
+    return parse(raw_of(what, overrides or [], FROM_HERE), what)
+
+
+def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
+    """Return the study that `raw` describes; its names and options are checked, its cells are not made.
+
+    `gate` is what the study may reach beside its own text.
+
+    Raises UserError naming the place in it that is wrong.
+    """
+    raw = named(raw, where, None, gate)
+    own = _own(raw)
+    if own and not raw.get("scenarios"):
+        raw = raw | {"scenarios": own}
+    try:
+        study = Study.model_validate(raw)
+    except ValidationError as error:
+        raise sentence(where, error, KEYS) from None
+    limits.require_few_labels(
+        {
+            *(study.observers or ()),
+            *study.options,
+            *(o for _, t in _tables(study) for o in (*(t.observers or ()), *(t.options or ()))),
+        },
+        where,
+    )
+    for each in named_in(raw):
+        study._own[each.key] = gate.code(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
+    known = scenarios_of(study, where)
+    for name in study.scenarios:
+        if name not in known:
+            raise unknown(f"{where}: scenarios", "scenario", name, known)
+    _unique(study.scenarios, f"{where}: scenarios")
+    if study.observers is not None:
+        _observers(study, study.observers, f"{where}: observers")
+    if study.lti is not None:
+        _observers(study, study.lti.observers, f"{where}: lti.observers")
+    for place, table in _tables(study):
+        if table.observers is not None:
+            _observers(study, table.observers, f"{where}: {place}.observers")
+        for name, given in (table.options or {}).items():
+            checked_options(study, name, given, f"{where}: {place}.options.{name}")
+    for name, given in study.options.items():
+        checked_options(study, name, given, f"{where}: options.{name}")
+    return study
+
+
+def outline(what: str, overrides: list[str]) -> Study:
+    """Return the study that the user names, as `described`; its code is run, its cells are not made.
+
+    If its observers are "all", they are not yet known: those of its scenarios are in their place.
+    """
+    raw = raw_of(what, overrides, FROM_HERE)
+    if names_all(raw):
+        del raw["observers"]
+    return described(raw, what, FROM_HERE)
+
+
+def names_all(raw: dict[str, Any]) -> bool:
+    """Say whether "all" is among the observers of a raw study."""
+    observers = raw.get("observers")
+    return observers == ALL or (isinstance(observers, list) and ALL in observers)
+
+
+def _own(raw: dict[str, Any]) -> list[str]:
+    """The scenarios that a raw study brings: those it names where it says no others."""
+    table = raw.get("scenario")
+    name = (table.get("name") if isinstance(table, dict) else None) or raw.get("name")
+    tables = raw.get("tables")
+    return [
+        *[LTI] * (raw.get("lti") is not None),
+        *[str(name)] * (table is not None),
+        *(tables if isinstance(tables, dict) else ()),
+    ]
+
+
+def _tables(study: Study) -> Iterator[tuple[str, ScenarioTable]]:
+    """Yield the tables of a study's own scenarios, each with where it stands."""
+    if study.scenario is not None:
+        yield "scenario", study.scenario
+    yield from ((f"scenarios.{name}", table) for name, table in (study.tables or {}).items())
+
+
+def grid(raw: dict[str, Any], where: str, gate: Gate) -> Grid:
+    """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
+    study, every = described(raw, where, gate), []
+    for name in study.scenarios:
+        mine = cells(study, name, where)
+        for observer in mine[0].options:
+            for cell in mine:
+                fits.works_on(observer, cell.entry(observer), cell.scenario, where)
+        every += mine
+    return Grid(study, every)
+
+
+def unstable(found: Grid) -> list[str]:
+    """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
+    each = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in found.cells}
+    said = [controller_table.warning(s, found.study.name) for s in each.values()]
+    return [sentence for sentence in said if sentence]
+
+
+def parse(raw: dict[str, Any], where: str) -> Study:
+    """Return the checked study that `raw` describes; raise UserError naming the place in it that is wrong."""
+    return grid(raw, where, FROM_HERE).study
+
+
+def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
+    """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    return grid(*changed(study, changes, overrides), FROM_HERE)
+
+
+def changed(study: Described, changes: dict[str, Any], overrides: list[str]) -> tuple[dict[str, Any], str]:
+    """Return a raw study from a name, a TOML file, a dict or a Study, with `changes` put in, and what it is called."""
+    raw = raw_of(study, overrides, FROM_HERE)
+    where = where_of(study, raw)
+    return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
+
+
+def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
+    """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    return grid_of(study, changes, overrides).study
+
+
+def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+    """Return a study of these observers with its one cell; raise UserError where it has more."""
+    study, every = grid_of(what, {"observers": observers}, overrides)
+    if len(every) > 1:
+        raise UserError(
+            f"{study.name}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
+        )
+    return study, every[0]
+
+
+def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
+    """Return the one scenario of a name or a TOML file; raise UserError where there are more."""
+    return scenario_in(outline(what, overrides or []), what)
+
+
+def scenario_in(study: Study, where: str) -> Scenario:
+    """Return the one scenario of a study; raise UserError where there are more."""
+    if len(study.scenarios) > 1:
+        raise UserError(f"{where}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
+    return scenarios_of(study)[study.scenarios[0]]
+
+
+def _observers(study: Study, names: list[str], where: str) -> None:
+    """Raise UserError where a list of observers is empty, or holds an unknown name or one twice."""
+    if not names:
+        raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
+    known = set(labels_of(study))
+    for name in names:
+        if name == ALL and where.endswith(": observers"):
+            raise UserError(f"{where}: got 'all', expected the name of one observer here; see pcbench list observers.")
+        if name == ALL:
+            raise UserError(
+                f'{where}: got "all", expected names here; write observers = "all" at the top of the study.'
+            )
+        if name not in known and (base := base_in(study, name)) is not None:
+            label = short(name)
+            raise UserError(
+                f"{where}: got '{label}' without options, expected some for a label of {base}; write [options.{label}]."
+            )
+        if name not in known:
+            raise unknown(where, "observer", name, known)
+    _unique(names, where)
+
+
+def require_signals(study: Study, names: list[str] | None, where: str) -> None:
+    """Raise UserError for a signal that no scenario of a study has."""
+    known = scenarios_of(study)
+    there = [signal for name in study.scenarios for signal, _ in signals_of(known[name])]
+    for name in names or []:
+        if name not in there:
+            raise unknown(where, f"signal of {study.name}", name, set(there))
+
+
+def _unique(names: list[str], where: str) -> None:
+    if len(set(names)) < len(names):
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        raise UserError(f"{where}: got '{twice}' twice, expected each once; remove one.")

@@ -1,0 +1,84 @@
+"""Where a study names what is a user's own, MODULE:NAME: observers by their labels, plants and controllers where they stand."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pcbench.controllers import CONTROLLERS
+from pcbench.plants import PLANTS
+from pcbench.study.plugins import user_code
+from pcbench.study.plugins.registry import installed
+from pcbench.study.plugins.user_code import Own
+
+NAMES: dict[str, Collection[str]] = {"plant": PLANTS, "controller": CONTROLLERS}
+KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # of what the keys of tables name
+SCENARIO = "scenario"  # the kind of a scenario that a raw study names, which its table replaces
+
+
+class Named(NamedTuple):
+    """One place."""
+
+    kind: str
+    key: str  # by which a study finds what is named: the label of an observer, of others what the place says
+    reference: str
+
+
+class Gate(NamedTuple):
+    """What a study may reach beside its own text. Whoever reads a study hands one in; there is no default."""
+
+    code: Callable[[Named, str], Own]  # (what is named, where) -> the user's own object; raises UserError for a refusal
+    files: bool  # whether it may name tables of inputs and logs, which are opened
+
+
+def named_in(study: dict[str, Any]) -> list[Named]:
+    """Return every name of what is a user's own in a study, as a dict."""
+    found: list[Named] = []
+
+    def seen(each: Named) -> str:
+        if user_code.is_reference(each.reference):
+            found.append(each)
+        return each.reference
+
+    renamed(study, seen)
+    return found
+
+
+def renamed(study: dict[str, Any], change: Callable[[Named], str]) -> dict[str, Any]:
+    """Return a study, as a dict, with every name of what may be a user's own changed."""
+    out = dict(study)
+    if isinstance(use := out.get("custom_observers"), dict):
+        mine = {label: text for label, text in use.items() if isinstance(text, str)}
+        out["custom_observers"] = use | {label: change(Named("observer", label, text)) for label, text in mine.items()}
+    if isinstance(tables := out.get("tables"), dict):
+        out["tables"] = {name: _changed(table, ("plant", "controller"), change) for name, table in tables.items()}
+    if "scenario" in out:
+        out["scenario"] = _changed(out["scenario"], ("plant", "controller"), change)
+    if "controller" in out:
+        out["controller"] = _changed(out["controller"], ("use",), change)
+    return out
+
+
+def _changed(table: Any, keys: tuple[str, ...], change: Callable[[Named], str]) -> Any:
+    """A table with the names in it changed; what is no table, or no name, as it is."""
+    if not isinstance(table, dict):
+        return table
+    mine = {key: table[key] for key in keys if isinstance(table.get(key), str)}
+    return table | {key: change(Named(KINDS[key], text, text)) for key, text in mine.items()}
+
+
+def looked_up(study: dict[str, Any]) -> dict[str, Any]:
+    """Return a study, as a dict, whose plants and controllers of installed packages are named MODULE:NAME."""
+
+    def found(each: Named) -> str:
+        if user_code.is_reference(each.reference) or each.kind == "observer" or each.reference in NAMES[each.kind]:
+            return each.reference
+        there = installed(each.kind).get(each.reference)
+        return there.reference if there else each.reference
+
+    return renamed(study, found)
+
+
+def absolute(study: dict[str, Any], folder: Path | None = None) -> dict[str, Any]:
+    """Return a study, as a dict, whose files are found from every folder; relative paths are from `folder`, or from here."""
+    here = Path().resolve() if folder is None else folder
+    return renamed(study, lambda each: user_code.beside(each.reference, here))

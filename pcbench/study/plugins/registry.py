@@ -1,0 +1,141 @@
+"""What is a user's own in a study, by kind: what MODULE:NAME names, as an entry beside pcbench's.
+
+An observer, a plant, a controller or a scenario is the attribute NAME of a module; installed packages offer theirs by entry
+points, of the group `pcbench.observers` and its like, and nothing is imported that is not named.
+"""
+
+from collections.abc import Callable, Iterable
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from pcbench import controllers, observers, plants
+from pcbench.errors import UserError, unknown
+from pcbench.protocols import Controller, Observer
+from pcbench.signal_names import pair
+from pcbench.study.plugins import user_code, user_controllers, user_observers
+from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_options import require_model
+
+ELSEWHERE = "bc1bc4dc4132"  # for a digest of what is never run here: no file of pcbench's decides a guest's numbers
+DICT = "a dict with the keys of a table [scenario]"
+
+
+class Kind(NamedTuple):
+    """A kind of thing that may be a user's own."""
+
+    types: tuple[type, ...]  # of what a module may hold
+    expected: str  # in words
+    entry: Callable[[Any, ModuleType, str], Any]  # what is found, of what module, where -> its entry
+
+
+class InModule(NamedTuple):
+    """An object of a scenario's own module, in its table."""
+
+    name: str
+
+
+def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
+    return found
+
+
+def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
+    for name, unit in found.signals + found.unknowns:
+        pair(name, unit, f"{where}: {name}")
+    return found
+
+
+def _table(found: dict[str, Any], module: ModuleType, where: str) -> dict[str, Any]:
+    """A scenario's table, in which a plant and a controller that are objects of its module have their names."""
+    out = dict(found)
+    for kind in ("plant", "controller"):
+        value = out.get(kind)
+        if kind not in out or isinstance(value, str):
+            continue
+        names = [name for name, each in vars(module).items() if each is value]
+        if not isinstance(value, KINDS[kind].types) or not names:
+            raise UserError(
+                f"{where}.{kind}: got {called(value)}, expected {KINDS[kind].expected} that the same module holds, or a name; "
+                "write that."
+            )
+        out[kind] = InModule(names[0])
+    return out
+
+
+KINDS = {
+    "observer": Kind(
+        (Observer, observers.ObserverSpec), "a pcbench.Observer, or an Entry of pcbench.observers", user_observers.entry
+    ),
+    "plant": Kind((plants.PlantSpec,), "what pcbench.make_plant returns", _plant),
+    "controller": Kind(
+        (Controller, controllers.ControllerSpec),
+        "a pcbench.Controller, or a pcbench.ControllerSpec",
+        user_controllers.entry,
+    ),
+    "scenario": Kind((dict,), DICT, _table),
+}
+
+
+class Installed(NamedTuple):
+    """What an installed package offers by a plain name."""
+
+    reference: str  # MODULE:NAME
+    package: str
+
+
+def installed(kind: str) -> dict[str, Installed]:
+    """Return what installed packages offer of a kind, by name; nothing is imported."""
+    points = entry_points(group=f"pcbench.{kind}s")
+    return {point.name: Installed(point.value, point.dist.name if point.dist else "") for point in points}
+
+
+def load(kind: str, reference: str, where: str, folder: Path | None = None) -> Own:
+    """Return what MODULE:NAME names, a path taken from a `folder` (default: the working folder).
+
+    Raises UserError where there is none, where its module raises, or where it is of another kind.
+    """
+    code = user_code.code_of(reference, where, folder)
+    module, _ = user_code.split(reference, where)
+    here = ((folder or Path()) / module).resolve().parent if code.files else None
+    return of(kind, code, where, here)
+
+
+def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> Own:
+    """Return what some code makes; raise UserError where it makes none."""
+    module = user_code.module_of(code, where, folder)
+    found = the(kind, code.name, module, f"{where} {code.module}")
+    if not isinstance(found, KINDS[kind].types):
+        raise UserError(f"{where}: got {called(found)}, expected {KINDS[kind].expected}; name one of those.")
+    _free(kind, code.name, where)
+    made = KINDS[kind].entry(found, module, where)
+    if kind in ("observer", "controller"):
+        require_model(made.options, module, where)
+    elsewhere = not code.files and getattr(made, "elsewhere", False)
+    return Own(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
+
+
+def the(kind: str, name: str, module: ModuleType, where: str) -> Any:
+    """Return the attribute of a module; raise UserError where there is none, with the names of those of the kind."""
+    found, there = user_code.found_in(module, name, KINDS[kind].types)
+    if found is None:
+        raise unknown(where, f"{kind} there", name, there)
+    return found
+
+
+def _free(kind: str, name: str, where: str) -> None:
+    """Raise UserError where a plant or a controller is called as one of pcbench's."""
+    taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
+    if name in taken.get(kind, ()):
+        raise UserError(f"{where}: got a {kind} called '{name}', which is pcbench's own name; give it another name.")
+
+
+def called(found: Any) -> str:
+    """Return what something is, in a word or two."""
+    if isinstance(found, plants.PlantSpec):
+        return "a plant"
+    if isinstance(found, observers.ObserverSpec | Observer):
+        return "an observer"
+    if isinstance(found, controllers.ControllerSpec | Controller):
+        return "a controller"
+    return "a function" if callable(found) and not isinstance(found, type) else f"a {type(found).__name__}"

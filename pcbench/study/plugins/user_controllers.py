@@ -1,0 +1,109 @@
+"""Controllers of a user's own: a `pcbench.Controller` with the functions of its module, as an entry beside pcbench's.
+
+The module has `prepare(options, told)`, which returns the law's numbers, and where it takes options a pydantic `Options`;
+`check(options, sizes)` and `linear(options, told)` may be there. Where a module holds an observer too, whose `Options` they
+would be, the law is a `ControllerSpec`. Without `linear` the law is linearised by jax, at rest about
+its set point of tick 0: so a loop that does not settle is named, unless the law looks at the inputs that are on their way.
+"""
+
+import logging
+from functools import partial
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict, create_model
+
+from pcbench.controllers import ControllerSpec
+from pcbench.controllers.parts.design_context import ControllerContext
+from pcbench.controllers.parts.validate import Sizes
+from pcbench.errors import UserError, raised
+from pcbench.protocols import Controller, Now
+from pcbench.runtime import config
+from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_observers import ABSENT, NoOptions
+from pcbench.synthesis.lqr import Law
+
+_LOG = logging.getLogger(__name__)
+
+
+def entry(found: Any, module: ModuleType, where: str) -> ControllerSpec:
+    """Return the entry of what a module holds: itself, or a controller with the module's functions."""
+    if isinstance(found, ControllerSpec):
+        law, linear = found.controller, found.linear
+        if linear is None and isinstance(law, Controller):
+            linear = partial(linearised, law, found.prepare)
+        return found._replace(check=found.check or anything, linear=linear)
+    prepare = getattr(module, "prepare", None)
+    if not callable(prepare):
+        raise UserError(
+            f"{where}: got a Controller in a module without a function prepare(options, told), expected one that returns the "
+            "law's numbers; write it beside the controller, or name a ControllerSpec that has it."
+        )
+    return ControllerSpec(
+        controller=found,
+        options=getattr(module, "Options", NoOptions),
+        prepare=prepare,
+        summary="yours",
+        check=getattr(module, "check", anything),
+        linear=getattr(module, "linear", partial(linearised, found, prepare)),
+    )
+
+
+def anything(options: Any, sizes: Sizes) -> None:
+    """Take all options as fitting."""
+
+
+def linearised(law: Controller, prepare: Any, options: Any, told: ControllerContext) -> Law | None:
+    """Return a law about its set point of tick 0, by jax.
+
+    None where it looks at what is on its way, or does not keep to the protocol: planning says how (`law_conformance`).
+    """
+    import jax
+
+    try:
+        with config.float64():
+            params = jax.tree.map(jax.numpy.asarray, prepare(options, told))
+            found, asked = _slopes(law, params, told)
+    except Exception as error:  # whatever the user's functions raise
+        _LOG.info("a controller is not linearised: %s", raised(error))
+        return None
+    return found if not asked and found.D.shape == told.model.B.T.shape else None
+
+
+def _slopes(law: Controller, params: Any, told: ControllerContext) -> tuple[Law, bool]:
+    """The slopes of a law by what it keeps and by the state, and whether it asked for what is on its way."""
+    import jax
+    import jax.numpy as jnp
+    from jax.flatten_util import ravel_pytree
+
+    n, m = told.model.B.shape
+    aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
+    rest = jnp.zeros(n).at[: len(aim)].set(aim)
+    kept, back = ravel_pytree(law.start(params, rest) if law.start else ())
+    now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(told.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
+    asked: list[Any] = []
+
+    def coming(ahead: Any) -> Any:
+        asked.append(ahead)
+        return jnp.zeros(m)
+
+    def tick(s: Any, x: Any) -> tuple[Any, Any]:
+        decide: Any = law.command
+        if law.start is None:
+            return s, decide(params, now, x, coming)
+        u, after = decide(params, now, x, coming, back(s))
+        return ravel_pytree(after)[0], u
+
+    (A, B), (C, D) = jax.jacfwd(tick, (0, 1))(kept.astype(float), rest)
+    return Law(*(np.asarray(each, float) for each in (A, B, C, D))), bool(asked)
+
+
+def absent(reference: str, code: Code) -> Own:
+    """Return what stands for a controller where its code is not asked for: a result is read so."""
+
+    def nothing(*given: Any) -> Any:
+        raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
+
+    model = create_model("Options", __config__=ConfigDict(extra="allow"))
+    return Own(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)

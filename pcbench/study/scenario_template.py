@@ -1,0 +1,84 @@
+"""A scenario as a study file to start from: `[scenario]` with every field, its unit and what it means."""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pcbench.errors import UserError
+from pcbench.scenarios import INTERVAL, NOTHING, Scenario
+from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.sources import Source, Wave
+from pcbench.study.scenario_schema import ScenarioTable
+
+TITLES = {
+    "truth": "what is true of the plant and told to no observer",
+    "loop": "what drives the plant",
+    "sampling": "how it is measured",
+    "belief": "what designers and observers assume",
+    "scoring": "what runs are judged by",
+}
+FIRST = ("summary", "source", "plant", "observers", "dt", "duration")
+
+
+def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[str, Any] = NOTHING) -> str:
+    """Return a study of one scenario with its `axes` and `options`, as TOML that gives the numbers of `s`.
+
+    Raises UserError for a linear plant of a study's own, whose table [lti] says what it is.
+    """
+    if s.plant == "lti":
+        raise UserError(
+            f"show {s.name}: got a plant of a study's own, expected another; its table [lti] is the file to edit."
+        )
+    lines = [f"name = {said('my-' + s.name.replace('/', '-'))}", "seeds = 256", "", "[scenario]"]
+    lines += [_line(s, key) for key in FIRST]
+    for record, fields in RECORDS.items():
+        known = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
+        lines += ["", f"# {TITLES[record]}", *(_line(s, key) for key in known)]
+    tables = {f"scenario.options.{key_of(label)}": given for label, given in s.options.items()}
+    tables |= {f"options.{key_of(label)}": given for label, given in options.items()}
+    for name, given in (tables | ({"axes": axes} if axes else {})).items():
+        lines += ["", f"[{name}]", *(f"{key_of(key)} = {said(value)}" for key, value in given.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _line(s: Scenario, key: str) -> str:
+    """One key with its value and its meaning; a comment where the value is what it is without the key."""
+    value, about = s.value(key), ScenarioTable.model_fields[key].description
+    default = getattr(s, _record(key))._field_defaults if _record(key) and key != "steady_start" else {}
+    if key in ("input", "unknown_input") and not isinstance(value, str):
+        text = said([_driving(each) for each in value] if len(value) > 1 else _driving(value[0]))
+    elif key in ("signals", "unknowns"):
+        text = said([f"{name} [{unit}]" for name, unit in value])
+    else:
+        text = said(INTERVAL if key == "delay" and set(value) == {INTERVAL} else value)
+    return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
+
+
+def _driving(source: Source) -> Any:
+    """A wave as a table, a table as rows."""
+    if isinstance(source, Wave):
+        return {"signal": source.shape} | {k: v for k, v in source._asdict().items() if k != "shape" and v != ""}
+    return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]
+
+
+def _record(key: str) -> str:
+    return next((record for record, fields in RECORDS.items() if key in fields), "")
+
+
+def said(value: Any) -> str:
+    """Return a value as TOML on one line: numbers to their last digit."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key_of(key)} = {said(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(said(each) for each in value)}]"
+    return repr(value)
+
+
+def key_of(name: str) -> str:
+    """Return a name as a key of TOML: in quotes unless it has letters, digits, `-` and `_` only."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else said(name)

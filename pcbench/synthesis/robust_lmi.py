@@ -1,0 +1,174 @@
+"""Gains of a current estimator that keep a promise over a whole range of maps Phi_i, by LMI in P > 0 and Y = P L.
+
+    decay   [P, M_i'/r_i; M_i/r_i, P] >= t I,  M_i = (P - Y C) Phi_i,  r_i = e^{-rate T_i},           maximise t <= 1 at P <= I
+    h2      [P, M_i, (P - Y C) G_i, Y V; ., P, 0, 0; ., ., I, 0; ., ., ., I] >= 0,  [Z, W; W', P] >= 0,  minimise trace Z
+    hinf    [P, M_i, (P - Y C) G_i, -Y V; ., P - W'W, 0, 0; ., ., g I, 0; ., ., ., g I] >= 0,         minimise g
+
+with G_i G_i' = Q_i the process noise over an interval, V V' = R that of a sample, W e what counts of the error. h2 bounds the
+covariance of W e by Z, hinf its energy by g times that of the (normalised) noise. Each may be joined with decay; one P for
+all is sufficient, not necessary. Where the plant integrates, a constant sensor error comes out in the estimate as it is,
+whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `error_bounds` in the
+plant's own units.
+Source: standard (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994; de Oliveira et al., 1999), in
+the form that Y = P L makes affine.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError
+from pcbench.synthesis import error_bounds, riccati, solver_cache, solvers
+from pcbench.synthesis.certificate import SHORT, Certificate
+from pcbench.synthesis.parameter_ranges import Maps
+
+Kind = Literal["decay", "h2", "hinf"]
+FASTEST = 5.0  # e^-5 a sample: faster is as good as at once
+NEARLY = 1.01  # the energy gain's square, of the least
+STEPS = 24  # of the search for the fastest rate
+ADVICE = "ask for a slower decay or a narrower range"
+
+
+class RobustTask(NamedTuple):
+    """What a gain is sought for; n states, q outputs."""
+
+    maps: Maps
+    C: Matrix  # [q, n]
+    R: Matrix  # [q, q] variance of one sample, > 0
+    W: Matrix  # [n, n] what counts of the error
+    scale: Matrix  # [n] size of the error, for the solver's sake
+
+
+class RobustGain(NamedTuple):
+    """A solver's answer, as it came."""
+
+    P: Matrix  # [n, n]
+    L: Matrix  # [n, q]
+    cost: float  # trace Z or g, in the solver's scale
+    status: str
+    solver: str
+
+
+def design(
+    task: RobustTask, kind: Kind, decay: float | None, where: str, among: tuple[str, ...] = solvers.SOLVERS
+) -> tuple[RobustGain, Certificate]:
+    """Find a gain and prove it; `decay` [1/s] is the least rate, None: any (of the kind decay: the fastest).
+
+    Raises DesignError where no answer stands.
+    """
+    if kind == "decay" and decay is None:
+        return fastest(task, where)
+    name = f"robust-{kind}"
+    least = 0.0 if decay is None else decay * (1 - SHORT)
+
+    def ask(solver: str) -> RobustGain:
+        problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
+        return solver_cache.remembered(
+            RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
+        )
+
+    def hopeless(found: RobustGain) -> bool:
+        return kind == "decay" and found.status == "optimal" and found.cost >= 0
+
+    return solvers.proven(ask, lambda found: certify(found, task, kind), where, least, hopeless, among)
+
+
+def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
+    """Return the gain with the fastest decay that one P proves over the range, by bisection of the rate."""
+    low, high = 0.0, FASTEST / float(task.maps.seconds.min())
+    best: tuple[RobustGain, Certificate] | None = None
+    for _ in range(STEPS):
+        if high - low < 1e-4 * high:
+            break
+        rate = (low + high) / 2
+        try:
+            best = design(task, "decay", rate, where, solvers.SOLVERS[:1])
+            low = max(rate, best[1].rate)
+        except DesignError:
+            high = rate
+    return best or design(task, "decay", 0.0, where)
+
+
+def solve(task: RobustTask, kind: Kind, decay: float | None, where: str, solver: str = "CLARABEL") -> RobustGain:
+    """Solve the inequalities at the corners of a range; raise DesignError where the solver has no answer.
+
+    Of the gains with the least energy gain, to NEARLY, the one with the least covariance is taken: there are many.
+    """
+    if kind != "hinf":
+        return _solve(task, kind, decay, np.inf, where, solver)
+    least = _solve(task, kind, decay, np.inf, where, solver)
+    return _solve(task, "h2", decay, NEARLY * least.cost, where, solver)
+
+
+def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, where: str, solver: str) -> RobustGain:
+    """Minimise what `kind` says, with an energy gain of no more than `energy`."""
+    import cvxpy as cp
+
+    S, v = task.scale, 1 / np.sqrt(np.diag(task.R))
+    C = v[:, None] * task.C * S
+    W = task.W * S
+    W = W / np.linalg.norm(W)
+    n, q = len(S), len(C)
+    P, Y, cost = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
+    rules: list[Any] = []
+    keep = P - Y @ C
+    for Phi, Q, T in zip(*task.maps.seen[:3], strict=True):
+        M, G = keep @ (Phi / S[:, None] * S), keep @ riccati.root(Q / S[:, None] / S)
+        if decay is not None or kind == "decay":
+            grown = np.exp((decay or 0.0) * T) * M
+            rules.append(cp.bmat([[P, grown.T], [grown, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
+        if kind == "h2":  # of unit noise; with a finite energy gain that of P - W'W/g implies that of P
+            rules.append(_block(cp, P, M, G, Y, P - W.T @ W / energy, 1.0) >> 0)
+        if kind == "hinf":
+            rules.append(_block(cp, P, M, G, Y, P - W.T @ W, cost) >> 0)
+    if kind == "decay":
+        rules.append(P << np.eye(n))
+    if kind == "h2":
+        Z = cp.Variable((n, n), symmetric=True)
+        rules += [cp.bmat([[Z, W], [W.T, P]]) >> 0, cp.trace(Z) <= cost]
+    status, (X, K, least) = solvers.minimise(cost, rules, (P, Y, cost), where, solver, ADVICE)
+    try:
+        L = np.asarray(np.linalg.solve(X, K), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise DesignError(
+            f"{where}: the LMI's P is singular ({solver} said '{status}'), expected P > 0; {ADVICE}."
+        ) from None
+    return RobustGain(X / S[:, None] / S, S[:, None] * L * v, float(least), status, solver)
+
+
+def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) -> Any:
+    """The block of h2 or hinf, whose noise has variance 1."""
+    n, q, r = P.shape[0], Y.shape[1], G.shape[1]
+    zero = np.zeros
+    return cp.bmat([
+        [P, M, G, -Y],
+        [M.T, middle, zero((n, r)), zero((n, q))],
+        [G.T, zero((r, n)), energy * np.eye(r), zero((r, q))],
+        [-Y.T, zero((q, n)), zero((q, r)), energy * np.eye(q)],
+    ])  # fmt: skip
+
+
+def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
+    """Re-check what P proves of L at every map of the range; the margin is the rate of decay [1/s]."""
+    P, L = np.asarray(found.P, float), np.asarray(found.L, float)
+    what = "F'P F <= e^{-2 rate T} P at every map of the range, F = (I - L C) Phi"
+    if P.shape != task.W.shape or L.shape != task.C.T.shape or not (np.isfinite(P).all() and np.isfinite(L).all()):
+        return Certificate(what, float("nan"), found.solver, found.status)
+    maps = task.maps
+    F, N = error_bounds.errors(L, task.C, maps.Phi), error_bounds.noise(L, task.C, maps.Q, task.R)
+    rate = error_bounds.rate(F, P, maps.seconds)
+    numbers: dict[str, Any] = {"P": P, "L": L, "rate": rate, "maps": len(F)}
+    if kind == "h2":
+        what += "; X >= F X F' + noise, X = s inv(P)"
+        X = task.W @ error_bounds.bound(F, N, P) @ task.W.T
+        numbers |= {"rms_bound": float(np.sqrt(np.trace(X)))}
+        rate = rate if np.isfinite(X).all() else float("nan")
+    if kind == "hinf":
+        what += "; sum |W e|^2 <= g^2 sum |noise|^2"
+        keep = np.eye(len(L)) - L @ task.C
+        B = np.stack([np.hstack([keep @ riccati.root(Q), -L @ riccati.root(task.R)]) for Q in maps.Q])
+        g = error_bounds.gain_bound(F, B, task.W, P)
+        numbers |= {"g": g}
+        rate = rate if np.isfinite(g) else float("nan")
+    return Certificate(what, rate, found.solver, found.status, numbers, rate)

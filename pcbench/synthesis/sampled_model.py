@@ -1,0 +1,171 @@
+"""A plant from sample to sample, for observers that work on whole samples: its map, noise, gains by poles, late corrections.
+
+x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples, all channels are sampled together every
+`period` ticks, and channel j arrives a whole number tau_j of samples later.
+"""
+
+import warnings
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import rank, shown
+from pcbench.errors import DesignError, UserError, said
+from pcbench.synthesis.certificate import NO_NOISE, DesignContext
+from pcbench.synthesis.solver_cache import remembered
+
+power = np.linalg.matrix_power
+UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
+STAYS = 1 - 1e-9  # a mode of this size or more does not decay
+ROWS = 1500  # of the largest map whose radius is computed
+GROWS = 100.0  # powers of ten by which a model may grow over a delay
+
+
+class Sampled(NamedTuple):
+    """n states, q outputs; one step is one sample."""
+
+    A: Matrix  # [n, n]
+    C: Matrix  # [q, n]
+    Q: Matrix  # [n, n] what the assumed process noise adds over a sample
+    R: Matrix  # [q, q] variance of one sample
+    tau: tuple[int, ...]  # [q] samples
+    period: int  # ticks
+    scale: Matrix  # [n] size of each state, for rank decisions
+    sizes: Matrix  # [q] size of each output
+
+
+def sampled(setting: DesignContext, observer: str, q: float | None = None) -> Sampled:
+    """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
+
+    Raises UserError where channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
+    """
+    where, period = f"{observer} in {setting.scenario}", _whole_samples(setting, f"{observer} in {setting.scenario}")
+    model, tau = setting.model, tuple(delay // period for delay in setting.delay)
+    tick = linear.input_noise(model, setting.input_intensity if q is None else q, setting.dt) + setting.process_noise
+    doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
+    noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
+    A, Q = linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
+    if max(tau) * np.log10(max(fastest, 1e-300)) > GROWS:
+        raise UserError(
+            f"{where}: got a model that grows by {fastest:.3g} a sample over a delay of {max(tau)} samples, expected less than "
+            f"1e{GROWS:.0f} in all; shorten the delay."
+        )
+    scale = np.sqrt(np.diag(setting.P0))
+    scale = np.where(scale > 0, scale, 1.0)
+    sizes = np.linalg.norm(model.C * scale, axis=1)
+    R = setting.noise_variance
+    sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
+    return Sampled(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
+
+
+def _whole_samples(setting: DesignContext, where: str) -> int:
+    """Return the period in ticks; raise UserError where times are not whole samples."""
+    periods, dt, error = set(setting.period), setting.dt, setting.error
+    if len(periods) > 1:
+        seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
+        raise UserError(
+            f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
+            "give one period, or take kf."
+        )
+    period = periods.pop()
+    times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(setting.delay)}
+    for what, ticks in (times | {"an assumed_delay_error of {} s": error}).items():
+        if ticks % period:
+            low = ticks // period * period * dt
+            raise UserError(
+                f"{where}: got {what.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
+                f"samples; write {low:g} or {low + period * dt:g}, or take kf."
+            )
+    return period
+
+
+def noise_over(plant: Sampled, d: int) -> Matrix:
+    """Return what the process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
+    each = [power(plant.A, j) for j in range(d)]
+    return np.asarray(sum(E @ plant.Q @ E.T for E in each))
+
+
+def invertible(C: Matrix) -> bool:
+    """Say whether the outputs give the state at once, without one to spare."""
+    return C.shape[0] == C.shape[1] and rank(C) == len(C)
+
+
+def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
+    """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
+
+    With n > 9 states they are closer together. Outputs that repeat each other share a gain.
+    """
+    Ad, n = power(plant.A, d), len(plant.A)
+    if invertible(plant.C):
+        return np.asarray((Ad - pole * np.eye(n)) @ np.linalg.inv(plant.C))
+    A, C = Ad / plant.scale[:, None] * plant.scale, plant.C / plant.sizes[:, None] * plant.scale
+    _, s, V = np.linalg.svd(C, full_matrices=False)
+    M = V[s > 1e-9 * max(s[0], 1e-300)]  # independent outputs: C = C pinv(M) M
+    if len(M) == n:
+        G = (A - pole * np.eye(n)) @ np.linalg.inv(M)
+    else:
+        require_seen(plant, d, where, least=0.0, why="placing poles")
+        if pole == 0:
+            raise UserError(
+                f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
+                "are placed there; write a small one, such as 1e-4."
+            )
+        wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
+        try:
+            G = remembered(Placed, f"poles-{version('scipy')}", (A, M, wanted), lambda: _placed(A, M, wanted)).G
+        except ValueError as error:
+            raise DesignError(
+                f"{where}: the poles were not placed (SciPy said '{said(error)}'), expected another pole; change it."
+            ) from error
+    return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
+
+
+class Placed(NamedTuple):
+    """What placing poles has found."""
+
+    G: Matrix  # [n, rank of C]
+
+
+def _placed(A: Matrix, M: Matrix, wanted: Matrix) -> Placed:
+    """G with the poles of A - G M as wanted."""
+    from scipy.signal import place_poles  # takes a second to import
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+        return Placed(np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float))
+
+
+def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
+    """Raise UserError naming a mode of A^d, of size `least` or more, that C does not show.
+
+    The test of Hautus at the scale of x(0) and of the noise; by singular values, so that it finds what a multiple mode hides:
+    two modes of A may be one of A^d.
+    """
+    Ad = power(plant.A, d) / plant.scale[:, None] * plant.scale
+    C = plant.C / plant.sizes[:, None] * plant.scale
+    for mode in np.linalg.eigvals(Ad):
+        *_, sizes, V = np.linalg.svd(np.vstack([Ad - mode * np.eye(len(Ad)), C]))
+        if abs(mode) >= least and sizes[-1] < UNSEEN:
+            v = plant.scale * V[-1].conj()
+            along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
+            kind = "a detectable" if least else "an observable"
+            raise UserError(
+                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {shown(complex(mode))} of A^d (along "
+                f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
+            )
+
+
+def delayed_radius(A: Matrix, K: Matrix, C: Matrix, ages: tuple[int, ...]) -> float:
+    """Return the spectral radius of e(k+1) = A e(k) - sum_j K_j C_j e(k - ages_j); NaN where the ages are too long for it."""
+    n = len(A)
+    if n * (max(ages) + 1) > ROWS:
+        return float("nan")
+    J = np.eye(n * (max(ages) + 1), k=-n)
+    J[:n, :n] += A
+    for j, age in enumerate(ages):
+        J[:n, n * age : n * (age + 1)] -= np.outer(K[:, j], C[j])
+    return float(np.abs(np.linalg.eigvals(J)).max())
