@@ -48,7 +48,7 @@ from pcbench.planning.padding import Plan
 from pcbench.runtime import config, provenance
 from pcbench.simulation import rng
 from pcbench.simulation.simulate_runs import simulate_runs
-from pcbench.simulation.types import Layout, Outcome, Problem
+from pcbench.simulation.types import GridPointParams, Layout, RunSums
 from pcbench.study import parse
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
@@ -96,7 +96,7 @@ CAPTION = (
 )
 
 
-def sums_of(outcome: Outcome) -> Array:
+def sums_of(outcome: RunSums) -> Array:
     """Return what the baselines return, [3, 4, L], from the windows of pcbench's streams."""
     each = [outcome.streams[o] for o in OBSERVERS]
     return np.concatenate([np.stack([s.absolute.sum(0), s.square.sum(0), s.peak.max(0)]) for s in each], 1)
@@ -111,7 +111,7 @@ def agree(what: str, got: Array, expected: Array, ticks: int) -> None:
 
 
 def pcbench_rows(
-    layout: Layout, problems: dict[bool, Problem], cores: int, ticks: int
+    layout: Layout, problems: dict[bool, GridPointParams], cores: int, ticks: int
 ) -> tuple[list[Row], dict[bool, Array]]:
     """Return pcbench's rows by kind, and its sums for seeds 0 .. L-1 by random start."""
     rows, sums, width = [], {}, layout.width
@@ -133,7 +133,7 @@ def turn(layout: Layout, jobs: list[runner.Job], cores: int) -> None:
         pass
 
 
-def check_baselines(case: Case, problems: dict[bool, Problem], sums: dict[bool, Array]) -> None:
+def check_baselines(case: Case, problems: dict[bool, GridPointParams], sums: dict[bool, Array]) -> None:
     """Exit unless every baseline finds pcbench's metrics in pcbench's draws."""
     ticks, lanes = len(case.u), sums[False].shape[-1]
     seeds, samples = np.arange(lanes), -(-ticks // case.period)
@@ -147,7 +147,7 @@ def check_baselines(case: Case, problems: dict[bool, Problem], sums: dict[bool, 
         agree("numba", runs_alone(case, x0, noise), expected, ticks)
 
 
-def baseline_rows(case: Case, problem: Problem, width: int, cores: int) -> list[Row]:
+def baseline_rows(case: Case, problem: GridPointParams, width: int, cores: int) -> list[Row]:
     """Return the baselines' rows, those of NumPy on one core."""
     samples, rng = -(-len(case.u) // case.period), np.random.default_rng(0)
 
@@ -196,7 +196,7 @@ def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
     return out
 
 
-def by_the_definition(p: Plan, lanes: int) -> Callable[[], Outcome]:
+def by_the_definition(p: Plan, lanes: int) -> Callable[[], RunSums]:
     """Return what simulates runs 0 .. `lanes` - 1 of a cell by `simulate_runs`, each on its schedule if these are random."""
     schedules = None
     if p.cell.times.random:
@@ -276,7 +276,7 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
     jax.config.update("jax_platforms", "cpu")
     if not small:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
-    problems: dict[bool, Problem] = {}
+    problems: dict[bool, GridPointParams] = {}
     for random in (False, True):
         given = {
             "observers": OBSERVERS,

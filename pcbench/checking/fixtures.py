@@ -20,7 +20,7 @@ from pcbench.plants import entry_of, nonlinear
 from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.schedule import common_times
-from pcbench.simulation.types import Problem, present, truth
+from pcbench.simulation.types import GridPointParams, present, truth
 from pcbench.study import fits, times
 from pcbench.study.grid import cell_of
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
@@ -35,7 +35,7 @@ class Case(NamedTuple):
 
     name: str
     setting: DesignContext
-    problem: Problem
+    problem: GridPointParams
 
 
 class Trial(NamedTuple):

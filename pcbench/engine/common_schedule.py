@@ -16,17 +16,17 @@ from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import Happen, any_is_notified, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurement_noise
 from pcbench.simulation.measurement_noise import Noise
-from pcbench.simulation.types import Layout, Notes, Packet, PerLane, Problem, Row, State
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, PerLane, State
 
 
-def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
+def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
     noise = measurement_noise.drawing(p, root_seed, seeds, apart=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 
 
-def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
+def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> State:
     """Make rings of ring + 1 packets, and put those on the network that were taken before tick 0: they have measured x(0).
 
     If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the snapshot of the start.
@@ -45,7 +45,7 @@ def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
     return state._replace(flight=Packet(values, notes))
 
 
-def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> State:
+def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: State) -> State:
     """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
 
     Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
@@ -79,7 +79,7 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
         mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.believed[k, slot])
-        row = Row(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
+        row = ArrivalInfo(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
 
         def jumped(memories: Any) -> Any:
             after = jump(layout, p, k, state._replace(memories=memories), row, packet)

@@ -18,8 +18,8 @@ from pcbench.engine.initial_state import drawing
 from pcbench.engine.products.flow import flow
 from pcbench.simulation import innovation_stats
 from pcbench.simulation.metrics import Weights
-from pcbench.simulation.schedule.random_times import Times
-from pcbench.simulation.types import Layout, Memories, Outcome, Problem, State
+from pcbench.simulation.schedule.random_times import ClockParams
+from pcbench.simulation.types import GridPointParams, Layout, Memories, RunSums, State
 
 
 class Events(NamedTuple):
@@ -31,7 +31,7 @@ class Events(NamedTuple):
     moved: Callable[[Memories, Any], Any] = lambda after, kept: after  # (after a flow, packed before it) -> packed
 
 
-def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: Any = None) -> Outcome:
+def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: Any = None) -> RunSums:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
 
     `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
@@ -72,7 +72,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
     left = kept, last.watches, errors, squares, steps.actual(layout, p, end, state)
     sums, left = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, left), is_leaf=lane_array.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
-    return Outcome(
+    return RunSums(
         streams=streams,
         watches=left[1],
         final=left[2],
@@ -83,9 +83,9 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
     )
 
 
-def _events(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
+def _events(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """The events of a block of runs, on a schedule that all share or on schedules of their own; and the state before tick 0."""
-    if isinstance(p.schedule, Times):
+    if isinstance(p.schedule, ClockParams):
         each, state = random_schedules.prepare(layout, p, root_seed, seeds)
         form = each.form
         return Events(each.happen, each.following, form.whole, form.moved), state

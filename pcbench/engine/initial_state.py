@@ -13,11 +13,11 @@ from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import table
 from pcbench.simulation import command_network, metrics, rng
 from pcbench.simulation.closed_loop import before
-from pcbench.simulation.schedule.random_times import Times
-from pcbench.simulation.types import Layout, Packet, PerLane, Problem, Row, State
+from pcbench.simulation.schedule.random_times import ClockParams
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, State
 
 
-def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
+def drawing(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
     """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
     keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
     sent = command_network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
@@ -28,7 +28,7 @@ def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Calla
     return lambda k: steps.Drawn(process(k), jax.tree.map(lane_array.split, sent(k)))
 
 
-def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
+def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:
     """Return the state before tick 0 of one lane for each of seeds[L].
 
     `flight` is one packet, what the start would put on the network: events make rings of it.
@@ -67,7 +67,7 @@ def _tables(commands: command_network.Commands) -> command_network.Commands:
     return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
 
 
-def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
+def _plant(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PerLane:
     """x(0) [n], random about x0 where the layout says so."""
     if not layout.random_initial_state:
         return p.x0
@@ -83,7 +83,7 @@ def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> Any:
     return lane_array.split(rng.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
 
 
-def first_estimate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
+def first_estimate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PerLane:
     """Return xhat(0) [n], random in a box where the layout says so."""
     if not layout.scattered:
         return p.xhat0
@@ -91,7 +91,7 @@ def first_estimate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -
     return vmap_entrywise(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
 
 
-def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any:
+def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Any:
     """The observers' memories of xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
     begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
@@ -108,12 +108,12 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
     return vmap_entrywise(own)(begun, words, xhat0)
 
 
-def _everything(layout: Layout, p: Problem) -> steps.Happen:
+def _everything(layout: Layout, p: GridPointParams) -> steps.Happen:
     """An event that measures, notes and jumps: `settle` traces a tick with it to find what differs between lanes."""
     q = p.noise_std.shape[0]
     noise = lane_array.split(jnp.zeros((q, layout.width)))
-    random = isinstance(p.schedule, Times)
-    row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
+    random = isinstance(p.schedule, ClockParams)
+    row: Any = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
     row = jax.tree.map(lambda a: lane_array.broadcast(a, layout.width), row) if random else row
 
     def happen(k: Array, state: State) -> State:

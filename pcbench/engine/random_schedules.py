@@ -15,10 +15,10 @@ from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurement_noise
-from pcbench.simulation.schedule.agenda import Agenda, agenda
+from pcbench.simulation.schedule.agenda import EventTable, agenda
 from pcbench.simulation.schedule.common_times import NEVER
-from pcbench.simulation.schedule.random_times import Times
-from pcbench.simulation.types import Layout, Notes, Packet, Problem, Row, State
+from pcbench.simulation.schedule.random_times import ClockParams
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, State
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
@@ -58,9 +58,9 @@ class Events(NamedTuple):
     """All events of a block of runs, and in what form memories are kept between them. E an agenda's length, M samples."""
 
     layout: Layout
-    p: Problem
-    times: Times
-    agenda: Agenda
+    p: GridPointParams
+    times: ClockParams
+    agenda: EventTable
     taken: Queue
     noting: Queue
     arrivals: Queue
@@ -84,7 +84,7 @@ class Events(NamedTuple):
         return due.min() // self.rows
 
 
-def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
+def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
     times: Any = p.schedule
     plan, zero, state = agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
@@ -184,7 +184,7 @@ def _taken_out(events: Events, state: State, c: Chunk) -> State:
     return mine._replace(commands=commands, watches=watches)
 
 
-def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Array]:
+def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Array) -> list[Array]:
     """The noise of every sample of each channel before scaling, [M, L]: the draws of a shared schedule.
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
@@ -207,10 +207,10 @@ def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
     return Chunk(jnp.where(together, what % layout.width, layout.width), what // layout.width, together.sum())
 
 
-def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
+def _row(events: Events, k: Array, c: Chunk, which: Array) -> ArrivalInfo:
     """What is known of the packets that arrive."""
     plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
-    return Row(
+    return ArrivalInfo(
         mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
         age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
         number=lane_array.split(number),

@@ -1,7 +1,7 @@
 """Many runs at once: calls of one compiled width, several at a time.
 
-A *job* is one cell's `Problem` with up to `width` seeds; short ones are padded, so that a run has the same bits alone and in
-any block. There is one program, compiled for one device and computing on one thread: on a processor it is called from as
+A *job* is one cell's `GridPointParams` with up to `width` seeds; short ones are padded, so that a run has the same bits alone
+and in any block. There is one program, compiled for one device and computing on one thread: on a processor it is called from as
 many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
 """
 
@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.runtime import config, program_cache, thread_pools
 from pcbench.simulation import innovation_stats
 from pcbench.simulation.simulate_runs import simulate_runs
-from pcbench.simulation.types import Layout, Outcome, Problem
+from pcbench.simulation.types import GridPointParams, Layout, RunSums
 
 WIDTH = 1024  # lanes a call
 DEFINITION = 64  # of the definition
@@ -38,7 +38,7 @@ OPTIONS: dict[str, str | bool] = {  # of the compiler, for a processor
 class Job(NamedTuple):
     """The runs of one cell that are simulated in one call."""
 
-    problem: Problem
+    problem: GridPointParams
     root_seed: int
     seeds: np.ndarray  # at most `width`
     schedules: Any = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
@@ -50,9 +50,9 @@ class MapsOfCell:
     def __init__(self, make: Any) -> None:
         """Begin with none; `make` is a compiled call, None where nothing goes by products."""
         self.make = make
-        self.last: tuple[Problem | None, dict[str, Maps]] = (None, {})
+        self.last: tuple[GridPointParams | None, dict[str, Maps]] = (None, {})
 
-    def __call__(self, p: Problem) -> dict[str, Maps]:
+    def __call__(self, p: GridPointParams) -> dict[str, Maps]:
         """Return the maps of a problem: those made last, if it is the same object."""
         if self.make is None:
             return {}
@@ -116,7 +116,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
 
-    def simulate(p: Problem, root_seed: Any, seeds: Any, schedules: Any, maps: Any) -> Outcome:
+    def simulate(p: GridPointParams, root_seed: Any, seeds: Any, schedules: Any, maps: Any) -> RunSums:
         if layout.defined:
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds, maps)
@@ -158,14 +158,14 @@ def compilations() -> int:
     return _PROGRAMS.made
 
 
-def arguments(job: Job, width: int) -> tuple[Problem, Any, Any, Any]:
+def arguments(job: Job, width: int) -> tuple[GridPointParams, Any, Any, Any]:
     """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
     which = np.resize(np.arange(len(job.seeds)), width)
     schedules = jax.tree.map(lambda a: a[which], job.schedules)
     return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), job.seeds[which], schedules
 
 
-def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
+def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
     """Simulate jobs one after another; yield each with what it left, as NumPy arrays [..., L].
 
     The next call is handed to the device before the last one's results are read.
@@ -182,7 +182,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
         yield _read(job, out)
 
 
-def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
+def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, RunSums]]:
     """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
     at_once = devices(count)
     with thread_pools.pool(len(at_once)) as threads:
@@ -203,6 +203,6 @@ def in_float64(function: Any, *arguments: Any) -> Any:
         return function(*arguments)
 
 
-def _read(job: Job, out: Outcome) -> tuple[Job, Outcome]:
+def _read(job: Job, out: RunSums) -> tuple[Job, RunSums]:
     mine = (..., slice(len(job.seeds)))
     return job, jax.tree.map(operator.itemgetter(mine), jax.tree.map(np.asarray, out))

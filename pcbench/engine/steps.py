@@ -16,13 +16,13 @@ from pcbench.simulation import metrics, simulate_runs
 from pcbench.simulation.closed_loop import off_target
 from pcbench.simulation.simulate_runs import Run, freeze_diverged
 from pcbench.simulation.types import (
+    ArrivalInfo,
+    GridPointParams,
     Layout,
     Memories,
     Notes,
     Packet,
     PerLane,
-    Problem,
-    Row,
     State,
     params_of,
     present,
@@ -58,7 +58,7 @@ def seen(layout: Layout, state: State) -> Lane:
     return Lane((), state.memories, state.commands, state.watches if layout.controller else {})
 
 
-def tick(layout: Layout, p: Problem, k: Array, state: State, drawn: Drawn) -> State:
+def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Drawn) -> State:
     """Return the state at tick k + 1, of one at tick k after its events: the order is that of `simulate_runs.tick`."""
     state = score(layout, p, k, state)  # 3. estimate
     state = control(layout, p, k, state, drawn.command)  # 4. control
@@ -68,7 +68,7 @@ def tick(layout: Layout, p: Problem, k: Array, state: State, drawn: Drawn) -> St
 # 1. sense
 
 
-def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) -> PerLane:
+def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: PerLane) -> PerLane:
     """Return what every channel measures at tick k, [q]."""
 
     def one_lane(k: Array, x: Array, drawn: Any, v: Array) -> Array:
@@ -77,12 +77,12 @@ def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) 
     return vmap_entrywise(one_lane)(k, state.x, state.drawn, noise)
 
 
-def snapshot(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
+def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Notes:
     """Return what every observer notes at tick k."""
     return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
-def notify_sampled(layout: Layout, p: Problem, k: Array, state: State, mask: PerLane) -> Memories:
+def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, mask: PerLane) -> Memories:
     """Return the memories after those observers that ask for it were notified which channels [q] are sampled at tick k."""
 
     def one_lane(k: Array, lane: Lane, mask: Array) -> Memories:
@@ -100,10 +100,10 @@ def any_is_notified(layout: Layout) -> bool:
 # 2. deliver
 
 
-def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: Packet) -> Memories:
+def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: ArrivalInfo, packet: Packet) -> Memories:
     """Return the memories after a packet that arrives at tick k."""
 
-    def one_lane(k: Array, lane: Lane, row: Row, packet: Packet) -> Memories:
+    def one_lane(k: Array, lane: Lane, row: ArrivalInfo, packet: Packet) -> Memories:
         arrival = partial(
             Arrival, packet.values, row.mask, row.age, row.number, ticks_since_arrival=row.ticks_since_arrival
         )
@@ -116,7 +116,7 @@ def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: P
 # 3. estimate
 
 
-def estimates(layout: Layout, p: Problem, state: State) -> dict[str, PerLane]:
+def estimates(layout: Layout, p: GridPointParams, state: State) -> dict[str, PerLane]:
     """Return what every observer estimates, as the state stands: [n] or [n + s]."""
 
     def one_lane(memories: Memories) -> dict[str, Array]:
@@ -125,7 +125,7 @@ def estimates(layout: Layout, p: Problem, state: State) -> dict[str, PerLane]:
     return vmap_entrywise(one_lane)(state.memories)
 
 
-def actual(layout: Layout, p: Problem, k: Array, state: State) -> PerLane:
+def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLane:
     """Return what observers estimate, as it is at tick k: [n + s]."""
 
     def one_lane(k: Array, x: Array, drawn: Any) -> Array:
@@ -134,7 +134,7 @@ def actual(layout: Layout, p: Problem, k: Array, state: State) -> PerLane:
     return vmap_entrywise(one_lane)(k, state.x, state.drawn)
 
 
-def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerLane]:
+def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[str, PerLane]:
     """Return e of every observer at tick k, of all that it estimates."""
 
     def one_lane(k: Array, lane: Lane, drawn: Any) -> dict[str, Array]:
@@ -143,7 +143,7 @@ def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerL
     return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories), state.drawn)
 
 
-def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
+def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
     """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
     def one_lane(k: Array, e: dict[str, Array], streams: Any, watches: Any, tracking: Any, x: Array) -> Any:
@@ -158,7 +158,7 @@ def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-def squares(layout: Layout, p: Problem, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, Any]:
+def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, Any]:
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
 
     def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def squares(layout: Layout, p: Problem, k: Array, state: State, e: dict[str, Per
 # 4. control, 5. flow
 
 
-def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ()) -> State:
+def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Any = ()) -> State:
     """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`network.Drawn`)."""
     if layout.controller is None:
         return state
@@ -186,7 +186,7 @@ def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ())
     return state._replace(commands=commands, law=law, effort=effort)
 
 
-def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> State:
+def flow(layout: Layout, p: GridPointParams, k: Array, state: State, w: PerLane) -> State:
     """Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
 
     def one_lane(k: Array, lane: Lane, drawn: Any, w: Array) -> Any:

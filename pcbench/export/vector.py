@@ -12,7 +12,7 @@ from pcbench.engine.common_schedule import prepare
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.planning.padding import Plan
 from pcbench.simulation import measurements, trajectory
-from pcbench.simulation.types import Layout, Problem, present
+from pcbench.simulation.types import GridPointParams, Layout, present
 
 SNAPSHOT, SAMPLED, JUMP = 0, 1, 2
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
 
 
-def beginning(layout: Layout, rows: int, p: Problem, root_seed: Any, seeds: Any) -> tuple[Any, Any]:
+def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Any, seeds: Any) -> tuple[Any, Any]:
     """Return xhat(0) of a run, and the inputs applied before tick 0, the newest first."""
     _, state = prepare(layout, p, root_seed, seeds)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcbench.planning import digits
 from pcbench.planning.padding import Plan
 from pcbench.simulation import metrics
-from pcbench.simulation.metrics import Stream, Watch
+from pcbench.simulation.metrics import ErrorSums, SettlingState
 
 Floats = NDArray[np.float64]
 
@@ -21,18 +21,18 @@ def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
     with np.errstate(invalid="ignore", over="ignore"):
         streams = [_stream(e[a:b]) for a, b in np.asarray(p.problem.windows)]
         watch = _watch(e, p)
-    whole: Any = Stream._make(np.stack(each) for each in zip(*streams, strict=True))
+    whole: Any = ErrorSums._make(np.stack(each) for each in zip(*streams, strict=True))
     digits.require_of(p, x[:, n - 1].T, whole.absolute[1:].sum(0) / (n - tail))
     falls = bool((p.problem.jumps < n).any())
     return metrics.read(whole, watch, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
 
 
-def _stream(e: Floats) -> Stream:
+def _stream(e: Floats) -> ErrorSums:
     size = np.abs(e)
-    return Stream(size.sum(0), (e * e).sum(0), size.max(0, initial=0.0))  # type: ignore[arg-type]
+    return ErrorSums(size.sum(0), (e * e).sum(0), size.max(0, initial=0.0))  # type: ignore[arg-type]
 
 
-def _watch(e: Floats, p: Plan) -> Watch:
+def _watch(e: Floats, p: Plan) -> SettlingState:
     after: Any
     many, ticks = e.shape[1], np.arange(len(e))[:, None, None]
     size, band, bound = np.abs(e), *(np.asarray(a)[:many, None] for a in (p.problem.band, p.problem.bound))
@@ -46,4 +46,4 @@ def _watch(e: Floats, p: Plan) -> Watch:
         gone = np.where(jumps <= ticks[:, 0], ticks[:, 0] - jumps, np.iinfo(int).max)
         since, after = gone.min(1), (jumps <= ticks[:, 0]).any(1)
         recovery = np.where(outside & after[:, None, None], since[:, None, None] + 1.0, 0.0).max(0)
-    return Watch(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]
+    return SettlingState(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]

@@ -21,7 +21,7 @@ from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Plan
 from pcbench.runtime import thread_pools
 from pcbench.simulation import reverse_mode
-from pcbench.simulation.types import Problem
+from pcbench.simulation.types import GridPointParams
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
@@ -42,7 +42,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     tree = jax.tree.structure(p.problem.gains[label])
 
     def mean(
-        reals: list[Array], others: list[Any], problem: Problem, seeds: Array, weights: Array
+        reals: list[Array], others: list[Any], problem: GridPointParams, seeds: Array, weights: Array
     ) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]

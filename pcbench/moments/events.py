@@ -28,7 +28,7 @@ from pcbench.moments.noise_state import Form, slope, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.simulate_runs import Run, select
-from pcbench.simulation.types import Layout, Row, present
+from pcbench.simulation.types import ArrivalInfo, Layout, present
 
 
 class Moving(NamedTuple):
@@ -148,7 +148,7 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
     """Hand one packet of each cell over."""
     q, form = by.std.shape[0], by.form
     number, believed, mask, index, ticks_since_arrival = arriving
-    row = Row(mask, k - believed, index, ticks_since_arrival)
+    row = ArrivalInfo(mask, k - believed, index, ticks_since_arrival)
     row = row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape))
     rest = number >= 0, row
     place = _place(number, m)

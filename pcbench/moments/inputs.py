@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.simulation.schedule.common_times import NEVER, Schedule
-from pcbench.simulation.types import Problem
+from pcbench.simulation.types import GridPointParams
 
 KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
 SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
@@ -45,7 +45,7 @@ class Plan(NamedTuple):
 class Given(NamedTuple):
     """The numbers of C cells."""
 
-    problem: Problem  # own arrays of each cell are [..., C]; its schedule stands in `plan`
+    problem: GridPointParams  # own arrays of each cell are [..., C]; its schedule stands in `plan`
     plan: Plan
     arrivals: Any  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
     ticks: Any  # [N+1, P, w] of the process and of commands
@@ -90,7 +90,7 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
     )
 
 
-def own_of(problem: Problem) -> tuple[bool, ...]:
+def own_of(problem: GridPointParams) -> tuple[bool, ...]:
     """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
     fields = problem._replace(schedule=())._asdict()
     return tuple(
@@ -98,14 +98,16 @@ def own_of(problem: Problem) -> tuple[bool, ...]:
     )
 
 
-def shared_of(problem: Problem) -> tuple[Any, ...]:
+def shared_of(problem: GridPointParams) -> tuple[Any, ...]:
     """Return what must be equal in two cells that share a batch: every array that is not each cell's own."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     common = [np.asarray(a) for a, own in zip(leaves, own_of(problem), strict=True) if not own]
     return tree, tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
 
 
-def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]) -> Given:
+def together(
+    problems: list[GridPointParams], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]
+) -> Given:
     """Lay out the numbers of cells that share their long tables side by side."""
     flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
     own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))

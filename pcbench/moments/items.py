@@ -9,7 +9,7 @@ from pcbench.moments.delay_modes import over_modes
 from pcbench.moments.observer_affinity import curved
 from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
 from pcbench.planning.padding import Plan
-from pcbench.simulation.types import Problem
+from pcbench.simulation.types import GridPointParams
 
 
 class Asked(NamedTuple):
@@ -85,7 +85,7 @@ def _signals(p: Plan) -> dict[str, int]:
     if n == len(p.problem.band):
         return {label: n for label, _ in p.layout.observers}
 
-    def estimates(problem: Problem) -> dict[str, Any]:
+    def estimates(problem: GridPointParams) -> dict[str, Any]:
         gains, xhat0 = problem.gains, problem.xhat0
         return {label: o.estimate(gains[label], o.init(gains[label], xhat0)) for label, o in p.layout.observers}
 

@@ -19,7 +19,7 @@ from pcbench.engine.lane_array import is_lanes, join, split
 from pcbench.engine.products.jaxpr_dependence import reach
 from pcbench.moments.inputs import SMALL
 from pcbench.simulation.simulate_runs import Run
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go entry by entry: half the time, but
 # twice as long to compile
@@ -34,12 +34,12 @@ class Form(NamedTuple):
     many: int  # numbers of a state
 
 
-def form_of(layout: Layout, problem: Problem) -> Form:
+def form_of(layout: Layout, problem: GridPointParams) -> Form:
     """Return what noise reaches."""
     return _form(*_kind(layout, problem))
 
 
-def forms(layout: Layout, problem: Problem) -> tuple[str, ...]:
+def forms(layout: Layout, problem: GridPointParams) -> tuple[str, ...]:
     """Return of each leaf of a state whether it moves with the noise, is the same in all runs, or differs in another way."""
     return _forms(*_kind(layout, problem))
 
@@ -47,7 +47,7 @@ def forms(layout: Layout, problem: Problem) -> tuple[str, ...]:
 Kind = tuple[Layout, Any, tuple[Any, ...]]  # of cells that begin alike: their layout, and the shapes of their numbers
 
 
-def _kind(layout: Layout, problem: Problem) -> Kind:
+def _kind(layout: Layout, problem: GridPointParams) -> Kind:
     leaves, tree = jax.tree.flatten(problem._replace(weights=()))
     layout = layout._replace(width=1, ring=1, lifted=0)  # what no beginning looks at
     return layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves)

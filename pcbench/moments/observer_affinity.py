@@ -17,10 +17,10 @@ from pcbench.moments.events import jump, sense
 from pcbench.moments.initial_moments import begin
 from pcbench.moments.noise_state import OneCell, form_of, slope, vector
 from pcbench.moments.tick_matrix import flat, one_cell
-from pcbench.simulation.types import Layout, Problem, Row
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
 
 
-def curved(layout: Layout, problem: Problem) -> bool:
+def curved(layout: Layout, problem: GridPointParams) -> bool:
     """Return whether in an open loop a slope may depend on what noise reaches."""
     if layout.controller:
         return False
@@ -37,7 +37,7 @@ def _curved(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> bool:
     zero, n, q = jnp.asarray(0), p.x0.shape[0], p.noise_std.shape[0]
     state = jax.eval_shape(lambda p: begin(layout, p, zero, (), jnp.zeros(2 * n), ()), p)
     packet = jax.eval_shape(lambda p, state: sense(layout, p, zero, state, (), ()), p, state)
-    row = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
+    row = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
 
     def read(f: OneCell, flat: Any, entering: Any, rest: Any) -> bool:
         def matrix(state: Any, p: Any, k: Any, entering: Any) -> Any:

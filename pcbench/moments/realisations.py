@@ -18,15 +18,15 @@ from pcbench.planning import alone
 from pcbench.planning.padding import Plan
 from pcbench.simulation import rng
 from pcbench.simulation.schedule import common_times
-from pcbench.simulation.schedule.random_times import Times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.schedule.random_times import ClockParams
+from pcbench.simulation.types import GridPointParams, Layout
 
 
 class Realised(NamedTuple):
     """A cell with everything drawn but its noise."""
 
     layout: Layout
-    problem: Problem
+    problem: GridPointParams
     network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
     chance: float = 1.0  # that a sample arrives at all
     mode: Any = None  # modes.Mode, of a cell that is there once for each of its modes
@@ -36,12 +36,12 @@ def random(p: Plan) -> bool:
     """Return whether runs of a cell differ in more than their noise."""
     sent = p.problem.network
     network = bool(sent) and (sent.jitter > 0 or sent.loss > 0)
-    return isinstance(p.problem.schedule, Times) or p.layout.drifting or network
+    return isinstance(p.problem.schedule, ClockParams) or p.layout.drifting or network
 
 
 def realised(p: Plan, root_seed: int, seed: int) -> Realised:
     """Return a cell as one run has it, but for its noise."""
-    one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, Times) else p
+    one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
     layout, problem = one.layout._replace(width=1, watch=False, lifted=0), one.problem
     plant = layout.plant
     if not (layout.pending or (layout.drifting and plant.of_run)):

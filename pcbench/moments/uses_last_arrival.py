@@ -13,10 +13,10 @@ import numpy as np
 from pcbench.moments.initial_moments import begin
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 
-def asked(layout: Layout, problem: Problem) -> bool:
+def asked(layout: Layout, problem: GridPointParams) -> bool:
     """Return whether an observer may ask how long ago the last arrival was."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=(), weights=()))
     return _asks(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))

@@ -23,12 +23,14 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation.measurement_noise import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, periodic, random_times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells_of
 from pcbench.synthesis.certificate import DesignContext, power_of_2
 
-AnySchedule = common_times.Schedule | random_times.Times  # one for all runs, or numbers by which each run draws its own
+AnySchedule = (
+    common_times.Schedule | random_times.ClockParams
+)  # one for all runs, or numbers by which each run draws its own
 
 
 def plan(study: Study) -> list[Plan]:
@@ -110,7 +112,7 @@ def draft(
     spread = belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)
     signals = len(true.x0) + len(belief.unknown_std)
     schedule, room = _schedule(cell, ask)
-    problem = Problem(
+    problem = GridPointParams(
         params=prepared(plant, plants.varied(plants.numbers_of(s), numbers), s.dt, n, ask),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
@@ -172,7 +174,7 @@ def _late(cell: Cell) -> float:
     return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
 
 
-def _chunks(layout: Layout, problem: Problem, ask: memo.Once) -> int:
+def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
     """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
     schedule = problem.schedule
     room = blocks.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0

@@ -22,7 +22,7 @@ from pcbench.errors import DigitsError
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.runtime import program_cache
-from pcbench.simulation.types import Layout, Outcome, Problem, present
+from pcbench.simulation.types import GridPointParams, Layout, RunSums, present
 
 EPS = float(np.finfo(np.float64).eps)
 PART = 1e-2
@@ -30,7 +30,7 @@ TRIFLE = 1e-4
 Floats = NDArray[np.float64]
 
 
-def require(p: Plan, outcome: Outcome) -> None:
+def require(p: Plan, outcome: RunSums) -> None:
     """Raise DigitsError where rounding decides the errors of an observer in most runs of a call."""
     tail = p.cell.times.ticks - p.cell.times.tail
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True) if np.size(outcome.actual) else ():
@@ -126,7 +126,7 @@ def _matters(p: Plan, size: Floats) -> bool:
     )
 
 
-def _output(layout: Layout, p: Problem, x: Any) -> Any:
+def _output(layout: Layout, p: GridPointParams, x: Any) -> Any:
     """What is measured of a state at the last tick, without noise: [q]."""
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
 
@@ -134,7 +134,7 @@ def _output(layout: Layout, p: Problem, x: Any) -> Any:
 _MEASURED = program_cache.bounded(_output, static_argnums=0)  # it is asked after each call of a cell: compiled once
 
 
-def _process(problem: Problem) -> Floats:
+def _process(problem: GridPointParams) -> Floats:
     """The standard deviations [n] of the process noise of a tick; [0]: there is none."""
     std = np.asarray(problem.process_std)
     return np.sqrt(np.square(std).sum(-1)) if std.ndim == 2 else std

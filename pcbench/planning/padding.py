@@ -19,7 +19,7 @@ from pcbench.protocols import Plant
 from pcbench.simulation import shape_checks
 from pcbench.simulation.measurement_noise import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, random_times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import Certificate, power_of_2
 
@@ -29,7 +29,7 @@ class Plan(NamedTuple):
 
     cell: Cell
     layout: Layout
-    problem: Problem
+    problem: GridPointParams
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
     predicts_unknown_input: dict[str, bool | None]  # by observer, of its prediction to now
@@ -112,7 +112,7 @@ def fitted(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
     return p._replace(problem=problem, layout=layout)
 
 
-def _with_neutral(p: Problem, room: Capacity) -> Problem:
+def _with_neutral(p: GridPointParams, room: Capacity) -> GridPointParams:
     """Give a problem what other cells draw, where it has none: what changes no sample."""
     return p._replace(
         outliers=p.outliers or (Outliers(np.asarray(0.0), np.asarray(1.0)) if room.outliers else ()),
@@ -133,8 +133,8 @@ def stacked(each: list[common_times.Schedule]) -> common_times.Schedule:
 
 
 def _padded(
-    schedule: common_times.Schedule | random_times.Times, room: Capacity
-) -> common_times.Schedule | random_times.Times:
+    schedule: common_times.Schedule | random_times.ClockParams, room: Capacity
+) -> common_times.Schedule | random_times.ClockParams:
     if isinstance(schedule, common_times.Schedule):
         return common_times.pad_notes(
             common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early), room.notes

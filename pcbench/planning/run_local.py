@@ -11,7 +11,7 @@ from pcbench.planning import digits, padding
 from pcbench.planning.build import alone
 from pcbench.planning.padding import Plan, key_of
 from pcbench.simulation import metrics
-from pcbench.simulation.types import Outcome
+from pcbench.simulation.types import RunSums
 from pcbench.study import Study
 
 # by observer and metric: [what it estimates, seeds], of divergence [seeds]
@@ -35,7 +35,7 @@ def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ru
         yield runner.Job(planned.problem, root_seed, mine, schedules and padding.stacked(schedules))
 
 
-def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, Outcome]]) -> Results:
+def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:
     """Return the metrics that the outcomes of one cell's jobs hold, joined; raise DigitsError where rounding decides them."""
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt

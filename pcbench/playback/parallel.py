@@ -16,14 +16,14 @@ from pcbench.playback import step_block
 from pcbench.playback.stream import Part
 from pcbench.recordings.log import Ints
 from pcbench.runtime import thread_pools
-from pcbench.simulation.types import Layout, Problem, Recent, State
+from pcbench.simulation.types import GridPointParams, InputWindow, Layout, State
 
 
 class Alone(NamedTuple):
     """One observer on its way through a log."""
 
     layout: Layout
-    problem: Problem
+    problem: GridPointParams
     state: State
     score: Any  # stretch.Score; (): truth is not asked for
 
@@ -31,7 +31,7 @@ class Alone(NamedTuple):
 Done = tuple[Alone, step_block.Read]
 
 
-def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: int) -> list[Alone]:
+def begun(layout: Layout, p: GridPointParams, slots: int, scored: bool, seed: int) -> list[Alone]:
     """Return every observer before tick 0."""
     begin, out = step_block.compiled()[0], []
     for label, observer in layout.observers:
@@ -58,7 +58,10 @@ def through(every: list[Alone], parts: Iterable[Part], back: int, ends: Ints) ->
 
 
 def _part(o: Alone, part: Part, back: int, ends: Ints) -> Done:
-    inputs, ticks = Recent(part.inputs, np.asarray(part.first - back)), part.first + np.arange(len(part.window.event))
+    inputs, ticks = (
+        InputWindow(part.inputs, np.asarray(part.first - back)),
+        part.first + np.arange(len(part.window.event)),
+    )
     problem = o.problem._replace(inputs=inputs)
     state, score, read = step_block.compiled()[1](
         o.layout, problem, o.state, o.score, ticks, part.window, part.truth, ends

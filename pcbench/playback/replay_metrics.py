@@ -10,7 +10,7 @@ from pcbench.planning import digits
 from pcbench.playback import output
 from pcbench.playback.step_block import Score
 from pcbench.simulation import metrics
-from pcbench.simulation.metrics import Stream
+from pcbench.simulation.metrics import ErrorSums
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +26,7 @@ def metrics_table(score: Score, signals: Signals, dt: float, tail: int) -> "pd.D
     score, rows = jax.tree.map(np.asarray, score), []
     early, late = (int(n) for n in score.counts)
     for label, (before, after) in score.streams.items():
-        streams: Any = Stream(*(np.stack([a, b])[..., None] for a, b in zip(before, after, strict=True)))  # type: ignore[arg-type]
+        streams: Any = ErrorSums(*(np.stack([a, b])[..., None] for a, b in zip(before, after, strict=True)))  # type: ignore[arg-type]
         watch = jax.tree.map(lambda a: a[..., None], score.watches[label])
         with np.errstate(invalid="ignore", divide="ignore"):  # of a tail without truth nothing is known
             found = metrics.read(streams, watch, score.final[label][:, None], early + late, early, dt)

@@ -16,7 +16,7 @@ from pcbench.playback.step_block import PLANT
 from pcbench.protocols import Observer
 from pcbench.recordings.windows import Room
 from pcbench.simulation import shape_checks
-from pcbench.simulation.types import Layout, Problem, Recent
+from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
@@ -25,7 +25,7 @@ class Prepared(NamedTuple):
     """Observers ready to run; m inputs."""
 
     layout: Layout
-    problem: Problem
+    problem: GridPointParams
     setting: DesignContext
     certificates: dict[str, Certificate]
     back: int  # ticks of inputs that they may ask for
@@ -50,11 +50,11 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
     back = min(last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
     belief = s.belief
     around = cell.choices.random_initial_state and belief.initial_box
-    problem = Problem(
+    problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),
         gains={o: d.gains for o, d in designs.items()},
         schedule=(),
-        inputs=Recent(np.zeros((back + 1, m)), np.asarray(-back)),
+        inputs=InputWindow(np.zeros((back + 1, m)), np.asarray(-back)),
         dt=np.asarray(s.dt),
         x0=np.zeros(signals),
         xhat0=np.array(s.truth.x0 if around else belief.xhat0),
@@ -85,7 +85,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
     )
 
 
-def _size(observer: Observer, p: Problem, label: str) -> int:
+def _size(observer: Observer, p: GridPointParams, label: str) -> int:
     """How many signals an observer estimates."""
     found = jax.eval_shape(lambda p: observer.estimate(p.gains[label], observer.init(p.gains[label], p.xhat0)), p)
     return int(found.shape[0])

@@ -16,7 +16,7 @@ from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
 from pcbench.simulation import metrics, rng, simulate_runs
 from pcbench.simulation.simulate_runs import Run, select
-from pcbench.simulation.types import Layout, Problem, present
+from pcbench.simulation.types import GridPointParams, Layout, present
 
 JUDGED = 4  # numbers of a Surprise, which are followed by one for each channel
 Surprises = dict[str, Array]  # by observer label of those that say it: how far packets are from what was expected
@@ -41,7 +41,7 @@ class Read(NamedTuple):
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
 
 
-def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> tuple[Run, Any]:
+def begun(layout: Layout, p: GridPointParams, slots: int, scored: bool, seed: Array) -> tuple[Run, Any]:
     """Return the observers before tick 0, and the score of nothing; (): truth is not asked for."""
     run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, rng.words(jnp.asarray(0), seed[None])[:, 0])
     if not scored:
@@ -56,7 +56,7 @@ def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> 
 
 
 def run(
-    layout: Layout, p: Problem, start: Run, score: Any, ticks: Array, w: Window, truth: Array, ends: Array
+    layout: Layout, p: GridPointParams, start: Run, score: Any, ticks: Array, w: Window, truth: Array, ends: Array
 ) -> tuple[Run, Any, Read]:
     """Take the observers over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
     q, able = len(p.params), [label for label, o in layout.observers if o.innovation]
@@ -76,7 +76,9 @@ def run(
     return run, score, seen
 
 
-def events(layout: Layout, p: Problem, w: Window, k: Array, quiet: Surprises, run: Run) -> tuple[Run, Surprises]:
+def events(
+    layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Surprises, run: Run
+) -> tuple[Run, Surprises]:
     """Let what the log has for tick k happen: note what is sampled, deliver what arrives, the oldest packet first."""
     place, taken, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
     found = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
@@ -109,7 +111,7 @@ def events(layout: Layout, p: Problem, w: Window, k: Array, quiet: Surprises, ru
     return done
 
 
-def surprises(layout: Layout, p: Problem, k: Array, run: Run, arrivals: dict[str, Arrival]) -> Surprises:
+def surprises(layout: Layout, p: GridPointParams, k: Array, run: Run, arrivals: dict[str, Arrival]) -> Surprises:
     """Return how far a packet is from what each observer expects of it, [JUDGED + q]; NaN is what one leaves out."""
     now, out = present(p, k, False), {}
     for label, o in layout.observers:
@@ -121,7 +123,7 @@ def surprises(layout: Layout, p: Problem, k: Array, run: Run, arrivals: dict[str
     return out
 
 
-def _scored(p: Problem, score: Score, k: Array, known: Array, e: dict[str, Array], ends: Array) -> Score:
+def _scored(p: GridPointParams, score: Score, k: Array, known: Array, e: dict[str, Array], ends: Array) -> Score:
     """The score with the errors of tick k, if truth is known there."""
     there, late = known & (k < ends[1]), k >= ends[0]
 

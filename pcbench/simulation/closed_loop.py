@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.protocols import Controller, Now
 from pcbench.simulation import command_network, metrics
-from pcbench.simulation.types import Layout, Memories, Problem
+from pcbench.simulation.types import GridPointParams, Layout, Memories
 
 Tree = TypeVar("Tree")
 
@@ -27,7 +27,7 @@ class Started(NamedTuple):
     effort: Any = ()
 
 
-def before(layout: Layout, p: Problem, memories: Memories) -> Started:
+def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
     """Return commands of the time before 0, the stream of what is off the target, what the law keeps, the effort."""
     if layout.controller is None:
         return Started()
@@ -51,18 +51,18 @@ def pushed(now: Now, commands: Any) -> Now:
     return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 
 
-def aims(layout: Layout, p: Problem, k: Array) -> Array:
+def aims(layout: Layout, p: GridPointParams, k: Array) -> Array:
     """Return the set point of tick k, [r]; of an open loop [0]."""
     return layout.controller.target(p.control, k) if layout.controller else jnp.zeros(0)
 
 
-def off_target(controller: Controller, p: Problem, k: Array, x: Array) -> Array:
+def off_target(controller: Controller, p: GridPointParams, k: Array, x: Array) -> Array:
     """Return the set point less the state, of the states that are to follow it: [r]."""
     target = controller.target(p.control, k)
     return target - x[: target.shape[0]]
 
 
-def unless_diverged(watches: dict[str, metrics.Watch], new: Tree, old: Tree) -> Tree:
+def unless_diverged(watches: dict[str, metrics.SettlingState], new: Tree, old: Tree) -> Tree:
     """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen.
 
     Ticks and sample numbers go on: they are the same in all lanes, and loops over them are to stay shared.

@@ -26,7 +26,7 @@ from jax import Array, lax
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import rng
-from pcbench.simulation.types import Problem
+from pcbench.simulation.types import GridPointParams
 
 # (channels j, index[j] of the sample of each) -> v [len(channels), L]; where samples are rounded as many uniform numbers after
 Noise = Callable[[list[int], Any], Array]
@@ -63,7 +63,7 @@ def students(w: Array, z: Array, n: Array) -> Array:
     return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
 
 
-def drawing(p: Problem, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
+def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
     """Return what draws the noise of samples of some channels.
 
     With `apart` a compiler cannot fuse the noise with what uses it: a run then has the same bits with and without outliers of

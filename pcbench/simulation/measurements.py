@@ -16,7 +16,7 @@ from jax import Array, lax
 
 from pcbench.runtime import program_cache
 from pcbench.simulation import measurement_noise, rng
-from pcbench.simulation.types import Layout, Problem, params_of, present
+from pcbench.simulation.types import GridPointParams, Layout, params_of, present
 
 
 class Measured(NamedTuple):
@@ -26,7 +26,7 @@ class Measured(NamedTuple):
     noise: Array  # [I, q, L] of each sample, scaled
 
 
-def measured(layout: Layout, many: int, p: Problem, root_seed: Array, seeds: Array, x: Array) -> Measured:
+def measured(layout: Layout, many: int, p: GridPointParams, root_seed: Array, seeds: Array, x: Array) -> Measured:
     """Return what runs seeds[L] measure whose states are x[N+1, n, L], of `many` samples a channel."""
     q, lanes = p.noise_std.shape[0], seeds.shape[0]
     numbers = layout.plant.drawn if layout.drifting else 0

@@ -12,7 +12,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 
-class Stream(NamedTuple):
+class ErrorSums(NamedTuple):
     """What is kept of one run in one window; n states."""
 
     absolute: Array  # [n] sum of |e|
@@ -20,7 +20,7 @@ class Stream(NamedTuple):
     peak: Array  # [n] max |e|
 
 
-class Watch(NamedTuple):
+class SettlingState(NamedTuple):
     """What is kept of one run over the whole horizon; n signals."""
 
     unsettled: Array  # [n] the tick after the last one at which |e| left its band
@@ -37,45 +37,45 @@ class Weights(NamedTuple):
     u_ref: Any  # [T, m] the steady input of the set point, likewise
 
 
-class Effort(NamedTuple):
+class ControlCost(NamedTuple):
     """What is kept of one run's input and cost in one window."""
 
     cost: Array  # sum
     square: Array  # sum of u'u
 
 
-def start_effort() -> Effort:
+def start_effort() -> ControlCost:
     """Return the effort of an empty window."""
-    return Effort(jnp.zeros(()), jnp.zeros(()))
+    return ControlCost(jnp.zeros(()), jnp.zeros(()))
 
 
-def spend(effort: Effort, weights: Weights, k: Array, x: Array, u: Array) -> Effort:
+def spend(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -> ControlCost:
     """Take the state x[n] and the input u[m] of tick k into the window."""
     cost, square = jnp.zeros(()), u @ u
     if np.size(weights.x_ref):
         x, u = x - jnp.asarray(weights.x_ref)[k], u - jnp.asarray(weights.u_ref)[k]
     if np.size(weights.Q1):
         cost = x @ weights.Q1 @ x + u @ weights.Q2 @ u
-    return Effort(effort.cost + cost, effort.square + square)
+    return ControlCost(effort.cost + cost, effort.square + square)
 
 
-def start(n: int) -> Stream:
+def start(n: int) -> ErrorSums:
     """Return the stream of an empty window."""
-    return Stream(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
+    return ErrorSums(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
 
 
-def start_watch(n: int) -> Watch:
+def start_watch(n: int) -> SettlingState:
     """Return the watch before the first tick."""
-    return Watch(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0))
+    return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0))
 
 
-def update(stream: Stream, e: Array) -> Stream:
+def update(stream: ErrorSums, e: Array) -> ErrorSums:
     """Take the error e[n] of one tick into the window."""
     size = jnp.abs(e)
-    return Stream(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
+    return ErrorSums(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
 
 
-def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array, jumps: Array) -> Watch:
+def look(watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array, jumps: Array) -> SettlingState:
     """Note when e[n] leaves its settling band, also after one of the `jumps` [J, ticks], and when it first leaves its bound.
 
     `band` and `bound` are [n] or longer; a NaN leaves the bound.
@@ -89,19 +89,19 @@ def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array, jumps: 
         since = jnp.min(jnp.where(jumps <= tick, tick - jumps, tick))
         after = jnp.any(jumps <= tick)
         recovery = jnp.where(outside & after, jnp.maximum(recovery, since + 1.0), recovery)
-    return Watch(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad)
+    return SettlingState(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad)
 
 
 def read(
-    streams: Stream,
-    watch: Watch,
+    streams: ErrorSums,
+    watch: SettlingState,
     final: Array,
     ticks: int,
     tail: int,
     dt: float,
     jumps: bool = False,
-    tracking: Stream | None = None,
-    effort: Effort | None = None,
+    tracking: ErrorSums | None = None,
+    effort: ControlCost | None = None,
     costs: bool = False,
     squares: Any = None,
 ) -> dict[str, NDArray]:
@@ -117,8 +117,8 @@ def read(
     A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
-    whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
-    late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
+    whole = ErrorSums(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
+    late = ErrorSums(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
     out: dict[str, NDArray] = {}
     for prefix, first, count in (("", 0, ticks), ("steady_", 1, ticks - tail)):
         if tracking is not None:

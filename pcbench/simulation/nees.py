@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.protocols import Covariance, InnovationStats
-from pcbench.simulation.types import Layout, Problem, present
+from pcbench.simulation.types import GridPointParams, Layout, present
 
 KNOWN = 1e-9  # part of the prior's standard deviation
 RANK = 1e-11  # part of a correlation matrix's largest eigenvalue
@@ -33,7 +33,7 @@ class Squares(NamedTuple):
     innovation: InnovationStats | None = None  # sums over the run, of an observer that says what it expects of samples
 
 
-def covariances(layout: Layout, p: Problem, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:
+def covariances(layout: Layout, p: GridPointParams, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:
     """Return what each observer of one lane believes of its error at tick k, of those that have a covariance."""
     now = present(p, k, False, commands)
     return {label: f(p.gains[label], memories[label], now) for label, f in _able(layout).items()}

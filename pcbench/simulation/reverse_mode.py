@@ -13,14 +13,16 @@ import numpy as np
 from jax import Array, lax
 
 from pcbench.simulation import simulate_runs
-from pcbench.simulation.metrics import Stream
+from pcbench.simulation.metrics import ErrorSums
 from pcbench.simulation.simulate_runs import Run
-from pcbench.simulation.types import Layout, Problem, params_of
+from pcbench.simulation.types import GridPointParams, Layout, params_of
 
 SMOOTH = ("mae", "mse", "rmse", "max_abs_error")  # and each of them over the tail: what a gradient can be asked of
 
 
-def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array, seeds: Array) -> dict[str, Any]:
+def metrics(
+    layout: Layout, p: GridPointParams, ticks: int, tail: int, root_seed: Array, seeds: Array
+) -> dict[str, Any]:
     """Return by observer label the smooth metrics of one run for each of seeds[L], [n, L], that the tables have.
 
     `ticks` is the horizon N, `tail` the tick at which the tail starts. All runs share one schedule. Where a run leaves all
@@ -51,12 +53,12 @@ def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array,
     return jax.vmap(one, out_axes=-1)(seeds)
 
 
-def _over(stream: Stream, window: int) -> Stream:
+def _over(stream: ErrorSums, window: int) -> ErrorSums:
     """The sums over the windows from one on: the first ends where the tail starts."""
-    return Stream(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
+    return ErrorSums(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
 
 
-def _read(stream: Stream, count: int, prefix: str) -> dict[str, Array]:
+def _read(stream: ErrorSums, count: int, prefix: str) -> dict[str, Array]:
     mse = stream.square / count
     still = mse > 0  # the root of 0 has no slope; an error that is 0 throughout has slope 0
     rmse = jnp.where(still, jnp.sqrt(jnp.where(still, mse, 1.0)), 0.0)

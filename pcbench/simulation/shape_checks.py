@@ -7,10 +7,10 @@ import jax.numpy as jnp
 
 from pcbench.errors import UserError, raised
 from pcbench.protocols import Arrival, Observer
-from pcbench.simulation.types import Problem, present
+from pcbench.simulation.types import GridPointParams, present
 
 
-def check(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:
+def check(label: str, observer: Observer, p: GridPointParams, continuous: bool = False) -> None:
     """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
 
     `estimate` must return [n], or [n + s] with the plant's unknowns, `snapshot` a vector, and `jump` and `flow` the memory's
@@ -21,7 +21,7 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
     def arriving(f: Any) -> Any:
-        def at_event(p: Problem, memory: Any, value: Any, snapshot: Any) -> Any:
+        def at_event(p: GridPointParams, memory: Any, value: Any, snapshot: Any) -> Any:
             arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), snapshot, k)
             return f(p.gains[label], memory, present(p, k, False), arrival)
 

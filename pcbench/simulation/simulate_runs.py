@@ -35,7 +35,7 @@ from pcbench.simulation import (
     nees,
     rng,
 )
-from pcbench.simulation.types import Layout, Outcome, Packet, Problem, params_of, present, truth
+from pcbench.simulation.types import GridPointParams, Layout, Packet, RunSums, params_of, present, truth
 
 Tree = Any  # of arrays
 
@@ -46,12 +46,12 @@ class Run(NamedTuple):
     x: Array  # [n]
     memories: Tree  # by observer
     flight: Packet  # rings [E, ...] by packet number
-    streams: Tree  # by observer, `metrics.Stream` [W, ...]
-    watches: Tree  # by observer, `metrics.Watch`
+    streams: Tree  # by observer, `metrics.ErrorSums` [W, ...]
+    watches: Tree  # by observer, `metrics.SettlingState`
     commands: Tree = ()  # of a closed loop
     law: Tree = ()  # what its controller keeps
-    tracking: Tree = ()  # `metrics.Stream` [W, ...]
-    effort: Tree = ()  # `metrics.Effort` [W]
+    tracking: Tree = ()  # `metrics.ErrorSums` [W, ...]
+    effort: Tree = ()  # `metrics.ControlCost` [W]
 
 
 class Shift(NamedTuple):
@@ -73,19 +73,19 @@ class Draws(NamedTuple):
     command: Callable[[Array], Any]  # (tick) -> network.Drawn
 
 
-def simulate_runs(layout: Layout, p: Problem, root_seed: Array, seeds: Array, schedules: Any = None) -> Outcome:
+def simulate_runs(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, schedules: Any = None) -> RunSums:
     """Return what the runs of seeds [L] leave, every array with L last.
 
     `schedules` has a schedule for each run, every array with L first, if sampling is random; else all share `p.schedule`.
     """
 
-    def one(seed: Array, schedule: Any) -> Outcome:
+    def one(seed: Array, schedule: Any) -> RunSums:
         return simulate_run(layout, p if schedule is None else p._replace(schedule=schedule), root_seed, seed)
 
     return jax.vmap(one, out_axes=-1)(seeds, schedules)
 
 
-def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Outcome:
+def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> RunSums:
     """Return what one run leaves."""
     layout = innovation_stats.watched(layout) if layout.consistency else layout
     drawn = draw(layout, p, root_seed, seed)
@@ -98,7 +98,7 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
     if isinstance(p.weights, metrics.Weights):
         run = control(layout, p, k, run, drawn.command(k))
     e = errors(layout, p, params, k, run)
-    return Outcome(
+    return RunSums(
         streams=run.streams,
         watches=run.watches,
         final=e,
@@ -111,7 +111,7 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
 
 def tick(
     layout: Layout,
-    p: Problem,
+    p: GridPointParams,
     params: Any,
     drawn: Draws,
     run: Run,
@@ -127,7 +127,7 @@ def tick(
 
 def advance(
     layout: Layout,
-    p: Problem,
+    p: GridPointParams,
     params: Any,
     k: Array,
     run: Run,
@@ -144,7 +144,7 @@ def advance(
 
 
 def events(
-    layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+    layout: Layout, p: GridPointParams, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """1. and 2., at a tick at which something is sampled or arrives."""
 
@@ -154,7 +154,7 @@ def events(
     return lax.cond(p.schedule.event[k], happen, lambda run: run, run)
 
 
-def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
+def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> Draws:
     """Return the random numbers of one run, by their addresses (`rng`)."""
     n, q, one = p.x0.shape[0], p.noise_std.shape[0], seed[None]
     normal = rng.normals(rng.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
@@ -174,7 +174,7 @@ def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
     )
 
 
-def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
+def initial_run(layout: Layout, p: GridPointParams, params: Any, drawn: Draws) -> Run:
     """Return a run before tick 0."""
     x = p.x0 + p.spread0 @ drawn.start if layout.random_initial_state else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
@@ -185,7 +185,7 @@ def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
     return run
 
 
-def run_from(layout: Layout, p: Problem, x: Array, xhat0: Array, words: Array) -> Run:
+def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: Array) -> Run:
     """Return a run before tick 0 from a state [n] and its estimate [n], with nothing sampled; `words` as in `Draws`."""
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     for label, o in layout.observers:
@@ -210,7 +210,7 @@ def run_from(layout: Layout, p: Problem, x: Array, xhat0: Array, words: Array) -
     )
 
 
-def measure(layout: Layout, p: Problem, params: Any, k: Array, x: Array, v: Array) -> Array:
+def measure(layout: Layout, p: GridPointParams, params: Any, k: Array, x: Array, v: Array) -> Array:
     """Return what every channel measures at tick k, [q]; v is its noise, and what its rounding draws. A loop's y sees no u."""
     y = layout.plant.output(params, present(p, k, True), x)
     if layout.continuous:
@@ -219,13 +219,15 @@ def measure(layout: Layout, p: Problem, params: Any, k: Array, x: Array, v: Arra
     return measurement_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
-def take_notes(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
+def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
     """Return what every observer notes at tick k, to use it when the sample of now arrives."""
     now = present(p, k, False, commands)
     return {label: o.snapshot(p.gains[label], memories[label], now) for label, o in layout.observers}
 
 
-def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None) -> Run:
+def sense(
+    layout: Layout, p: GridPointParams, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+) -> Run:
     """1. Take the sample of tick k, if there is one, note for it, and notify the observers that ask for it."""
     plan = p.schedule
 
@@ -247,7 +249,7 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
     return run._replace(memories=memories, flight=Packet(values, notes))
 
 
-def notify(layout: Layout, p: Problem, k: Array, run: Run, mask: Array) -> Tree:
+def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) -> Tree:
     """Return the memories after the observers that ask for it are told which channels [q] are sampled at tick k."""
     now = present(p, k, False, run.commands)
     return {
@@ -256,7 +258,7 @@ def notify(layout: Layout, p: Problem, k: Array, run: Run, mask: Array) -> Tree:
     }
 
 
-def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
+def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
     plan = p.schedule
     for slot in range(plan.arrive.shape[1]):
@@ -271,7 +273,9 @@ def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
     return run
 
 
-def jump(layout: Layout, p: Problem, k: Array, run: Run, notes: Tree, arrival: Callable[[Any], Arrival]) -> Tree:
+def jump(
+    layout: Layout, p: GridPointParams, k: Array, run: Run, notes: Tree, arrival: Callable[[Any], Arrival]
+) -> Tree:
     """Return the memories after a packet that arrives at tick k: `arrival` makes it of what an observer noted."""
     now = present(p, k, False, run.commands)
     return {
@@ -279,14 +283,14 @@ def jump(layout: Layout, p: Problem, k: Array, run: Run, notes: Tree, arrival: C
     }
 
 
-def errors(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> dict[str, Array]:
+def errors(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run) -> dict[str, Array]:
     """Return e of every observer at tick k, of all that it estimates."""
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
     return {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
 
 
-def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run:
+def estimate(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run) -> Run:
     """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
@@ -298,7 +302,7 @@ def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run
     return run._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
+def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) -> Run:
     """4. Give the command of tick k in a closed loop, and add what it costs."""
     if layout.controller is None:
         return run
@@ -310,7 +314,7 @@ def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     return run._replace(effort=effort)
 
 
-def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
+def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) -> Run:
     """Return the run with the command of tick k, which its controller makes of the estimate of now."""
     controller: Any = layout.controller
     ((label, observer),) = layout.observers
@@ -332,13 +336,13 @@ def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     return run._replace(commands=commands, law=law)
 
 
-def spend(layout: Layout, p: Problem, k: Array, run: Run, effort: metrics.Effort) -> metrics.Effort:
+def spend(layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metrics.ControlCost) -> metrics.ControlCost:
     """Return the effort with what the input of tick k costs."""
     u = closed_loop.pushed(present(p, k, True, run.commands), run.commands).u
     return metrics.spend(effort, p.weights, k, run.x, u)
 
 
-def flow(layout: Layout, p: Problem, params: Any, k: Array, run: Run, w: Array) -> Run:
+def flow(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run, w: Array) -> Run:
     """5. Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
     now, commands = present(p, k, True, run.commands), run.commands
     if layout.continuous:
@@ -352,7 +356,7 @@ def flow(layout: Layout, p: Problem, params: Any, k: Array, run: Run, w: Array) 
     return run._replace(x=x, memories=memories)
 
 
-def as_one_field(layout: Layout, p: Problem, params: Any, now: Now, run: Run) -> tuple[Array, Tree]:
+def as_one_field(layout: Layout, p: GridPointParams, params: Any, now: Now, run: Run) -> tuple[Array, Tree]:
     """Move plant and observers as one differential equation: at every stage the observers see y of that stage."""
     plant: Any = layout.plant.field
 
@@ -366,7 +370,9 @@ def as_one_field(layout: Layout, p: Problem, params: Any, now: Now, run: Run) ->
     return moved
 
 
-def normalized_errors(layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]) -> dict[str, nees.Squares]:
+def normalized_errors(
+    layout: Layout, p: GridPointParams, k: Array, run: Run, e: dict[str, Array]
+) -> dict[str, nees.Squares]:
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
     prior, found = jnp.diagonal(p.spread0), nees.covariances(layout, p, k, run.memories, run.commands)
     return {

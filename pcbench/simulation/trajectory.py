@@ -10,7 +10,7 @@ from jax import Array, lax
 from pcbench.runtime import program_cache
 from pcbench.simulation import closed_loop, nees, simulate_runs
 from pcbench.simulation.simulate_runs import Run, Shift
-from pcbench.simulation.types import Layout, Problem, params_of, present, truth
+from pcbench.simulation.types import GridPointParams, Layout, params_of, present, truth
 
 
 class Recording(NamedTuple):
@@ -36,7 +36,7 @@ class Thinned(NamedTuple):
     nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
 
 
-def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
+def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
     """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
     start, params, drawn = _started(layout, p, root_seed, seed)
 
@@ -57,7 +57,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
     return lax.scan(step, start, ticks)[1]
 
 
-def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Array, seeds: Array) -> Thinned:
+def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array) -> Thinned:
     """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
     ticks = jnp.arange(every * (rows - 1) + 1)
 
@@ -92,14 +92,14 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
     return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1))(seeds)  # type: ignore[arg-type]
 
 
-def _started(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> tuple[Run, Any, simulate_runs.Draws]:
+def _started(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> tuple[Run, Any, simulate_runs.Draws]:
     """A run before tick 0, the plant's numbers in it, and its draws."""
     drawn = simulate_runs.draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
 
 
-def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
+def _sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, Array]:
     """The standard deviations of their errors that observers report at tick k."""
     if not layout.consistency:
         return {}
@@ -107,7 +107,7 @@ def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
     return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
 
 
-def _brought(layout: Layout, p: Problem, k: Array, run: Run) -> Array:
+def _brought(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Array:
     """What each packet brings that arrives at tick k: [S, q], NaN where nothing."""
     values = run.flight.values[p.schedule.arrive[k] % layout.ring]
     return jnp.where(p.schedule.mask[k], values, jnp.nan)

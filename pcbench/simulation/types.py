@@ -17,7 +17,7 @@ Notes = dict[str, PerLane]  # by observer label: [r]
 
 
 class Layout(NamedTuple):
-    """What is compiled into the program, with the shapes and the structure of a `Problem`, whose numbers are traced."""
+    """What is compiled into the program, with the shapes and the structure of a `GridPointParams`, whose numbers are traced."""
 
     plant: Plant
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
@@ -36,7 +36,7 @@ class Layout(NamedTuple):
     consistency: bool = False  # errors are compared with the covariances that observers believe them to have
 
 
-class Problem(NamedTuple):
+class GridPointParams(NamedTuple):
     """The numbers of one cell, all traced: another cell of these shapes runs the same program.
 
     N ticks, n states, s unknowns beside them, m inputs, q outputs.
@@ -66,7 +66,7 @@ class Problem(NamedTuple):
     tail: Any = ()  # degrees of freedom of the noise of samples, where that is Student's t
 
 
-class Recent(NamedTuple):
+class InputWindow(NamedTuple):
     """The inputs of some ticks in a row, in place of all: of a log, which may be longer than memory."""
 
     rows: Leaf  # [K, m]
@@ -80,7 +80,7 @@ class Packet(NamedTuple):
     notes: Notes
 
 
-class Row(NamedTuple):
+class ArrivalInfo(NamedTuple):
     """What an arrival has besides its values and notes; q outputs."""
 
     mask: PerLane  # [q]
@@ -96,19 +96,19 @@ class State(NamedTuple):
     drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
     memories: Any  # Memories; between events on schedules of their own, packed
     flight: Any  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
-    streams: dict[str, metrics.Stream]
-    watches: dict[str, metrics.Watch]
+    streams: dict[str, metrics.ErrorSums]
+    watches: dict[str, metrics.SettlingState]
     commands: Any = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
     tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
     law: Any = ()  # what the controller keeps
     effort: Any = ()  # metrics.Effort of a closed loop
 
 
-class Outcome(NamedTuple):
+class RunSums(NamedTuple):
     """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
 
-    streams: dict[str, metrics.Stream]  # [W, n, L]
-    watches: dict[str, metrics.Watch]  # [n, L]
+    streams: dict[str, metrics.ErrorSums]  # [W, n, L]
+    watches: dict[str, metrics.SettlingState]  # [n, L]
     final: dict[str, Array]  # [n, L] the error at tick N-1
     tracking: Any = ()  # Stream [W, r, L] of a closed loop
     effort: Any = ()  # Effort [W, L] of a closed loop
@@ -116,7 +116,7 @@ class Outcome(NamedTuple):
     actual: Any = ()  # [n + s, L] what observers estimate, as it is at tick N-1
 
 
-def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
+def present(p: GridPointParams, k: Array, decided: bool, commands: Any = ()) -> Now:
     """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to snapshot and jump.
 
     In a closed loop the inputs are those that the `commands` [R, m] become.
@@ -126,7 +126,7 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
         if isinstance(commands, command_network.Commands):
             newest = k if decided else k - 1
             return command_network.applied(commands, k - age, newest)
-        if isinstance(p.inputs, Recent):
+        if isinstance(p.inputs, InputWindow):
             place = jnp.clip(k - age - p.inputs.first, 0, len(p.inputs.rows) - 1)
             return jnp.where(age <= k, p.inputs.rows[place], 0.0)
         if isinstance(commands, tuple):
@@ -136,7 +136,7 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
-def params_of(layout: Layout, p: Problem, drawn: Any) -> Any:
+def params_of(layout: Layout, p: GridPointParams, drawn: Any) -> Any:
     """Return the plant's numbers in the run that has `drawn` its own."""
     return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
 

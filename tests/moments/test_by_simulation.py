@@ -17,7 +17,7 @@ from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import actuator_delay, metrics
 from pcbench.simulation.schedule import common_times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -61,7 +61,7 @@ PLANT = Plant(step=lambda params, now, x: A @ x + B @ now.u, output=lambda param
 
 
 def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
-    p = Problem(
+    p = GridPointParams(
         (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([noise]), np.ones(2), np.full(2, 1e6), np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]),
         process_std=PROCESS, control=Law(K, np.asarray(limit)), line=actuator_delay.held_line(AWAY, BACK, N + 4),

@@ -10,7 +10,7 @@ from pcbench.planning import run_local
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import metrics
-from pcbench.simulation.types import Outcome
+from pcbench.simulation.types import RunSums
 from pcbench.study.grid import cell_of
 
 
@@ -43,9 +43,9 @@ def test_jobs_come_back_in_order_with_what_is_theirs(count):
 def outcome(size):
     """What a job would leave in which every error is `size`, over windows of 2, 1 and 1 ticks; one lane."""
     sums = [np.array([2.0, 1.0, 1.0])[:, None, None] * each for each in (size, size**2)]
-    stream = metrics.Stream(*sums, np.full((3, 1, 1), size))
-    watch = metrics.Watch(np.full((1, 1), 2.0), np.full((1, 1), 3.0), np.array([-1.0]))
-    return Outcome({"o": stream}, {"o": watch}, {"o": np.full((1, 1), size)})
+    stream = metrics.ErrorSums(*sums, np.full((3, 1, 1), size))
+    watch = metrics.SettlingState(np.full((1, 1), 2.0), np.full((1, 1), 3.0), np.array([-1.0]))
+    return RunSums({"o": stream}, {"o": watch}, {"o": np.full((1, 1), size)})
 
 
 @pytest.mark.parametrize("falls", [[], [2], [2**30]])

@@ -21,7 +21,7 @@ from pcbench.simulation import rng
 from pcbench.simulation.schedule import random_times
 from pcbench.simulation.schedule.common_times import NEVER
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 WIDE = 40
 QUICK = hurried.options()
@@ -163,7 +163,7 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
         clocks = [clock._replace(delay=(clock.delay or 0) + 1) for clock in clocks]
     assert random_times.room(clocks, ticks, error) <= 128
     zero = np.zeros(STATES)
-    p = Problem(
+    p = GridPointParams(
         (), {"spy": ()}, times_of(clocks, ticks, 3, error), np.zeros((ticks + 1, 1)), np.asarray(1.0),
         zero, zero, np.eye(STATES), NOISE, zero, np.asarray(np.inf),
         np.array([[0, 30], [30, ticks - 1], [ticks - 1, ticks]]),

@@ -66,9 +66,9 @@ def read(e, tail, dt=0.5, band=1.0, bound=10.0, jumps=(), tracking=None):
     def streams(values):
         parts = [values[:tail], values[tail : N - 1], values[N - 1 :]]
         sums = [[np.abs(p).sum(), np.square(p).sum(), np.abs(p).max(initial=0)] for p in parts]
-        return metrics.Stream(*(np.array(each)[:, None, None] for each in zip(*sums, strict=True)))
+        return metrics.ErrorSums(*(np.array(each)[:, None, None] for each in zip(*sums, strict=True)))
 
-    watch = metrics.Watch(*(np.asarray(part).reshape(-1, 1) for part in watch[:2]), np.asarray(watch[2])[None])
+    watch = metrics.SettlingState(*(np.asarray(part).reshape(-1, 1) for part in watch[:2]), np.asarray(watch[2])[None])
     final, aims = np.array(e[-1:])[:, None], None if tracking is None else streams(np.array(tracking))
     out = metrics.read(streams(np.array(e)), watch, final, N, tail, dt, bool(len(jumps)), aims)
     return {name: values.ravel()[0] for name, values in out.items()}
@@ -119,7 +119,7 @@ def test_the_cost_of_a_tick_counts_state_and_input_from_the_set_point():
     rng = np.random.default_rng(0)
     x, u, x_ref, u_ref = rng.normal(size=3), rng.normal(size=2), rng.normal(size=(5, 3)), rng.normal(size=(5, 2))
     Q1, Q2 = np.diag([1.0, 2.0, 3.0]), np.array([[2.0, 0.5], [0.5, 1.0]])
-    zero = metrics.Effort(np.zeros(()), np.zeros(()))
+    zero = metrics.ControlCost(np.zeros(()), np.zeros(()))
     found = metrics.spend(zero, metrics.Weights(Q1, Q2, x_ref, u_ref), 4, x, u)
     e, v = x - x_ref[4], u - u_ref[4]
     assert float(found.cost) == pytest.approx(e @ Q1 @ e + v @ Q2 @ v, rel=1e-12)

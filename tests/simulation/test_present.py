@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from pcbench.simulation import actuator_delay
-from pcbench.simulation.types import Problem, present
+from pcbench.simulation.types import GridPointParams, present
 
 INPUTS = np.array([[3.0, -1.0], [4.0, -1.5], [5.0, 9.0], [2.0, 6.0], [-7.0, 8.0]])
 
 
 def at(tick, decided, commands=(), line=actuator_delay.NONE):
     numbers = (np.zeros(1),) * 8
-    p = Problem((), {}, (), jnp.asarray(INPUTS), jnp.asarray(0.5), *numbers[:7], line=line)
+    p = GridPointParams((), {}, (), jnp.asarray(INPUTS), jnp.asarray(0.5), *numbers[:7], line=line)
     return present(p, jnp.asarray(tick), decided, commands)
 
 

@@ -16,7 +16,7 @@ from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import actuator_delay, metrics, rng
 from pcbench.simulation.schedule import common_times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 DT, N, TAIL, EVERY, LATE, BACK = 0.1, 60, 25, 4, 3, 16
 AGE = 2.3  # ticks that a command is on its way
@@ -66,7 +66,7 @@ def late(t):
 def outcome():
     """What the three runs leave, arrays [..., 3]."""
     law = Law(K, path(np.arange(-BACK, N + 1)))
-    p = Problem(
+    p = GridPointParams(
         (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([NOISE]), BAND, BOUND, np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]), control=law,
         line=actuator_delay.line(late, DT, BACK, N + 4),

@@ -16,7 +16,7 @@ from pcbench.simulation import rng
 from pcbench.simulation import trajectory as one_run
 from pcbench.simulation.schedule import common_times
 from pcbench.simulation.trajectory import Recording
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import DesignContext
 
 RING, SLOTS = 512, 2  # room for a sample at every tick with a delay of 400: one shape for every test
@@ -98,7 +98,7 @@ def setting(case: Case) -> DesignContext:
     )  # fmt: skip
 
 
-def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, Problem]:
+def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, GridPointParams]:
     """Observers are name -> options."""
     q, n = case.model.C.shape
     known = setting(case)
@@ -113,7 +113,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, P
     plan = common_times.pad_slots(common_times.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
     gains = {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in observers.items()}
     n_ticks = case.ticks
-    p = Problem(
+    p = GridPointParams(
         params, gains, plan, inputs(case), np.asarray(case.h), x0, xhat0, np.eye(n), np.full(q, case.noise_std),
         np.ones(n), np.full(n, 1e9), np.array([[0, n_ticks // 2], [n_ticks // 2, n_ticks - 1], [n_ticks - 1, n_ticks]]),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import actuator_delay
 from pcbench.simulation.schedule import common_times
-from pcbench.simulation.types import Layout, Problem
+from pcbench.simulation.types import GridPointParams, Layout
 
 
 class Loop(NamedTuple):
@@ -80,7 +80,7 @@ def moments(loop, cases):
     N, nothing, many = loop.ticks, np.zeros(n), n + loop.memory
     ones = []
     for case in cases:
-        p = Problem(
+        p = GridPointParams(
             params, {"o": case.gains}, common_times.periodic(case.period, [0] * q, N),
             np.full((1, m), np.nan), np.asarray(loop.tick),
             nothing + loop.x0, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),

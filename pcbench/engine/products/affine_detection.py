@@ -15,7 +15,7 @@ from jax import Array
 from pcbench.engine import lane_array
 from pcbench.engine.products.jaxpr_dependence import reach
 from pcbench.simulation.schedule.common_times import Schedule
-from pcbench.simulation.types import Layout, Problem, State, present, truth
+from pcbench.simulation.types import GridPointParams, Layout, State, present, truth
 
 Leaves = list[Any]  # of (x, memory), or of x alone, in the order of jax.tree.leaves: x comes first
 Z = dict[int, Any]  # some of them, by number
@@ -32,7 +32,7 @@ class Form(NamedTuple):
     counted: tuple[int, ...]  # that a tick moves and no error depends on: counters and flags
 
 
-def plant_goes(layout: Layout, p: Problem) -> bool:
+def plant_goes(layout: Layout, p: GridPointParams) -> bool:
     """Say whether the plant of a layout goes by products: without it nothing does."""
     if layout.controller or layout.continuous or layout.drifting or not isinstance(p.schedule, Schedule):
         return False
@@ -40,7 +40,7 @@ def plant_goes(layout: Layout, p: Problem) -> bool:
     return p.process_std.shape[0] == 0 and _classes(layout, p, PLANT, jax.tree.structure((0, ())), [x]) is not None
 
 
-def forms(layout: Layout, p: Problem, state: State) -> tuple[Form, ...]:
+def forms(layout: Layout, p: GridPointParams, state: State) -> tuple[Form, ...]:
     """Return the forms of the plant and of every observer that goes by products; none where the plant does not.
 
     Of the state after `initial_state.begin` the shapes suffice.
@@ -70,7 +70,7 @@ def one_lane(state: State, label: str) -> tuple[Any, Leaves]:
     return jax.tree.structure((0, () if label == PLANT else state.memories[label]), is_leaf=lane_array.is_lanes), each
 
 
-def motion(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: Leaves) -> tuple[Array, Leaves]:
+def motion(layout: Layout, p: GridPointParams, label: str, tree: Any, k: Array, leaves: Leaves) -> tuple[Array, Leaves]:
     """Return e at tick k of one lane and one observer, and the leaves at tick k + 1; of the plant alone e [0]."""
     (x, memory), now = jax.tree.unflatten(tree, leaves), present(p, k, True)
     moved = layout.plant.step(p.params, now, x)
@@ -82,7 +82,7 @@ def motion(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: 
     return e, [moved, *jax.tree.leaves(o.flow(gains, memory, now))]
 
 
-def slopes(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: Leaves, along: Z) -> Any:
+def slopes(layout: Layout, p: GridPointParams, label: str, tree: Any, k: Array, leaves: Leaves, along: Z) -> Any:
     """Return e and some leaves at tick k + 1, by number, and their derivatives along a direction of those leaves."""
 
     def of_z(z: Z) -> tuple[Array, Z]:
@@ -92,7 +92,7 @@ def slopes(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: 
     return jax.jvp(of_z, ({i: leaves[i] for i in along},), (along,))
 
 
-def _form(layout: Layout, p: Problem, state: State, label: str) -> Form | None:
+def _form(layout: Layout, p: GridPointParams, state: State, label: str) -> Form | None:
     found = _classes(layout, p, label, *one_lane(state, label))
     if found is None:
         return None
@@ -106,7 +106,7 @@ def _form(layout: Layout, p: Problem, state: State, label: str) -> Form | None:
 
 
 def _classes(
-    layout: Layout, p: Problem, label: str, tree: Any, each: Leaves
+    layout: Layout, p: GridPointParams, label: str, tree: Any, each: Leaves
 ) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
     """The leaves of z and those that are only counted; None where a tick is not affine in z."""
     first = len(jax.tree.leaves(p)) + 1  # arguments before the leaves: the problem and the tick
@@ -125,7 +125,7 @@ def _classes(
     if not all(floats[i] for i in z) or any(among(of_leaf[i]) & z for i in counted):
         return None
 
-    def slope(p: Problem, k: Array, leaves: Leaves, along: Z) -> Any:
+    def slope(p: GridPointParams, k: Array, leaves: Leaves, along: Z) -> Any:
         return slopes(layout, p, label, tree, k, leaves, along)[1]
 
     (e, after), _ = reach(slope, p, k, each, {i: each[i] for i in sorted(z)})

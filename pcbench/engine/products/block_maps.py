@@ -20,7 +20,7 @@ from pcbench.engine.initial_state import begin
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.products.affine_detection import PLANT, Form, Z, forms, one_lane, slopes
 from pcbench.engine.products.blocks import TICKS, Chunks, chunks
-from pcbench.simulation.types import Layout, Problem, State
+from pcbench.simulation.types import GridPointParams, Layout, State
 
 
 class Maps(NamedTuple):
@@ -40,7 +40,7 @@ class Moving(NamedTuple):
     shared: Array  # [S]
 
 
-def every_map(layout: Layout, p: Problem) -> dict[str, Maps]:
+def every_map(layout: Layout, p: GridPointParams) -> dict[str, Maps]:
     """Return by label the maps of the plant and of every observer that goes by products; none where nothing does."""
     if not layout.lifted:
         return {}
@@ -50,7 +50,7 @@ def every_map(layout: Layout, p: Problem) -> dict[str, Maps]:
     return {form.label: maps(layout, p, state, form, each) for form in forms(layout, p, state)}
 
 
-def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> Maps:
+def maps(layout: Layout, p: GridPointParams, state: State, form: Form, each: Chunks) -> Maps:
     """Return the maps of one form: of z = 0, and of a direction along each number of z."""
     tree, shapes = one_lane(state, form.label)
     order, C = [*form.own, *form.shared], each.start.shape[0]

@@ -9,8 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.metrics import Stream, Watch
-from pcbench.simulation.types import Problem
+from pcbench.simulation.metrics import ErrorSums, SettlingState
+from pcbench.simulation.types import GridPointParams
 
 
 def sizes(e: list[Array], before: Array) -> Array:
@@ -27,12 +27,12 @@ def squares(e: list[Array], before: Array) -> Array:
     return before + _folded(jnp.add, [tick * tick for tick in e])
 
 
-def stays(p: Problem, stream: Stream, watch: Watch) -> Array:
+def stays(p: GridPointParams, stream: ErrorSums, watch: SettlingState) -> Array:
     """Say whether no lane can have left its bound for the first time: their peaks are of all ticks of a window up to now."""
     return jnp.all(jnp.all(stream.peak <= limits(p.bound, stream.peak), 0) | (watch.first_bad >= 0))
 
 
-def first_bad(p: Problem, k: Array, left: Array, e: list[Array], bad: Array) -> Array:
+def first_bad(p: GridPointParams, k: Array, left: Array, e: list[Array], bad: Array) -> Array:
     """Return the first tick at which an error is not finite or beyond the bound, or -1, with the `left` ticks from k on."""
     bound = limits(p.bound, e[0])
     for t, tick in enumerate(e):
@@ -41,7 +41,7 @@ def first_bad(p: Problem, k: Array, left: Array, e: list[Array], bad: Array) -> 
     return bad
 
 
-def looked(p: Problem, k: Array, e: list[Array], watch: Watch) -> Watch:
+def looked(p: GridPointParams, k: Array, e: list[Array], watch: SettlingState) -> SettlingState:
     """Note the ticks after exits from the band, and how long after a jump of the unknown input."""
     band, unsettled, recovery = limits(p.band, e[0]), watch.unsettled, watch.recovery
     for t, tick in enumerate(e):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from pcbench.simulation.types import Problem
+from pcbench.simulation.types import GridPointParams
 
 TICKS = 64  # of a chunk at most
 BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
@@ -37,7 +37,7 @@ def room(event: np.ndarray, windows: int) -> int:
     return many if long and len(event) >= SPARSE * len(lengths) else 0
 
 
-def chunks(p: Problem, room: int) -> Chunks:
+def chunks(p: GridPointParams, room: int) -> Chunks:
     """Return the chunks of a schedule and its windows, up to the last tick."""
     ticks, end = p.schedule.event.shape[0], p.windows[-1, 0]
     edge = p.schedule.event.at[p.windows[:, 0]].set(True)

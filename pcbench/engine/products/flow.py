@@ -16,8 +16,8 @@ from pcbench.engine.products import block_metrics, matmul, state_rows
 from pcbench.engine.products.affine_detection import PLANT, Form, forms, leaves_of, with_leaves
 from pcbench.engine.products.block_maps import Maps, Moving, every_map
 from pcbench.engine.products.blocks import BLOCK, TICKS, WRITTEN, Chunks, chunks
-from pcbench.simulation.metrics import Stream
-from pcbench.simulation.types import Layout, Problem, State
+from pcbench.simulation.metrics import ErrorSums
+from pcbench.simulation.types import GridPointParams, Layout, State
 
 Flow = Callable[[Array, Array, State], State]  # (first tick, tick after the last, state) -> state
 Stepped = Callable[[Layout, Array, Array, State], State]  # the same tick by tick, for the observers of a layout
@@ -28,7 +28,9 @@ All = dict[str, Any]  # by label
 Visit = Callable[[str, Array, Moving, Any], Any]  # (label, chunk, z at its start, kept) -> kept
 
 
-def flow(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[str, Maps] | None = None) -> Flow:
+def flow(
+    layout: Layout, p: GridPointParams, state: State, stepped: Stepped, given: dict[str, Maps] | None = None
+) -> Flow:
     """Return what takes a block of lanes from an event to the next, `state` that before tick 0: by products, what can be.
 
     Maps of all that can are `given`, or made here.
@@ -74,7 +76,7 @@ def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, ke
     return end
 
 
-def _scored(p: Problem, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: Any) -> Any:
+def _scored(p: GridPointParams, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: Any) -> Any:
     """Take the errors of a chunk into streams and watch."""
     stream, watch = kept
 
@@ -85,7 +87,7 @@ def _scored(p: Problem, every: All, each: Chunks, label: str, c: Array, z: Movin
 
     kept = lax.complex(stream.absolute, stream.peak), stream.square, watch
     sizes, square, watch = _blocks(every, each, take, label, c, z, kept)
-    return Stream(sizes.real, square, sizes.imag), watch
+    return ErrorSums(sizes.real, square, sizes.imag), watch
 
 
 def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: Any) -> Any:
@@ -113,7 +115,9 @@ def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
     return Moving(own, shared)
 
 
-def _bounded(p: Problem, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All) -> All:
+def _bounded(
+    p: GridPointParams, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All
+) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
     bad = {label: watch.first_bad for label, (_, watch) in kept.items()}
     stays = jnp.all(jnp.stack([block_metrics.stays(p, stream, watch) for stream, watch in kept.values()]))
@@ -139,7 +143,9 @@ def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: St
     )
 
 
-def _counted(layout: Layout, p: Problem, found: tuple[Form, ...], start: Array, stop: Array, state: State) -> State:
+def _counted(
+    layout: Layout, p: GridPointParams, found: tuple[Form, ...], start: Array, stop: Array, state: State
+) -> State:
     """The state with what observers count, which no error depends on, moved on tick by tick."""
     counting = [form for form in found if form.counted]
     if not counting:

@@ -7,10 +7,10 @@ from jax import Array, lax
 
 from pcbench.simulation.schedule import random_times
 from pcbench.simulation.schedule.common_times import NEVER
-from pcbench.simulation.schedule.random_times import Times
+from pcbench.simulation.schedule.random_times import ClockParams
 
 
-class Agenda(NamedTuple):
+class EventTable(NamedTuple):
     """What happens in every run: E rows, one per sample of each clock in the order they are taken; L runs, C clocks.
 
     Samples of one tick are one packet, in the row of the first of them; of a packet what arrives at one tick is one arrival, in
@@ -27,7 +27,7 @@ class Agenda(NamedTuple):
     ticks_since_arrival: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
 
 
-def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
+def agenda(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     """Return what happens in every run, in order: at one tick the older packet arrives first."""
     each = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
     taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
@@ -47,7 +47,7 @@ def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
     count = jnp.cumsum(mine, 0) - 1
     slot = count - jnp.take_along_axis(count, _first(again), 0)
     earlier = jnp.take_along_axis(arrives, jnp.maximum(_first(again) - 1, 0), 0)
-    return Agenda(
+    return EventTable(
         taken=taken,
         number=numbers,
         believed=believed,

@@ -24,7 +24,7 @@ from pcbench.simulation.schedule.common_times import NEVER, Sample
 from pcbench.simulation.schedule.sampling import Clock
 
 
-class Times(NamedTuple):
+class ClockParams(NamedTuple):
     """How C clocks take their samples: numbers, all traced. M samples a clock, q channels; ticks."""
 
     due: Leaf  # [C, M+1] instants before jitter, of clocks whose intervals are not random
@@ -44,7 +44,7 @@ class Times(NamedTuple):
     stamp: Any = ()  # Stamp, where stamps are wrong
 
 
-def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
+def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockParams:
     """Return the numbers of clocks over a horizon."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
@@ -53,7 +53,7 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
         instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
-    return Times(
+    return ClockParams(
         due=due,
         low=np.array([low for low, _ in limits]),
         high=np.array([high for _, high in limits]),
@@ -79,7 +79,7 @@ def _most(clock: Clock, ticks: int) -> int:
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
-def padded(t: Times, samples: int, steps: int = 0) -> Times:
+def padded(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
     """Add instants that never come, and to shares of delays the last again, so that the times of one study share a shape."""
     more = samples - t.due.shape[1]
     t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
@@ -89,7 +89,7 @@ def padded(t: Times, samples: int, steps: int = 0) -> Times:
     return t._replace(steps=np.pad(t.steps, wide, "edge"), share=np.pad(t.share, wide, "edge"))
 
 
-def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
+def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
     """Return when every sample of clock c is taken and when it arrives (NEVER: lost), [M, L] each."""
     count = t.due.shape[1]
     timing, losing = (
@@ -107,7 +107,7 @@ def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array
     return taken[:-1], jnp.where(_lost(t, c, losing[:-1, 0]), NEVER, jnp.minimum(arrives, NEVER))
 
 
-def _lost(t: Times, c: int, uniform: Array) -> Array:
+def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return which samples of clock c are lost, [M, L]: the first as often as any, each next by what became of the last."""
     first = uniform < t.loss[c]
     if not t.bursts.shape[1]:
@@ -120,13 +120,13 @@ def _lost(t: Times, c: int, uniform: Array) -> Array:
     return jnp.concatenate([first[:1], lax.scan(following, first[0], uniform[1:])[1]])
 
 
-def _which_step(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
+def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
     """Return which of its steps every sample of clock c has, [M+1, L]."""
     uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
     return jnp.searchsorted(t.share[c][:-1], uniform, side="right") if t.share.shape[1] else _chain(t, c, uniform)
 
 
-def _chain(t: Times, c: int, uniform: Array) -> Array:
+def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return the steps that a Markov chain comes to by uniform numbers, [M+1, L]."""
     many, stay = t.steps.shape[1], t.stay[c]
     weights = 1 / (1 - stay)
@@ -142,7 +142,7 @@ def _chain(t: Times, c: int, uniform: Array) -> Array:
     return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
 
 
-def believed(t: Times, root_seed: Array, seeds: Array, taken: Array) -> Array:
+def believed(t: ClockParams, root_seed: Array, seeds: Array, taken: Array) -> Array:
     """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
     if not t.stamp:
         return taken - t.error
