@@ -12,7 +12,8 @@ class Field(NamedTuple):
     name: str
     unit: str  # 1: none; empty: of words
     meaning: str  # of its column
-    per: str = ""  # channel, state, output: one value, or one for each (outputs: where there is any)
+    per: str = ""  # channel, state, output, value: one, or one for each (outputs: where there is any; of delay_values)
+    word: str = ""  # that may stand for a number; *: any, a name
     ticks: bool = False  # whole ticks
     signed: bool = False  # may be below 0
     share: bool = False  # a probability
@@ -36,6 +37,7 @@ FIELDS = (
         "age of a sample when it arrives, the mean where it varies with time; a list where output channels differ;"
         " null: one sampling interval",
         per="channel",
+        word="interval",
         ticks=True,
         always=True,
     ),
@@ -58,6 +60,7 @@ FIELDS = (
         "sampling_pattern",
         "",
         "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
+        word="*",
         listed=True,
         always=True,
     ),
@@ -115,11 +118,13 @@ FIELDS = (
         "1",
         "probability that the next sample has the same one of delay_values, or else any other alike; a list where "
         "it depends on the one that is",
+        per="value",
     ),
     Field(
         "delay_sequence",
         "s",
         "samples arrive later by these [s] in turn, the same in all runs; lost: that one never arrives",
+        word="lost",
         listed=True,
     ),
     Field(
@@ -154,6 +159,7 @@ FIELDS = (
         "1",
         "degrees of freedom of Student's t that the noise of samples has, of the same variance, which nobody is "
         "told; inf: it is Gaussian",
+        word="inf",
     ),
     Field(
         "assumed_noise_scale",

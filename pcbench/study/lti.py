@@ -1,7 +1,6 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
-from math import inf
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,7 +16,6 @@ from pcbench.study.lti_plant import Differing, differing, known, told
 from pcbench.study.lti_shapes import (
     Number,
     NumberRows,
-    PerChannel,
     PerState,
     Positive,
     Rows,
@@ -27,9 +25,11 @@ from pcbench.study.lti_shapes import (
     signals,
     vector,
 )
-from pcbench.study.scenario_schema import Degrees
+from pcbench.study.scenario_schema import takes_axes
 
 
+# `plant` says what drifts, and a [controller] what commands are
+@takes_axes(required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", *axes.COMMANDS))
 class Lti(BaseModel):
     """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
 
@@ -48,9 +48,6 @@ class Lti(BaseModel):
     dt: Positive | None = Field(None, description="tick of a discrete plant [s]; left out: a continuous plant")
     tick: Positive | None = Field(None, description="tick of the simulation [s]; default 0.001, or dt")
     states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
-    sampling_period: PerChannel = Field(description="[s], one or one for each output")
-    delay: PerChannel | str = Field(description="[s], one or one for each output, or 'interval'")
-    noise_std: PerChannel = Field(description="of one sample, one or one for each output")
     process_std: PerState | None = Field(
         None, description="of the noise added at every tick, one for all states or one for each; default: none"
     )
@@ -79,26 +76,6 @@ class Lti(BaseModel):
     duration: Positive = Field(10.0, description="[s]")
     steady_start: Size | None = Field(None, description="where the tail starts [s]; default: 30 % of the horizon")
     observers: list[str] = Field(["kf", "model-only"], min_length=1)
-    sampling_pattern: str | list[Number] = "periodic"
-    sampling_jitter: Number = 0.0
-    delay_jitter: Number = 0.0
-    delay_values: list[Number] = []
-    delay_self_transition: PerChannel = []
-    delay_sequence: list[Number | Literal["lost"]] = []
-    delay_weights: list[Number] = []
-    delay_gamma_mean: Number = 0.0
-    delay_gamma_shape: Number = 1.0
-    quantization_step: PerChannel = []
-    dither: Number = 0.0
-    mean_burst_length: Number = 0.0
-    timestamp_offset: Number = 0.0
-    clock_skew: Number = 0.0
-    timestamp_jitter: Number = 0.0
-    loss: Number = 0.0
-    outlier_probability: Number = 0.0
-    outlier_scale: Number = 10.0
-    student_t_dof: Degrees = inf
-    assumed_noise_scale: Number = 1.0
 
     def numbers(self, where: str) -> Numbers:
         """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""
@@ -185,5 +162,5 @@ class Lti(BaseModel):
             raise UserError(
                 f"{where}.steady_start: got {tail:g} s, expected less than the duration of {self.duration:g} s."
             )
-        given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields and f not in axes.STATES}
+        given = {f: v for f in axes.AXES if f not in axes.STATES and (v := getattr(self, f, None)) is not None}
         return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})

@@ -1,9 +1,11 @@
 """What a study's table `[scenario]` may say: every field of a scenario, spelled flat, or `base` with some of them changed."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, create_model
 
+from pcbench import fields
 from pcbench.errors import printable
 from pcbench.study import axes
 
@@ -15,7 +17,44 @@ Switch = Annotated[bool, Strict()]
 PerChannel = Number | list[Number]
 Words = Annotated[str, AfterValidator(printable)]
 
+M = TypeVar("M", bound=BaseModel)
 
+
+def kind(field: fields.Field) -> Any:
+    """Return the type of what a table may say of a field; what it may be beside is the axis' to check (`axes.point`)."""
+    if field.word == "inf":
+        return Degrees
+    if field.listed:
+        numbers: Any = list[Number | Literal["lost"]] if field.word == "lost" else list[Number]
+        return str | numbers if field.word == "*" else numbers
+    number: Any = Size if field.per == "state" else Number
+    one_or_each = number | list[number] if field.per else number
+    return one_or_each | str if field.word else one_or_each
+
+
+def takes_axes(required: Sequence[str] = (), without: Sequence[str] = ()) -> Callable[[type[M]], type[M]]:
+    """Return a class decorator that adds a key for each field of `fields.FIELDS`, as its record there says.
+
+    What a table leaves out is None, but what is `required`; `without`: these it does not have.
+    """
+
+    def with_keys(table: type[M]) -> type[M]:
+        keys: dict[str, Any] = {}
+        for f in fields.FIELDS:
+            about = f.meaning if f.unit in ("", "1") else f"{f.unit}, {f.meaning}"
+            if f.name in required:
+                keys[f.name] = kind(f), Field(description=about)
+            elif f.name not in (*without, *table.model_fields):
+                keys[f.name] = kind(f) | None, Field(None, description=about)
+        made: type[M] = create_model(
+            table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys
+        )
+        return made
+
+    return with_keys
+
+
+@takes_axes()
 class ScenarioTable(BaseModel):
     """A scenario of a user's own. n states, s unknowns beside them, q outputs; what is left out is the base's, or a default.
 
@@ -35,11 +74,7 @@ class ScenarioTable(BaseModel):
     duration: Positive | None = Field(None, description="s; default 10")
     # what is true of the plant and told to no observer
     x0: Number | list[Number] | None = Field(None, description="[n] x(0)")
-    parameter_drift: Number | None = Field(None, description="scale of the plant's parameter drift")
     parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
-    process_std: Size | list[Size] | None = Field(
-        None, description="[n] of the noise added to each state at every tick"
-    )
     unknown_input: Any | None = Field(None, description="of what pushes: as `input` says it")
     # what drives the plant
     input: Any | None = Field(
@@ -48,54 +83,7 @@ class ScenarioTable(BaseModel):
     )
     controller: str | None = Field(None, description="what gives the commands of a closed loop; empty: it is open")
     control: dict[str, Any] | None = Field(None, description="the controller's options")
-    actuator_delay: Size | None = Field(None, description="s, from command to plant; left out: the measurements'")
-    command_jitter: Size | None = Field(None, description="s, a command comes up to this much later")
-    command_loss: Annotated[Size, Field(le=1)] | None = Field(
-        None, description="probability that a command never comes"
-    )
-    command_std: Size | None = Field(None, description="of the noise of one command")
     # how it is measured
-    sampling_period: PerChannel | None = Field(None, description="[q] s, one or one for each output")
-    delay: PerChannel | str | None = Field(None, description="[q] s, one or one for each output, or 'interval'")
-    noise_std: PerChannel | None = Field(None, description="[q] of one sample, one or one for each output")
-    sampling_pattern: str | list[Number] | None = Field(None, description="of the intervals: a name, or s in turn")
-    sampling_jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
-    delay_jitter: Number | None = Field(None, description="s, a sample arrives up to this much later")
-    delay_values: list[Number] | None = Field(
-        None, description="s, a sample arrives later by one of them, a Markov chain from sample to sample"
-    )
-    delay_self_transition: PerChannel | None = Field(
-        None, description="probability that the next sample has the same step, one or one for each"
-    )
-    delay_sequence: list[Number | Literal["lost"]] | None = Field(
-        None, description="s, samples arrive later by these in turn, the same in all runs; 'lost': that one never does"
-    )
-    loss: Number | None = Field(None, description="probability that a sample never arrives")
-    delay_weights: list[Number] | None = Field(
-        None, description="of samples, each by itself, that are later by each step, in proportion; no chain then"
-    )
-    delay_gamma_mean: Number | None = Field(
-        None, description="s, mean of a gamma distribution by which a sample is later"
-    )
-    delay_gamma_shape: Number | None = Field(None, description="of that distribution; 1: it is exponential")
-    mean_burst_length: Number | None = Field(
-        None, description="mean number of samples in a row that losses take; 0: one by one"
-    )
-    quantization_step: PerChannel | None = Field(
-        None, description="[q] a sample is rounded to whole steps of this size"
-    )
-    dither: Number | None = Field(None, description="1: noise over one step is added before rounding, taken off after")
-    timestamp_offset: Number | None = Field(None, description="s, stamps say that samples were taken so much later")
-    clock_skew: Number | None = Field(None, description="ppm, by which the clock of the stamps is fast")
-    timestamp_jitter: Number | None = Field(None, description="s, a stamp is wrong by up to this much, either way")
-    outlier_probability: Number | None = Field(
-        None, description="that a sample's noise is outlier_scale times what it would be"
-    )
-    outlier_scale: Number | None = Field(None, description="how many times larger the noise of an outlier is")
-    student_t_dof: Degrees | None = Field(
-        None,
-        description="degrees of freedom of Student's t that the noise has, of the same variance; inf: it is Gaussian",
-    )
     prefilled: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
     delay_sine: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
@@ -116,10 +104,6 @@ class ScenarioTable(BaseModel):
     )
     assumed_noise_std: Size | list[Size] | None = Field(None, description="[q] for channels without noise")
     assumed_process_std: Size | list[Size] | None = Field(None, description="[n] for plants without process noise")
-    assumed_noise_scale: Number | None = Field(
-        None, description="the noise of a sample is believed to be so many times larger than it is"
-    )
-    assumed_delay_error: Number | None = Field(None, description="s, samples are believed to be so much older")
     initial_box: Size | list[Size] | None = Field(
         None, description="[n] a random start draws xhat(0) this close to x(0)"
     )

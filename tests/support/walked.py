@@ -87,7 +87,7 @@ def shortened(words):
     if words[0] == "tune":
         on_runs = not {"--exact-objective", "--log"} & set(words)
         return with_options(words, TUNING if on_runs else {"--budget": "2"})
-    if words[0] == "suffices":
+    if words[0] == "find-limit":
         return with_options(words, SEARCH)
     if words[0] != "run" or "exact" in words:
         return words
