@@ -12,7 +12,9 @@ class Field(NamedTuple):
     name: str
     unit: str  # 1: none; empty: of words
     meaning: str  # of its column
-    per: str = ""  # channel, state, output, value: one, or one for each (outputs: where there is any; of delay_values)
+    per: str = (
+        ""  # channel, sensor, state, output, value: one, or one for each (outputs: where there is any; of delay_values)
+    )
     word: str = ""  # that may stand for a number; *: any, a name
     ticks: bool = False  # whole ticks
     signed: bool = False  # may be below 0
@@ -68,6 +70,7 @@ FIELDS = (
         "sampling_jitter",
         "s",
         "a sample is taken up to this much early or late (uniform over whole ticks)",
+        per="sensor",
         ticks=True,
         always=True,
     ),
@@ -75,6 +78,7 @@ FIELDS = (
         "delay_jitter",
         "s",
         "a sample arrives up to this much later (uniform over whole ticks)",
+        per="sensor",
         ticks=True,
         always=True,
     ),
@@ -82,6 +86,7 @@ FIELDS = (
         "loss",
         "1",
         "probability that a sample never arrives",
+        per="sensor",
         share=True,
         always=True,
     ),
@@ -137,22 +142,26 @@ FIELDS = (
         "delay_gamma_mean",
         "s",
         "a sample arrives later by a time of a gamma distribution with this mean, in whole ticks",
+        per="sensor",
     ),
     Field(
         "delay_gamma_shape",
         "1",
         "shape of that distribution: its mean over its standard deviation, squared",
+        per="sensor",
     ),
     Field(
         "outlier_probability",
         "1",
         "that a sample's noise is outlier_scale times what it would be, which nobody is told",
+        per="sensor",
         share=True,
     ),
     Field(
         "outlier_scale",
         "1",
         "how many times larger the noise of an outlier is",
+        per="sensor",
     ),
     Field(
         "student_t_dof",
@@ -181,6 +190,7 @@ FIELDS = (
         "mean_burst_length",
         "samples",
         "mean number of samples in a row that losses take (Gilbert and Elliott); 0: each is lost by itself",
+        per="sensor",
     ),
     Field(
         "timestamp_offset",

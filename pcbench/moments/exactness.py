@@ -22,7 +22,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if chance := p.cell.scenario.sampling.outlier_probability:
-        return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {instead}."
+        return f"{where} has samples of which {100 * np.max(chance):g} % are outliers, whose noise is not normal; {instead}."
     if np.isfinite(degrees := p.cell.scenario.sampling.student_t_dof):
         return (
             f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."

@@ -20,6 +20,7 @@ from pcbench.planning.error_bound import bound
 from pcbench.planning.padding import Plan
 from pcbench.plants import lti
 from pcbench.scenarios import Scenario
+from pcbench.scenarios.scenario import per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation.measurement_noise import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, periodic, random_times
@@ -165,7 +166,10 @@ def draft(
 def _outliers(s: Scenario) -> Any:
     """The numbers of samples that are outliers; (): none is."""
     chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
-    return Outliers(np.asarray(chance), np.asarray(scale)) if chance else ()
+    if not chance:
+        return ()
+    many = len(s.sampling.delay) if isinstance(chance, tuple) or isinstance(scale, tuple) else 0
+    return Outliers(*(np.asarray(per_channel(a, many) if many else a) for a in (chance, scale)))
 
 
 def _late(cell: Cell) -> float:

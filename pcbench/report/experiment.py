@@ -70,6 +70,11 @@ class Field(NamedTuple):
     usual: Any = None
 
 
+def _channels(say: Callable[[float], str]) -> Callable[[Any], str]:
+    """What is said of a number, of each channel where they differ."""
+    return lambda value: ", ".join(say(v) for v in value) if isinstance(value, tuple) else say(value)
+
+
 def _facts(s: Scenario) -> list[Field]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
     signals, seen = signals_of(s), output_units.units(s)
@@ -105,24 +110,29 @@ def _facts(s: Scenario) -> list[Field]:
             lambda v: v if isinstance(v, str) else _each(v, ["s"] * len(v)),
             "periodic",
         ),
-        Field("sampling_jitter", "sampling jitter", lambda v: f"± {number(v)} s", 0.0),
-        Field("delay_jitter", "delay jitter", lambda v: f"up to {number(v)} s more", 0.0),
+        Field("sampling_jitter", "sampling jitter", _channels(lambda v: f"± {number(v)} s"), 0.0),
+        Field("delay_jitter", "delay jitter", _channels(lambda v: f"up to {number(v)} s more"), 0.0),
         Field("delay_values", "delays longer by, a Markov chain", lambda v: _each(v, ["s"] * len(v)), ()),
         Field("delay_self_transition", "chance to stay so", lambda v: ", ".join(map(number, v)), ()),
         Field("delay_sequence", "delays longer by, in turn", _in_turn, ()),
         Field("delay_weights", "shares of these, each by itself", lambda v: ", ".join(map(number, v)), ()),
-        Field("delay_gamma_mean", "delays longer by a gamma distribution's, mean", lambda v: f"{number(v)} s", 0.0),
+        Field(
+            "delay_gamma_mean",
+            "delays longer by a gamma distribution's, mean",
+            _channels(lambda v: f"{number(v)} s"),
+            0.0,
+        ),
         Field("delay_gamma_shape", "its shape", number, 1.0),
         Field("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
-        Field("loss", "lost samples", lambda v: f"{number(100 * v)} %", 0.0),
-        Field("mean_burst_length", "lost in a row, mean", lambda v: f"{number(v)} samples", 0.0),
+        Field("loss", "lost samples", _channels(lambda v: f"{number(100 * v)} %"), 0.0),
+        Field("mean_burst_length", "lost in a row, mean", _channels(lambda v: f"{number(v)} samples"), 0.0),
         Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, seen), ()),
         Field("dither", "dither", lambda v: "subtractive, over one step", 0.0),
         Field("timestamp_offset", "stamps ahead by", lambda v: f"{number(v)} s", 0.0),
         Field("clock_skew", "clock of stamps fast by", lambda v: f"{number(v)} ppm", 0.0),
         Field("timestamp_jitter", "stamps wrong by", lambda v: f"± {number(v)} s", 0.0),
-        Field("outlier_probability", "outliers among samples", lambda v: f"{number(100 * v)} %", 0.0),
-        Field("outlier_scale", "noise of an outlier", lambda v: f"{number(v)} times a sample's", 10.0),
+        Field("outlier_probability", "outliers among samples", _channels(lambda v: f"{number(100 * v)} %"), 0.0),
+        Field("outlier_scale", "noise of an outlier", _channels(lambda v: f"{number(v)} times a sample's"), 10.0),
         Field("student_t_dof", "noise of samples", lambda v: f"Student's t, {number(v)} degrees of freedom", math.inf),
         Field("continuous", "measured", lambda v: "continuously, without noise", False),
         Field("actuator_delay", "commands late by", lambda v: f"{number(v)} s", None),

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from pcbench.scenarios.sources import Sources
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+PerChannel = float | tuple[float, ...]
 LOST = "lost"  # among delays in turn: this sample never arrives
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
@@ -40,22 +41,30 @@ class Loop(NamedTuple):
     command_std: float = 0.0  # of the noise of one command
 
 
+def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
+    """Return what each output channel has of a field that is one number, or one for each channel."""
+    return value if isinstance(value, tuple) else (value,) * channels
+
+
 class Sampling(NamedTuple):
-    """How the plant is measured: when samples are taken, when they arrive, how noisy they are."""
+    """How the plant is measured: when samples are taken, when they arrive, how noisy they are.
+
+    A `PerChannel` is one number for all, or [q] where the channels differ.
+    """
 
     sampling_period: tuple[float, ...]  # [q] s
     delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q] of one sample
     sampling_pattern: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
-    sampling_jitter: float = 0.0  # s, a sample is taken up to this much early or late
-    delay_jitter: float = 0.0  # s, a sample arrives up to this much later
-    loss: float = 0.0  # probability that a sample never arrives
+    sampling_jitter: PerChannel = 0.0  # s, a sample is taken up to this much early or late
+    delay_jitter: PerChannel = 0.0  # s, a sample arrives up to this much later
+    loss: PerChannel = 0.0  # probability that a sample never arrives
     prefilled: bool = (
         False  # measuring began before t = 0: the first sample arrives at 0, the period is between arrivals
     )
     delay_sine: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
-    outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
-    outlier_scale: float = 10.0
+    outlier_probability: PerChannel = 0.0  # that a sample's noise is outlier_scale times what it would be
+    outlier_scale: PerChannel = 10.0
     student_t_dof: float = inf  # degrees of freedom of the noise, Student's t of the same variance; inf: it is Gaussian
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
     delay_values: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
@@ -63,11 +72,13 @@ class Sampling(NamedTuple):
         float, ...
     ] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
     delay_weights: tuple[float, ...] = ()  # [m] of samples, each by itself, that are later by each step; empty: a chain
-    delay_gamma_mean: float = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
-    delay_gamma_shape: float = 1.0  # of that distribution; 1: it is exponential
+    delay_gamma_mean: PerChannel = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
+    delay_gamma_shape: PerChannel = 1.0  # of that distribution; 1: it is exponential
     quantization_step: tuple[float, ...] = ()  # [q] a sample is rounded to whole steps of it; empty, 0: it is not
     dither: float = 0.0  # 1: noise over one step is added before rounding, and taken off after
-    mean_burst_length: float = 0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
+    mean_burst_length: PerChannel = (
+        0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
+    )
     timestamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
     clock_skew: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
     timestamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way

@@ -35,8 +35,8 @@ Noise = Callable[[list[int], Any], Array]
 class Outliers(NamedTuple):
     """Which samples are."""
 
-    probability: Leaf
-    scale: Leaf  # of their noise
+    probability: Leaf  # one, or [q] where channels differ
+    scale: Leaf  # of their noise; likewise
 
 
 class Rounding(NamedTuple):
@@ -63,6 +63,11 @@ def students(w: Array, z: Array, n: Array) -> Array:
     return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
 
 
+def _of_channels(a: Any, channels: list[int], ndim: int) -> Any:
+    """What some channels have, to go with noise whose first axis they are; as it is where it is one for all."""
+    return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
+
+
 def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
     """Return what draws the noise of samples of some channels.
 
@@ -87,7 +92,8 @@ def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = Fa
             v = students(v, rng.normals([beside[j] for j in channels], index), p.tail)
         if not p.outliers:
             return v
-        out = rng.uniforms_of([odd[j] for j in channels], index) < p.outliers.probability
-        return jnp.where(out, p.outliers.scale * v, v)
+        probability, scale = (_of_channels(a, channels, v.ndim) for a in p.outliers)
+        out = rng.uniforms_of([odd[j] for j in channels], index) < probability
+        return jnp.where(out, scale * v, v)
 
     return drawn

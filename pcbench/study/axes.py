@@ -16,6 +16,7 @@ from pcbench.simulation.schedule.sampling import PROFILES
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = fields.names(per="channel")  # one value, or one for each output channel
+SENSORS = fields.names(per="sensor")  # likewise; where channels differ, a scenario has one for each
 STATES = fields.names(per="state")  # one value, or one for each state
 OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
 TIMES = fields.names(ticks=True)
@@ -60,44 +61,15 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
         return _of_the_chain(name, value, base, where)
     if name in TURNS:
         return _turns(value, base, where)
+    if name in SENSORS and isinstance(value, list | tuple):
+        each = _each(name, list(value), base, where)
+        found = tuple(_single(name, v, base, where) for v in each)
+        return found if len(set(found)) > 1 else found[0]
     if name not in (*CHANNELS, *STATES, *OUTPUTS):
-        least = None if name in SIGNED or name.startswith("plant.") else 0.0
-        if name == "student_t_dof" and value == math.inf:
-            return math.inf
-        n = number(value, where, least)
-        if name in TIMES:
-            _whole_ticks(name, n, base, where)
-        if name.removeprefix("plant.") in entry_of(base).positive and n <= 0:
-            raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
-        if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
-            raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-        if name in SHARES and n > 1:
-            raise UserError(
-                f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
-            )
-        if name == "dither" and n not in (0, 1):
-            raise UserError(f"{where}: got {shown(value)}, expected 1 (with subtractive dither) or 0 (without).")
-        if name == "delay_gamma_shape" and n <= 0:
-            raise UserError(
-                f"{where}: got {shown(value)}, expected a shape greater than 0; write 1 for an exponential."
-            )
-        if name == "assumed_noise_scale" and n <= 0:
-            raise UserError(
-                f"{where}: got {shown(value)}, expected a number greater than 0: how many times larger noise is believed to be "
-                "than it is; write 1 where that is right."
-            )
-        if name == "student_t_dof" and n <= 2:
-            raise UserError(
-                f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, so that Student's t has a variance; "
-                "write 2.5 or more, or inf for Gaussian noise."
-            )
-        return n
-    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+        return _single(name, value, base, where)
     if name in OUTPUTS and value in ([], ()):
         return ()
-    each = value if isinstance(value, list) else [value] * many
-    if len(each) != many:
-        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
+    each = _each(name, value, base, where)
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
             raise UserError(
@@ -106,12 +78,52 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             )
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (INTERVAL,) * many
+        return (INTERVAL,) * len(each)
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
         for v in numbers:
             _whole_ticks(name, v, base, where)
     return tuple(numbers)
+
+
+def _each(name: str, value: Any, base: Scenario, where: str) -> list[Any]:
+    """One value as that of all states or output channels, or a list of one for each."""
+    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    each = value if isinstance(value, list) else [value] * many
+    if len(each) != many:
+        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
+    return each
+
+
+def _single(name: str, value: Any, base: Scenario, where: str) -> float:
+    """A number of an axis that is one."""
+    least = None if name in SIGNED or name.startswith("plant.") else 0.0
+    if name == "student_t_dof" and value == math.inf:
+        return math.inf
+    n = number(value, where, least)
+    if name in TIMES:
+        _whole_ticks(name, n, base, where)
+    if name.removeprefix("plant.") in entry_of(base).positive and n <= 0:
+        raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
+    if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
+        raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
+    if name in SHARES and n > 1:
+        raise UserError(f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100.")
+    if name == "dither" and n not in (0, 1):
+        raise UserError(f"{where}: got {shown(value)}, expected 1 (with subtractive dither) or 0 (without).")
+    if name == "delay_gamma_shape" and n <= 0:
+        raise UserError(f"{where}: got {shown(value)}, expected a shape greater than 0; write 1 for an exponential.")
+    if name == "assumed_noise_scale" and n <= 0:
+        raise UserError(
+            f"{where}: got {shown(value)}, expected a number greater than 0: how many times larger noise is believed to be "
+            "than it is; write 1 where that is right."
+        )
+    if name == "student_t_dof" and n <= 2:
+        raise UserError(
+            f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, so that Student's t has a variance; "
+            "write 2.5 or more, or inf for Gaussian noise."
+        )
+    return n
 
 
 def number(value: Any, where: str, least: float | None) -> float:

@@ -6,18 +6,23 @@ from pcbench.errors import UserError
 from pcbench.scenarios import Sampling, Scenario
 from pcbench.scenarios.scenario import LOST
 from pcbench.simulation.schedule import sampling
-from pcbench.study.times import clocks, whole
+from pcbench.study.axes import plain
+from pcbench.study.times import clocks, number, sensors, whole
 
 REACH = 10  # times the horizon: no sample that is later ever arrives
 
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a fault of samples can have no effect, or cannot be as asked."""
-    _noise(s, where)
+    for one in sensors(s):
+        _noise(one, where)
+        _one_by_one(one, where)
+        if one.sampling.loss or not s.sampling.loss:  # a length of bursts is of the channels that lose samples
+            _losses(one, where)
+    _has_effect(s, "outlier_scale", "outlier_probability", where)
+    _has_effect(s, "delay_gamma_shape", "delay_gamma_mean", where)
     _chain(s, where)
-    _one_by_one(s, where)
     _in_turn(s, where)
-    _losses(s, where)
     _rounding(s, where)
     _stamps(s, where)
 
@@ -42,7 +47,6 @@ def _noise(s: Scenario, where: str) -> None:
             f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
             "be larger, expected a noise_std above 0; give one, or leave it out."
         )
-    _has_effect(s, "outlier_scale", "outlier_probability", where)
 
 
 def _has_effect(s: Scenario, name: str, needs: str, where: str) -> None:
@@ -51,8 +55,8 @@ def _has_effect(s: Scenario, name: str, needs: str, where: str) -> None:
     if not s.value(needs) and found != Sampling._field_defaults[name]:
         article = "an" if needs[0] in "aeiou" else "a"
         raise UserError(
-            f"{where}: got {name} = {found:g} in {s.name} with {article} {needs} of 0, where it has no effect, expected both "
-            "or neither; leave it out there."
+            f"{where}: got {name} = {plain(name, found)} in {s.name} with {article} {needs} of 0, where it has no effect, "
+            "expected both or neither; leave it out there."
         )
 
 
@@ -99,23 +103,20 @@ def _one_by_one(s: Scenario, where: str) -> None:
             f"{where}: got delay_gamma_mean = {measured.delay_gamma_mean:g} and delay_values, expected one of them; "
             f"leave one out."
         )
-    _has_effect(s, "delay_gamma_shape", "delay_gamma_mean", where)
 
 
 def require_delays_within_reach(s: Scenario, where: str) -> None:
     """Raise UserError where delays of a gamma distribution are beyond all that can arrive, before their steps are listed."""
-    measured = s.sampling
-    if not measured.delay_gamma_mean or measured.continuous:
-        return
-    latest, most = sampling.latest_of_gamma(measured.delay_gamma_mean, measured.delay_gamma_shape), REACH * s.duration
-    if not latest <= most:
-        raise UserError(
-            f"{where}: got delay_gamma_mean = {measured.delay_gamma_mean:g} s with delay_gamma_shape = "
-            f"{measured.delay_gamma_shape:g}, by which one "
-            f"sample of 10,000 is later than {latest:.3g} s, expected at most {REACH:g} times the duration of "
-            f"{s.duration:g} s; "
-            "write a smaller mean."
-        )
+    for one in sensors(s):
+        mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
+        if not mean or s.sampling.continuous:
+            continue
+        if not (latest := sampling.latest_of_gamma(mean, shape)) <= REACH * s.duration:
+            raise UserError(
+                f"{where}: got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, by which one sample of 10,000 "
+                f"is later than {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
+                "smaller mean."
+            )
 
 
 def _in_turn(s: Scenario, where: str) -> None:
@@ -138,7 +139,7 @@ def _in_turn(s: Scenario, where: str) -> None:
 
 def _losses(s: Scenario, where: str) -> None:
     """Raise UserError where losses cannot come in bursts as asked."""
-    loss, burst = s.sampling.loss, s.sampling.mean_burst_length
+    loss, burst = number(s.sampling.loss), number(s.sampling.mean_burst_length)
     if burst and not 0 < loss < 1:
         raise UserError(
             f"{where}: got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected a loss between 0 "

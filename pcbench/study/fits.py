@@ -36,7 +36,7 @@ def fits(s: Scenario, where: str) -> None:
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
             raise UserError(
-                f"{where}: got a sampling_jitter of {measured.sampling_jitter:g} s with intervals down to {least * s.dt:g} s, "
+                f"{where}: got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, "
                 f"expected less than "
                 f"half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
@@ -172,11 +172,11 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
             f"out, take one of {able}, or a scenario that samples."
         )
     takes, found, measured = entry.takes, clocks(s), s.sampling
-    follows = INTERVAL in measured.delay and (measured.sampling_pattern != "periodic" or measured.sampling_jitter > 0)
+    follows = INTERVAL in measured.delay and (measured.sampling_pattern != "periodic" or bool(measured.sampling_jitter))
     drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
     if takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
         spread = measured.delay_jitter
-        varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"
+        varies = f"a delay_jitter of {plain('delay_jitter', spread)} s" if spread else "a delay of one varying interval"
         varies = ", ".join(drawn) if drawn and not spread else varies
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
@@ -184,8 +184,8 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
         )
     random = measured.delay_jitter or drawn or measured.sampling_jitter
     if takes == "constant delays" and (random or measured.sampling_pattern != "periodic"):
-        times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.sampling_jitter}
-        unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
+        times = {"a delay_jitter of": measured.delay_jitter, "a sampling_jitter of": measured.sampling_jitter}
+        unsteady = [f"{what} {plain('delay_jitter', v)} s" for what, v in times.items() if v]
         unsteady += drawn
         unsteady += (
             [f"the profile {plain('sampling_pattern', measured.sampling_pattern)}"]

@@ -1,12 +1,14 @@
 """Seconds to ticks: a scenario's horizon, periods, delays and jitters as whole numbers, once for each cell."""
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench import fields
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
-from pcbench.scenarios.scenario import LOST
+from pcbench.scenarios.scenario import LOST, OUTLIERS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
@@ -41,32 +43,49 @@ def whole(seconds: float, s: Scenario) -> int:
 
 
 def clocks(s: Scenario) -> list[Clock]:
-    """Return the sensors of a scenario in ticks: channels of equal period and delay are one."""
-    measured, groups = s.sampling, dict[tuple[float, float | str], list[int]]()
-    for j, times in enumerate(zip(measured.sampling_period, measured.delay, strict=True)):
-        groups.setdefault(times, []).append(j)
+    """Return the sensors of a scenario in ticks: channels whose samples are taken, delayed and lost alike are one."""
+    names, many = [name for name in fields.names(per="sensor") if name not in OUTLIERS], len(s.sampling.delay)
+    groups = dict[Sampling, list[int]]()
+    for j in range(many):
+        alone: dict[str, Any] = {name: per_channel(s.value(name), many)[j] for name in names}
+        period, delay = s.sampling.sampling_period[j], s.sampling.delay[j]
+        one = s.sampling._replace(sampling_period=(period,), delay=(delay,), **alone)
+        groups.setdefault(one, []).append(j)
     return [
         Clock(
             channels=tuple(channels),
-            period=whole(period, s),
-            delay=None if isinstance(delay, str) else whole(delay, s),
+            period=whole(measured.sampling_period[0], s),
+            delay=None if isinstance(delay := measured.delay[0], str) else whole(delay, s),
             profile=measured.sampling_pattern
             if isinstance(measured.sampling_pattern, str)
             else tuple(whole(v, s) for v in measured.sampling_pattern),
-            jitter=whole(measured.sampling_jitter, s),
-            spread=whole(measured.delay_jitter, s),
-            steps=steps(s),
+            jitter=whole(number(measured.sampling_jitter), s),
+            spread=whole(number(measured.delay_jitter), s),
+            steps=steps(measured, s.dt),
             stay=chain(measured),
             share=shares(measured, s.dt),
             turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
-            loss=measured.loss,
-            burst=measured.mean_burst_length if measured.loss else 0.0,
+            loss=number(measured.loss),
+            burst=number(measured.mean_burst_length) if measured.loss else 0.0,
             stamp=stamp(s),
             early=measured.prefilled,
             swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
         )
-        for (period, delay), channels in groups.items()
+        for measured, channels in groups.items()
     ]
+
+
+def sensors(s: Scenario) -> Iterator[Scenario]:
+    """Yield the scenario once for each way in which its channels are measured, with the numbers of such a channel."""
+    several = {name: s.value(name) for name in fields.names(per="sensor") if isinstance(s.value(name), tuple)}
+    for each in dict.fromkeys(zip(*several.values(), strict=True)) if several else [()]:
+        yield s.having(**dict(zip(several, each, strict=True)))
+
+
+def number(value: PerChannel) -> float:
+    """Return what one channel has, where `sensors` has chosen it."""
+    (one,) = per_channel(value, 1)
+    return one
 
 
 def stamp(s: Scenario) -> Stamp:
@@ -75,17 +94,17 @@ def stamp(s: Scenario) -> Stamp:
     return Stamp(whole(measured.timestamp_offset, s), 1e-6 * measured.clock_skew, whole(measured.timestamp_jitter, s))
 
 
-def steps(s: Scenario) -> tuple[int, ...]:
-    """Return by how many ticks a sample may be later, where that is one of a few values, or of a gamma distribution."""
-    if s.sampling.delay_gamma_mean:
-        return tuple(range(len(shares(s.sampling, s.dt))))
-    return tuple(whole(v, s) for v in s.sampling.delay_values)
+def steps(measured: Sampling, dt: float) -> tuple[int, ...]:
+    """Return by how many ticks a channel's sample may be later: by one of a few values, or of a gamma distribution."""
+    if measured.delay_gamma_mean:
+        return tuple(range(len(shares(measured, dt))))
+    return tuple(round(v / dt) for v in measured.delay_values)
 
 
 def shares(measured: Sampling, dt: float) -> tuple[float, ...]:
     """Return how many of the samples are later by each of the delay's steps, where these are drawn one by one."""
     if measured.delay_gamma_mean:
-        return gamma(measured.delay_gamma_mean / dt, measured.delay_gamma_shape)
+        return gamma(number(measured.delay_gamma_mean) / dt, number(measured.delay_gamma_shape))
     total = sum(measured.delay_weights)
     return tuple(share / total for share in measured.delay_weights)
 

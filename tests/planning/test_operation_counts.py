@@ -133,7 +133,7 @@ def test_what_observers_of_a_cell_cost_is_kept_and_is_nothing_where_nothing_is_s
     found = observer_costs.of(study, "cart/white", tmp_path)
     whole = pcbench.operation_counts("cart/white", observers=["model-only"])
     pd.testing.assert_frame_equal(found, whole[["scenario", "cell", "observer", "sample", "tick", "memory"]])
-    monkeypatch.setattr(observer_costs.cost, "costs", None)
+    monkeypatch.setattr(observer_costs.operation_counts, "costs", None)
     pd.testing.assert_frame_equal(observer_costs.of(study, "cart/white", tmp_path), found)
     assert observer_costs.of(study, "arm/sine", tmp_path) is None
 

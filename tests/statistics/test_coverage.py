@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.statistics import quantiles
+from pcbench.statistics import quantile_intervals
 from pcbench.statistics.comparison import contest, judged
 from pcbench.statistics.estimates import positive, root, student, wilson
 from pcbench.statistics.moments import moments
@@ -79,10 +79,10 @@ def test_it_fails_for_few_runs_of_heavy_tails_and_students_own_more(name, n, cov
 @pytest.mark.parametrize("n", [24, 64, 256, 1024])
 def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
     """An open side misses never, and the other in 2.5 % still. 0.5 % is three standard errors and what step 3 leaves."""
-    at, truth, below, above = quantiles.positions(n), DRAW[name][1].ppf(LEVELS), [], []
+    at, truth, below, above = quantile_intervals.positions(n), DRAW[name][1].ppf(LEVELS), [], []
     for x in experiments(name, n):
         x.sort()
-        ends = quantiles.read(at, x[:, quantiles.ranks(at, n)])
+        ends = quantile_intervals.read(at, x[:, quantile_intervals.ranks(at, n)])
         below.append((truth < ends[:, 1::3]).mean(0))
         above.append((truth > ends[:, 2::3]).mean(0))
     misses, is_open = np.mean([below, above], 1), np.isnan(np.stack([ends[0, 1::3], ends[0, 2::3]]))
@@ -96,10 +96,10 @@ def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
 def test_quantiles_are_covered_where_runs_tie():
     """A settling time at the horizon for the slowest third, whole ticks for the others: covered at least as often."""
     n, rng, found = 256, np.random.default_rng(8), []
-    at, truth = quantiles.positions(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
+    at, truth = quantile_intervals.positions(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
     for _ in range(5):
         x = np.sort(np.minimum(np.ceil(10 * rng.standard_gamma(4.0, (BLOCK, n))), 50.0))
-        q = quantiles.read(at, x[:, quantiles.ranks(at, n)])
+        q = quantile_intervals.read(at, x[:, quantile_intervals.ranks(at, n)])
         found.append(((q[:, 1::3] <= truth) & (truth <= q[:, 2::3])).mean(0))
     assert (np.mean(found, 0) >= 0.94).all()
 

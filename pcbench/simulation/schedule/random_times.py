@@ -52,6 +52,12 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
     for row, clock in zip(due, clocks, strict=True):
         instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
+    clocks, most = [*clocks], max(len(c.steps) for c in clocks)
+    for i, c in enumerate(clocks):  # of gamma distributions that differ, or that some have
+        if c.share or (most > len(c.steps) and not c.stay):
+            steps, share = c.steps or (0,), c.share or (1.0,)
+            more = most - len(steps)
+            clocks[i] = c._replace(steps=(*steps, *steps[-1:] * more), share=(*share, *(0.0,) * more))
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return ClockParams(
         due=due,
