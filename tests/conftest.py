@@ -55,9 +55,14 @@ def pytest_runtest_makereport(item, call):
     return report
 
 
+def in_a_hurry_here(request):
+    """Whether no slow test is asked for."""
+    return "not slow" in request.config.option.markexpr
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _in_a_hurry(request):
-    """Compile everything in a hurry, in other processes too; the slow tests have it as a user has.
+    """Compile everything in a hurry, in other processes too, but for the slow tests, which have it as a user has.
 
     A test that asks for bits, or for what is in a program, asks for `as_users_have_it`.
     """
@@ -68,7 +73,7 @@ def _in_a_hurry(request):
     from pcbench.simulation import trajectory
 
     with pytest.MonkeyPatch.context() as patch:
-        if request.config.option.markexpr == "not slow":
+        if in_a_hurry_here(request):
             patch.setattr(trajectory, "compiled", hurried.recorder)
             patch.setattr(step_block, "compiled", hurried.stretches)
             patch.setattr(runner, "OPTIONS", runner.OPTIONS | hurried.options())
@@ -90,7 +95,7 @@ def in_a_hurry(request):
     """Have batches of a few lanes too, where a module asks for it; the slow tests have them as a user has."""
     import hurried
 
-    with hurried.programs() if request.config.option.markexpr == "not slow" else nullcontext():
+    with hurried.programs() if in_a_hurry_here(request) else nullcontext():
         yield
 
 

@@ -26,6 +26,7 @@ def refused(done):
     return lines[0]
 
 
+@pytest.mark.ci
 def test_a_file_of_ones_own_passes_and_json_is_for_a_program(folder):
     done = call("check", "mine.py:nudge", "--set", "share=0.2", "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -45,6 +46,7 @@ def test_a_check_that_fails_has_exit_code_1_and_a_table_says_why(folder):
     assert line.split()[:2] == ["perfect", "start"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("raises", "says"),
     [

@@ -93,6 +93,7 @@ BROKEN = [
 ]  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("check", "functions", "options", "sentence"), BROKEN, ids=[c for c, *_ in BROKEN])
 def test_a_broken_controller_fails_the_check_it_should(check, functions, options, sentence):
     with pytest.raises(UserError, match=sentence) as said:

@@ -127,6 +127,7 @@ BROKEN = {
 BROKEN = [(check, make, sentence) for check, cases in BROKEN.items() for make, sentence in cases]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("check", "make", "sentence"), BROKEN)
 def test_a_broken_plant_fails_the_check_it_should(check, make, sentence):
     with pytest.raises(UserError, match=f"^{check}: .*{sentence}") as said:

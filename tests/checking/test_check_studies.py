@@ -33,6 +33,7 @@ def asked(check, raw):
     return of_studies.CHECKS[check](parse.grid_of(raw, {}, []))
 
 
+@pytest.mark.ci
 def test_a_sound_study_passes_every_check():
     found = of_studies.findings(study(LQR, **SHORT))
     assert [f.check for f in found] == ["reads", *of_studies.CHECKS]
@@ -73,6 +74,7 @@ def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
         asked("perfect start", free(["slipped.py:nudge", "kf"]))
 
 
+@pytest.mark.ci
 def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(folder):
     with pytest.raises(Noted, match=r"the error leaves the bound of model-only in lti \(3 of 3 runs\)"):
         asked("runs", free(["model-only"], divergence_threshold=0.5))
@@ -203,6 +205,7 @@ stiff = pcbench.make_plant(
 """
 
 
+@pytest.mark.ci
 def test_a_plant_that_is_not_finite_is_not_blamed_on_observers(tmp_path, monkeypatch):
     (tmp_path / "stiff.py").write_text(STIFF)
     monkeypatch.chdir(tmp_path)

@@ -52,6 +52,7 @@ def test_they_pass_on_other_plants_too(name, scenario):
     assert not failing(verdicts(OBSERVERS[name], scenario))
 
 
+@pytest.mark.ci
 def test_an_observer_of_ones_own_passes_every_check():
     found = verdicts(ENTRY)
     assert list(found) == ["design", *CHECKS]
@@ -150,6 +151,7 @@ def broken(changes):
     return ENTRY._replace(observer=own.nudge._replace(**functions), design=changes.get("design", own.design))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_observer_fails_exactly_the_check_it_should(name):
     check, changes, sentence = BROKEN[name]
@@ -164,6 +166,7 @@ def test_there_is_a_broken_observer_for_every_check():
     assert {check for check, _, _ in BROKEN.values()} == {"design", *CHECKS}
 
 
+@pytest.mark.ci
 def test_an_input_that_is_not_yet_there_is_peeking():
     def ahead(gains, memory, now):
         return gains.Phi @ memory + gains.Gamma @ now.past_u(-1)
@@ -188,6 +191,7 @@ def test_a_memory_changed_in_place_is_no_pure_function():
     assert "arguments that jump has changed" in found["purity"]
 
 
+@pytest.mark.ci
 def test_an_age_of_zero_is_no_divisor():
     def jump(gains, memory, now, arrival):
         return own.corrected(gains._replace(L=gains.L / arrival.age[0]), memory, arrival)
@@ -216,6 +220,7 @@ def test_a_design_may_refuse_a_schedule_but_not_all():
     assert "refusal of all 6 schedules" in failing(verdicts(ENTRY._replace(design=picky)))["design"]
 
 
+@pytest.mark.ci
 def test_a_shifted_packet_is_another_measurement():
     """What is added to a packet, to its values or its notes, shows from the tick on at which it arrives, and not before."""
     entry = OBSERVERS["pccebo"]

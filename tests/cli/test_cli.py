@@ -155,6 +155,7 @@ def test_a_toml_study_with_axes_and_options_runs(tmp_path):
     assert set(runs["plant.lam"]) == {110.0, 122.0}
 
 
+@pytest.mark.ci
 def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
     done = call("run", "quick", "--seeds", "8", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -250,6 +251,7 @@ def test_a_wrong_word_points_to_the_help_of_its_own_command(words):
     assert words[0] != "rum" or "did you mean 'run'" in sentence
 
 
+@pytest.mark.ci
 def test_a_trace_is_of_the_kind_that_its_name_says(tmp_path):
     for name in ("t.csv", "t.parquet"):
         done = call("simulate", "cart/slow", "--observer", "model-only", "--out", tmp_path / name)
@@ -338,6 +340,7 @@ def test_ctrl_c_leaves_complete_files_only(tmp_path):
     assert not [p for p in out.rglob("*") if "partial" in p.name]
 
 
+@pytest.mark.ci
 def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
     """It lands in a finaliser, which Python ignores with a traceback: here it is one sentence, at the next occasion."""
     code = (
@@ -355,6 +358,7 @@ def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
     assert done.stderr == "pcbench: stopped; every file already written is complete.\n"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("raised", ["MemoryError('of 3 GiB')", "RuntimeError('RESOURCE_EXHAUSTED: Out of memory')"])
 def test_where_memory_runs_out_a_command_says_so(raised):
     code = (

@@ -224,6 +224,7 @@ RECORDED = {
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", [*LABELS, UNPRINTABLE])
 def test_text_of_a_recording_is_text(name, tmp_path, capsys, monkeypatch):
     """Names of channels, inputs and files that were recorded elsewhere, in every command that reads a recording."""

@@ -72,6 +72,7 @@ def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
     assert "no such file or folder" in wrong.stderr
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "words",
     [

@@ -48,6 +48,7 @@ def test_a_plant_passes_every_check_and_its_study_is_read(here, capsys):
     assert list(grid.cells[0].options) == ["ekf", "kf", "model-only"]
 
 
+@pytest.mark.ci
 def test_a_controller_passes_every_check_and_closes_a_loop(here, capsys):
     new.new("controller", "brake")
     (check, run) = commands(capsys.readouterr().out)
@@ -92,6 +93,7 @@ def test_an_observer_of_ones_own_passes_on_a_plant_of_ones_own_in_a_loop(here):
     assert found[-1].check == "closed loop"
 
 
+@pytest.mark.ci
 def test_an_observer_runs_beside_others(here):
     new.new("observer", "mine")
     stats = pcbench.run("cart/slow", observers=["mine.py:mine", "model-only"], seeds=8).stats

@@ -51,6 +51,7 @@ def number(row):
     return number_format.interval(row)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("width", [60, 80, 100, 160])
 def test_no_number_is_cut_at_any_width(many, width):
     text = shown(many, width)
@@ -74,6 +75,7 @@ def test_an_axis_column_stands_where_there_is_room(many):
     assert "Left out" not in text
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("metric", ["steady_rmse", "mae", "rmse", "settling_time", "steady_mse", "max_abs_error"])
 def test_a_head_is_the_name_of_one_metric(whole, metric):
     """The column that ranks bears the metric's name, and no other column does."""

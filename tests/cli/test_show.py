@@ -15,6 +15,7 @@ from pcbench.study import grid, observers_of, parse, scenario_template
 from pcbench.study.grid import cell_of, identity
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_printed_as_a_study_is_the_scenario(name):
     """Equal in every field, as the digests see them."""
@@ -25,6 +26,7 @@ def test_a_scenario_printed_as_a_study_is_the_scenario(name):
     assert identity(own._replace(scenario=own.scenario.having(name=name)), 0) == identity(published, 0)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_what_stands_there_as_a_comment_is_a_value_that_changes_nothing(name):
     text = scenario_template.as_study(SCENARIOS[name])
@@ -50,6 +52,7 @@ def test_it_gives_the_same_numbers_bit_for_bit(name, tmp_path):
         pd.testing.assert_frame_equal(a, b, check_exact=True)
 
 
+@pytest.mark.ci
 def test_the_sheet_is_what_list_says_and_a_file_of_ones_own_has_one(tmp_path):
     shown = call("show", "csth/10s-noise")
     assert shown.returncode == 0

@@ -28,6 +28,7 @@ def done(tmp_path_factory, in_a_hurry):
     return pcbench.run(STUDY, out=out, until_se="steady_rmse=0.002", max_seeds=3000)
 
 
+@pytest.mark.ci
 def test_every_observer_of_every_cell_reaches_the_goal_or_the_budget(done):
     rows = done.stats[(done.stats.metric == "steady_rmse") & (done.stats.signal == "position")]
     for _, cell in rows.groupby("cell"):
@@ -56,6 +57,7 @@ def test_the_same_command_again_adds_nothing(done):
     assert {p: p.stat().st_mtime_ns for p in done.out.rglob("*.parquet")} == before
 
 
+@pytest.mark.ci
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(done, tmp_path):
     """Blocks of the last round are lost, of some observers more than of others; a plain run levels them, the goal stays."""
     out = shutil.copytree(done.out, tmp_path / "out")
@@ -69,6 +71,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(done, tmp_path):
         assert (out / name).read_bytes() == want[Path(name)]
 
 
+@pytest.mark.ci
 def test_seeds_that_were_added_are_those_that_a_longer_study_has(done, tmp_path):
     many = int(done.stats[done.stats.noise_std == 0.1].n.max())
     at_once = pcbench.run(STUDY | {"axes": {"noise_std": [0.1]}, "seeds": many}, out=tmp_path / "out")

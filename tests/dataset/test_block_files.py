@@ -21,6 +21,7 @@ def block(first, last, observer="o"):
     return Block("s/t", observer, 3, Seeds(first, last))
 
 
+@pytest.mark.ci
 @given(st.text(min_size=1), st.text(min_size=1), st.integers(0, 10**6), st.integers(0, 10**9), st.integers(1, 10**6))
 def test_a_name_says_its_block(scenario, observer, cell, first, many):
     made = Block(scenario, observer, cell, counted(first, many))
@@ -83,6 +84,7 @@ def damaged(dataset, tmp_path, change):
     return found
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("keep", [0, 4, 100, -1, -8])
 def test_a_file_cut_short_is_damaged(dataset, tmp_path, keep):
     assert damaged(dataset, tmp_path, lambda content: content[:keep])

@@ -51,6 +51,7 @@ def test_a_certificate_proves_with_a_margin_above_zero_and_not_by_having_nothing
         assert is_certified(certificate._asdict()) is said, certificate
 
 
+@pytest.mark.ci
 def test_the_tables_say_whether_gains_are_certified(out):
     result = pcbench.open_result(out)
     for frame in (result.stats, pd.read_parquet(out / "stats.parquet")):

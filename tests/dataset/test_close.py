@@ -22,6 +22,7 @@ def parts(out, cell=0, within=None):
     return list(aggregate.chunks(place, found, within))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("size", [12, 16, 40, 7, 1000])
 @pytest.mark.parametrize("last", [None, 33])
 def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last, monkeypatch):

@@ -190,6 +190,7 @@ def test_another_root_seed_is_other_draws_of_the_same_study(whole, tmp_path):
     assert not rows.same_draws.any()
 
 
+@pytest.mark.ci
 def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy, tmp_path):
     with hurried.programs():
         pcbench.run(STUDY | {"observers": ["pccebo", "kf"]}, out=tmp_path / "o")
@@ -232,6 +233,7 @@ def test_an_exact_number_is_compared_with_runs_by_their_error_alone():
     assert dict(rows.changed) == {"far": True, "runs only": False}
 
 
+@pytest.mark.ci
 def test_a_copy_of_a_tuned_study_with_an_observer_of_ones_own_is_the_same_study(tmp_path, monkeypatch):
     shutil.copy(Path(__file__).parents[1] / "support" / "own_observer.py", tmp_path / "mine.py")
     monkeypatch.chdir(tmp_path)

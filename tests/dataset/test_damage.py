@@ -54,6 +54,7 @@ def test_what_a_killed_writer_of_closing_tables_leaves_is_cleared_away(whole, co
     assert {p.name for p in copy.iterdir()} == {p.name for p in whole.iterdir()}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["stats.parquet", "pairs.parquet", "provenance.json"])
 def test_a_flipped_bit_anywhere_in_a_closing_file_is_seen(copy, name):
     """In a page, a footer or a word: drawn over the file, its first and last bytes among them."""
@@ -111,6 +112,7 @@ def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut)
     same(whole, copy)
 
 
+@pytest.mark.ci
 def test_a_block_that_takes_much_memory_is_one_sentence_before_it_takes_it(copy):
     (block, *_) = sorted((copy / "runs").rglob("*.parquet"))
     zeros = pa.table({"mae": np.zeros(40_000_000)})

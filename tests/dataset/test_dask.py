@@ -62,6 +62,7 @@ def test_a_killed_worker_costs_nothing_but_time(tmp_path):
     assert tables(out) == tables(tmp_path / "undisturbed")
 
 
+@pytest.mark.ci
 def test_a_mistake_on_a_worker_is_its_sentence():
     def work(task, device):
         if task == 3:

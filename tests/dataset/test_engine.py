@@ -49,6 +49,7 @@ def test_products_are_for_studies_of_many_runs(tmp_path):
     assert claimed(tmp_path, seeds=many, engine="steps", **two).study.engine == "steps"
 
 
+@pytest.mark.ci
 def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkeypatch):
     """More seeds do not change the engine; another one is refused by name; both give the same numbers."""
     for engine in ("steps", "products"):
@@ -88,6 +89,7 @@ def rows(study, **changes):
     return runs.set_index(KEYS).sort_index()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("study", [STUDY | {"observers": ["kf", "ukf"]}, RANDOM], ids=["shared", "random"])
 def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_other_observers(study):
     many = rows(study, seeds=70)
@@ -96,6 +98,7 @@ def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_o
         pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
 
 
+@pytest.mark.ci
 def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
     """Runs of one call have at most two arrivals at a tick, those of another one."""
     study = RANDOM | {"axes": {"loss": [0.9], "delay_jitter": [0.1]}, "observers": ["kf"], "seeds": 200}
@@ -105,6 +108,7 @@ def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
     pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
 
 
+@pytest.mark.ci
 def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
     study = RANDOM | {"observers": ["ukf", "particle"], "options": RANDOM["options"] | {"particle": {"particles": 20}}}
     both, one = rows(study, seeds=3), rows(study, seeds=3, observers=["ukf"])
@@ -116,6 +120,7 @@ def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
     np.testing.assert_allclose(stepped.rmse, both.rmse, rtol=1e-11)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("engine", ["definition", "steps"])
 def test_a_trace_has_heavy_observers_and_others_whatever_the_engine(engine):
     found = pcbench.simulate(RANDOM | {"engine": engine}, ["kf", "particle"])
@@ -126,6 +131,7 @@ def kept(out):
     return pcbench.open_result(out).runs.set_index(KEYS).sort_index()
 
 
+@pytest.mark.ci
 def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_path):
     """Wherever its blocks begin and end."""
     first, second = tmp_path / "first", tmp_path / "second"
@@ -142,6 +148,7 @@ def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_pa
     assert verify.verify(tmp_path / "both", None, 0).differing == []
 
 
+@pytest.mark.ci
 def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
     """A nees of errors of 1e-5, and what one engine steps whose plant goes by products in the other."""
     small = RANDOM["lti"] | {
@@ -167,6 +174,7 @@ def test_rows_of_two_engines_that_differ_by_more_are_not_merged(tmp_path, monkey
         merge.merge([tmp_path / "definition", tmp_path / "steps"], tmp_path / "both")
 
 
+@pytest.mark.ci
 def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_says_so_once(tmp_path, monkeypatch):
     pcbench.run(STUDY, out=tmp_path / "begun")
     monkeypatch.setattr(jaxpr_compat, "NEWEST", (0, 1))

@@ -48,6 +48,7 @@ def out(in_a_hurry, tmp_path_factory):
     return folder
 
 
+@pytest.mark.ci
 def test_the_tables_are_those_of_runs_with_a_method_and_a_reason(out):
     found = open_result(out)
     mse = found.stats[(found.stats.metric == "mse") & (found.stats.signal == "x1")]
@@ -90,6 +91,7 @@ def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
         _ = open_result(copy).moments
 
 
+@pytest.mark.ci
 def test_verify_status_and_compare_take_them(out, tmp_path):
     again = verify.verify(out, 1, 0)
     assert (again.wrong, len(again.exact), again.unlike) == ([], 1, [])
@@ -121,6 +123,7 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     assert said.getvalue().splitlines()[-1] == "copy: exact numbers of 1 of 2 cells came out again, to rounding."
 
 
+@pytest.mark.ci
 def test_both_simulates_what_is_not_affine_alone(tmp_path):
     (tmp_path / "mine.py").write_text(SIGNED)
     said = []
@@ -140,6 +143,7 @@ def test_both_simulates_what_is_not_affine_alone(tmp_path):
     assert not verify.verify(tmp_path / "out", None, 0).differing
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("longest", [results.LONGEST, 1], ids=["cell by cell", "counted"])
 def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_path, monkeypatch):
     """Shares of diverged runs stood there as nan %, and medians of observers that have no exact answer."""
@@ -156,6 +160,7 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
     assert timing.sentence(done, "there") == "Exact numbers of one cell are in there."
 
 
+@pytest.mark.ci
 def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")

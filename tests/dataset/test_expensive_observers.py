@@ -36,6 +36,7 @@ def done(tmp_path, monkeypatch):
     return out
 
 
+@pytest.mark.ci
 def test_observers_of_one_cell_do_not_wait_for_an_expensive_one(done):
     raw = {"name": "order", "scenarios": ["cart/white"], "seeds": 4, "axes": AXES}
     result = pcbench.run(raw | {"observers": ["mine.py:nudge", "kf"]}, out="out", devices=1)

@@ -109,6 +109,7 @@ def sentence_of(name, words):
     return ""
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("reference", ["evil_module.py:sc", "evil_module:sc"])
 @pytest.mark.parametrize("place", PLACES)
 def test_reading_a_dataset_runs_no_code_that_its_study_names(here, place, reference, capsys):
@@ -140,6 +141,7 @@ FILES = {  # where a file of numbers may stand in a study: what puts a name ther
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("place", FILES)
 def test_reading_a_dataset_opens_no_file_that_its_study_names(here, place, monkeypatch):
     from pcbench.recordings import readers

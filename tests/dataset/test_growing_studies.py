@@ -28,6 +28,7 @@ GROWN = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("change", GROWN, ids=str)
 def test_more_cells_extend_a_study_and_old_ones_keep_their_numbers(copy, tmp_path, change):
     before = rows(copy)

@@ -43,6 +43,7 @@ def test_rows_exist_for_what_an_observer_estimates(done):
     assert units["smo", "input"] == "rad/s^2"
 
 
+@pytest.mark.ci
 def test_every_table_says_whether_a_prediction_carries_the_input(done):
     for table in (done.runs, done.stats):
         said = table.groupby("observer").predicts_unknown_input.unique()

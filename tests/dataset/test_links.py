@@ -39,6 +39,7 @@ def content(folder):
     return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("overwrite", [True, False])
 @pytest.mark.parametrize("name", ["code", "runs", "moments", "runs/scenario=cart%2Fslow", "study.toml"])
 def test_no_link_is_followed_below_a_dataset(ds, victim, name, overwrite):

@@ -20,6 +20,7 @@ LTI = {
 SURE = {"name": "sure", "lti": LTI, "observers": ["kf", "model-only"], "axes": {"noise_std": [0.1, 0.5]}}
 
 
+@pytest.mark.ci
 def test_two_halves_merged_are_the_whole(whole, tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     pcbench.run(STUDY, out=a, seeds=25, block_size=16)
@@ -35,6 +36,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     same(tmp_path / "both", whole)
 
 
+@pytest.mark.ci
 def test_cells_numbered_otherwise_are_merged_by_what_they_are(tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     pcbench.run(STUDY, out=a, seeds=9)
@@ -44,6 +46,7 @@ def test_cells_numbered_otherwise_are_merged_by_what_they_are(tmp_path):
     same(tmp_path / "both", tmp_path / "at-once")
 
 
+@pytest.mark.ci
 def test_a_gap_between_merged_parts_is_said_and_can_be_filled(whole, tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     pcbench.run(STUDY, out=a, seeds=10)
@@ -81,6 +84,7 @@ def exact_parts(in_a_hurry, tmp_path_factory):
     return a, b
 
 
+@pytest.mark.ci
 def test_a_part_without_exact_numbers_takes_the_others_cell_by_cell(exact_parts, tmp_path):
     a, b = (shutil.copytree(part, tmp_path / part.name) for part in exact_parts)
     (a / "exact.parquet").unlink()
@@ -91,6 +95,7 @@ def test_a_part_without_exact_numbers_takes_the_others_cell_by_cell(exact_parts,
     pd.testing.assert_frame_equal(one.moments, both.moments, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
     assert merge.merge(exact_parts, tmp_path / "both").missing == 0
     before = tables(tmp_path / "both")

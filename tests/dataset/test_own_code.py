@@ -59,6 +59,7 @@ def forget(here):
         del sys.modules[name]
 
 
+@pytest.mark.ci
 def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     (copy,) = (out / "code").rglob("*.py")
     assert copy.read_bytes() == (here / "mine.py").read_bytes()

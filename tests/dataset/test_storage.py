@@ -57,6 +57,7 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
         assert storage.names(each) == ["runs/scenario=x/part.parquet"]
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("in_a_hurry")
 def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
     study = {"name": "far", "scenarios": ["cart/slow"], "observers": ["kfbo"], "seeds": 6}

@@ -28,6 +28,7 @@ def test_a_finished_study_is_not_done_again(copy, monkeypatch):
     assert len(result.runs) == 2 * 2 * 40 * 2
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("keep", [0, 1, 5, 11])
 def test_what_is_missing_is_done_and_nothing_else(copy, keep, monkeypatch):
     want, done = tables(copy), counted(monkeypatch)
@@ -69,6 +70,7 @@ def test_blocks_of_any_size_hold_the_same(whole, tmp_path, size):
     same(whole, tmp_path / "out")
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_any_number_of_calls_at_a_time_leaves_the_same_bytes(whole, tmp_path, count):
     pcbench.run(STUDY, out=tmp_path / "out", block_size=16, devices=count)

@@ -53,6 +53,7 @@ def done(tmp_path_factory):
     return pcbench.run(raw, out=out)
 
 
+@pytest.mark.ci
 def test_runs_read_in_one_line_by_three_libraries(done):
     rows = 2 * 2 * 4 * 12 * 2  # scenarios, cells, observers, seeds, signals
     a = pd.read_parquet(done.out / "runs")
@@ -109,6 +110,7 @@ def test_in_memory_equals_on_disk(done):
     pd.testing.assert_frame_equal(again.stats, pd.read_parquet(done.out / "stats.parquet"))
 
 
+@pytest.mark.ci
 def test_a_start_that_is_not_of_the_prior_has_no_efficiency():
     study = {"name": "s", "scenarios": ["cart/white"], "observers": ["model-only"], "seeds": 4}
     found = [

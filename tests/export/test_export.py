@@ -28,6 +28,7 @@ def _once(names):
     return [pytest.param(name, marks=() if name in QUICK else pytest.mark.nightly) for name in names]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", _once(name for name in EXPORTED if name not in exports.REGULAR))
 def test_late_lost_and_overtaking_samples_are_used_as_in_the_simulation(name):
     found = exports.of(name, True)
@@ -92,6 +93,7 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
     assert told["units"] == ["m", "m/s"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("study", "observer", "words"),
     [

@@ -89,6 +89,7 @@ def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_
         assert np.isfinite(used[3])
 
 
+@pytest.mark.ci
 def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
     """Measurements so old that they are in order at the age that the header names."""
     found = files.exported(MOTOR, "kf")
@@ -98,6 +99,7 @@ def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
     ] == [0, 0]
 
 
+@pytest.mark.ci
 def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
     """No sample overtakes another on this schedule, so there is no room: what was garbage is refused."""
     plant = MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0}}
@@ -107,6 +109,7 @@ def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
     assert np.isfinite(xhat)
 
 
+@pytest.mark.ci
 def test_jump_uses_measurement_after_as_many_newer_ones_as_the_header_names(tmp_path):
     """A measurement comes every 2 ticks, without delay; one of age 2 N - 1 arrives after N newer ones."""
     found = files.exported(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "kf")

@@ -188,6 +188,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("words", MISTAKES, ids=" ".join)
 def test_mistakes_are_one_sentence(words, tmp_path):
     done = call("design", "cart/gaussian", "pccebo", *words, cwd=tmp_path)

@@ -111,6 +111,7 @@ def test_a_loops_gradient_is_that_of_its_values():
     assert np.abs(slope).min() > 1e-3
 
 
+@pytest.mark.ci
 def test_a_gain_of_zero_has_its_slope_though_a_tick_is_the_same_without_it():
     with config.float64():
         evaluate, start = asked(OWN, f"{Path(follower.__file__)}:follow", "mse")
@@ -150,6 +151,7 @@ def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
         expected_objective.check(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
 
 
+@pytest.mark.ci
 def test_an_observer_that_is_not_affine_is_tuned_on_runs():
     steps = {"options": {"follow_by_steps": {"L": 0.1}}}
     said = refused(OWN | steps, f"{Path(follower.__file__)}:follow_by_steps")

@@ -100,6 +100,7 @@ def found_by_noise(monkeypatch, without=()):
     return folders
 
 
+@pytest.mark.ci
 def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
     """Each cell has its own options, whatever the order of the axes, and a study that was written reads them again."""
     folders = found_by_noise(monkeypatch)

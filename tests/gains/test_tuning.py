@@ -27,6 +27,7 @@ def options(observer):
     return entry_of(observer).options.model_validate(START.get(observer, {}))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "observer", [name for name, entry in OBSERVERS.items() if parameters.tunable(entry) and name != "model-only"]
 )
@@ -201,6 +202,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("words", MISTAKES, ids=" ".join)
 def test_mistakes_are_one_sentence(words, tmp_path):
     done = call("tune", *words, cwd=tmp_path)
@@ -232,6 +234,7 @@ def test_the_command_says_what_it_found(tmp_path):
     assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}
 
 
+@pytest.mark.ci
 def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
     scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["kf", "pccebo"]}
     studies = [scenario | {"options": {"pccebo": {"q": R}}} for R in (0.02, 0.03)]

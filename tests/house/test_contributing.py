@@ -58,6 +58,7 @@ def test_the_words_of_the_protocols_are_those_of_the_code():
         assert hasattr(sys.modules[OBSERVERS["model-only"].design.__module__], name)
 
 
+@pytest.mark.ci
 def test_counts_of_the_code_are_those_of_the_script():
     """Within 3 %, so that a small change leaves the page alone; then `python tests/support/counts.py` writes it."""
     stated = counts.written(TEXT)

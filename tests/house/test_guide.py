@@ -23,6 +23,7 @@ def pendulum(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.ci
 def test_the_pendulums_file_is_a_study(pendulum):
     (cell,) = parse.grid_of("pendulum.py:late_camera", {}, []).cells
     assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]

@@ -130,6 +130,7 @@ def test_a_plant_of_python_control_runs(capsys):
     assert "pccebo" in capsys.readouterr().out
 
 
+@pytest.mark.ci
 def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypatch):
     """At most 25 lines of code, it passes every check, and it runs from the study file that is shown."""
     monkeypatch.chdir(tmp_path)

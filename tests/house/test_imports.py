@@ -27,6 +27,7 @@ def imported(words, cwd):
     return set(done.stdout.splitlines())
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_imports_nothing_heavy_that_it_does_not_use(name, tmp_path):
     (tmp_path / "few.toml").write_text(tomli_w.dumps(FEW))
@@ -34,6 +35,7 @@ def test_a_command_imports_nothing_heavy_that_it_does_not_use(name, tmp_path):
     assert imported(words, tmp_path) & (HEAVY | {"jax"}) <= uses
 
 
+@pytest.mark.ci
 def test_before_a_study_begins_no_distribution_is_imported():
     code = "import sys, pcbench.api; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -114,6 +114,7 @@ OPTIONAL = {"dask", "distributed", "control", "rosbags", "mcap", "mcap_ros2", "p
 TRANSITIVE = {"annotated_types", "markupsafe"}  # part of pydantic, part of jinja2
 
 
+@pytest.mark.ci
 def test_every_imported_library_is_a_dependency_or_a_known_extra():
     """A plain `pip install pcbench` brings whatever the package imports, but for the extras and checks of foreign objects."""
     imported = set()

@@ -17,6 +17,7 @@ def short(name):
     return with_options(SHORT.get(name, []), {} if STUDIES[name].evaluation == "exact" else {"--seeds": "2"})
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", STUDIES)
 def test_its_short_form_has_every_scenario_and_observer(name):
     words = short(name)

@@ -65,6 +65,7 @@ def some(request, as_users_have_it):
     return observers, engine, results(SEVEN, observers, engine=engine)["cart/gaussian-fast0"]
 
 
+@pytest.mark.ci
 def test_alone_equals_in_a_block(some):
     observers, engine, alone = some
     same(alone, results(np.arange(20), observers, engine=engine)["cart/gaussian-fast0"], 7, observers)
@@ -83,6 +84,7 @@ def test_one_device_equals_two(some):
     same(alone, results(SEVEN, observers, devices=1, engine=engine)["cart/gaussian-fast0"], 0, observers)
 
 
+@pytest.mark.ci
 def test_alone_equals_without_another_observer(some):
     """Other observers make another program, the same bits."""
     observers, engine, among = some
@@ -124,6 +126,7 @@ KINDS = [  # scenario, observers, axes: a shared schedule, a random one, nonline
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("scenario", "observers", "axes", "engine"), KINDS)
 def test_run_equals_alone_among_cells_with_outliers_rounding_and_students_noise(scenario, observers, axes, engine):
     """They share a program, in which its samples are outliers with probability 0 and are rounded to steps of 0."""

@@ -26,6 +26,7 @@ def planned(few=(), **axes):
     return chosen, planning.plan(chosen)
 
 
+@pytest.mark.ci
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
         chosen, cells = planned(["kfbo", "kf"], **AXES)
@@ -68,6 +69,7 @@ def wide(body):
     return [(d.split(","), order.split(",")) for d, order in shapes if str(runner.WIDTH) in d.split(",")]
 
 
+@pytest.mark.ci
 def test_the_loop_carries_lanes_minor(loops):
     assert len(loops) >= 3, "windows, segments, ticks"
     for body in loops:

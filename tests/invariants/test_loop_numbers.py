@@ -93,6 +93,7 @@ def costs(*given):
     return stats[stats.metric == "steady_lq_cost"].set_index("delay")[["mean", "se"]]
 
 
+@pytest.mark.ci
 def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
     row = costs(monkeypatch, 0.05, [0.1], 256, 24.0).iloc[0]
     assert row["se"] < 0.03

@@ -44,6 +44,7 @@ def test_other_noise_scenarios_agree_with_the_propagated_covariance(scenario):
     agree(scenario, 4096, OBSERVED)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", OBSERVED)
 def test_the_error_is_affine_in_the_noise(observer):
     """Superposition, the moments' only assumption, holds for the library's own runs."""

@@ -56,6 +56,7 @@ def test_a_later_delay_shifts_what_is_known_and_nothing_else():
         np.testing.assert_allclose(b.estimates["kf"][k], x, rtol=0, atol=1e-10 * np.abs(a.x).max())
 
 
+@pytest.mark.ci
 def test_nothing_is_known_before_the_first_arrival():
     case = Case(CART, 26, 130, ticks=300, noise_std=1.0)  # whole samples, as some need them
     got = trace(case, {name: {} for name in OBSERVERS if name not in (*ELSEWHERE, *LATE, *NONLINEAR, *DELAYS, "ekf")})

@@ -49,6 +49,7 @@ def asked(tmp_path_factory):
     return pcbench.find_limit("cart/slow", out=out, **ASKED, **BETWEEN), out
 
 
+@pytest.mark.ci
 def test_the_answer_is_what_the_tables_say(asked):
     """By NumPy, from the runs themselves: the mean over seeds, and Student's interval of its logarithm."""
     table, out = asked
@@ -91,6 +92,7 @@ def test_asked_again_it_runs_nothing_and_of_another_limit_only_what_is_new(asked
     assert before.items() <= {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}.items()
 
 
+@pytest.mark.ci
 def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
     table, _ = asked
 

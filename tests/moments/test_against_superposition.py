@@ -44,6 +44,7 @@ def expected():
     return found.base, moments.covariance(found, np.repeat(NOISE, counts), P0)
 
 
+@pytest.mark.ci
 def test_mean_and_joint_covariance_of_two_observers_are_those_of_impulses(joint, expected):
     """1e-10 of what there is: the mean is rounding, as the start is random about the estimate."""
     assert joint.errors == tuple((o, s) for o in ("kf", "model-only") for s in "abc")

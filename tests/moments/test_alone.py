@@ -35,6 +35,7 @@ def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_pr
     assert len(programs._MADE) == 2, "kf and kf-wary are one"
 
 
+@pytest.mark.ci
 def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatch):
     """Delays of one and of seven samples, so that the small ring is gone round many times beside the large one."""
     study = STUDY | {"axes": {"delay": [0.4, 2.8]}, "observers": ["kf"], "options": {"kf": {"R": 0.1}}}

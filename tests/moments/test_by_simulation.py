@@ -113,6 +113,7 @@ def propagated():
     return {name: np.stack([each.sum(0), each[TAIL:].sum(0)]) for name, each in whole.items()}
 
 
+@pytest.mark.ci
 def test_a_loop_with_everything_random_is_the_covariance_recursion(found):
     """1e-10: two ways of adding up 90 ticks in double precision."""
     expected = propagated()

@@ -22,6 +22,7 @@ def stats(in_a_hurry):
     return found.set_index(["observer", "sampling_period", "delay", "noise_std", "signal", "metric"]).sort_index()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("observer", "place"), list(MSE))
 def test_expected_squares_are_the_printed_ones(stats, observer, place):
     """To all printed digits."""

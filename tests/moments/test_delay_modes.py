@@ -109,6 +109,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("asked", [False, True], ids=["", "with the last arrival"])
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape, asked, monkeypatch):
@@ -136,6 +137,7 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
                 np.testing.assert_array_equal(a, b, err_msg=name)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
     monkeypatch.setattr(delay_modes, "MOST", 5000)
@@ -163,6 +165,7 @@ NOT = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("why", list(NOT))
 def test_what_is_random_besides_or_has_many_modes_is_averaged_over_schedules(why):
     assert over_modes(plan()) is not None
@@ -226,6 +229,7 @@ def alone(driven, times):
     return mean**2 + np.square(0.3 * noise).sum(1)
 
 
+@pytest.mark.ci
 def test_an_observer_whose_samples_overtake_is_the_mean_over_every_sequence_of_delays(tmp_path):
     asked = own(tmp_path, "0.3") | {
         "lti": SMALL["lti"] | {"delay_values": [0.0, 0.9], "delay_self_transition": [0.6, 0.25]}
@@ -239,6 +243,7 @@ def test_an_observer_whose_samples_overtake_is_the_mean_over_every_sequence_of_d
     assert (stats.loc[["mse", "steady_mse"], ["n", "se"]].to_numpy() == 0).all()
 
 
+@pytest.mark.ci
 def test_who_remembers_every_delay_there_was_is_averaged_over_schedules(tmp_path):
     """Its gain goes by the sum of all ages: modes meet with different sums."""
     asked = own(tmp_path, "0.5 / (1.0 + ages % 5)", "ages + arrival.age[0]")

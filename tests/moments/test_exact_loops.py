@@ -82,6 +82,7 @@ def expected(name):
     return out
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", list(CONTROLLERS))
 def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     """1e-9, where 60 ticks in double precision leave 1e-13."""

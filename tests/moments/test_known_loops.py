@@ -117,6 +117,7 @@ VARIANCE = {0.4: 39.512342, 0.5: 11.955894, 0.7: 5.40075, 0.9: 3.66115}
 A, R = 1.25, 2.5
 
 
+@pytest.mark.ci
 def test_the_best_constant_gain_where_samples_are_lost():
     """The command takes off all that is known, so that the state is the error of the prediction, and stays small."""
     b = ((A * A - 1) / (2 * np.log(A))) ** -0.5  # so that a tick adds noise of variance 1
@@ -132,6 +133,7 @@ def test_the_best_constant_gain_where_samples_are_lost():
         assert P[-1, 0, 0] == pytest.approx(known, rel=2e-7)
 
 
+@pytest.mark.ci
 def test_losses_add_the_variance_of_what_they_do_to_the_mean():
     """From x(0) = 2, where a sample moves the mean, against every pattern of losses one by one."""
     a, gain, back, every, N, chance = 0.3, 0.8, 0.5, 3, 12, 0.6

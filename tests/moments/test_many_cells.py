@@ -23,6 +23,7 @@ STUDY = {
 SLOW = [pytest.param(observer, 1.0, marks=pytest.mark.nightly) for observer in ("kfbo", "kf")]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("observer", "drift"), [("pccebo", 0.0), *SLOW])
 def test_of_many_cells_each_has_the_numbers_that_it_has_alone(observer, drift):
     fast = {"sampling_period": [0.2], "delay": [0.1], "parameter_drift": [drift]}

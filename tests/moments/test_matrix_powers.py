@@ -20,6 +20,7 @@ CASES = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("A", "V", "w", "ticks", "more", "joint", "until"), CASES)
 def test_powers_of_a_tick_are_ticks_one_by_one(A, V, w, ticks, more, joint, until):
     draw = np.random.default_rng([A, V, w, ticks, more]).normal

@@ -52,6 +52,7 @@ def test_expected_squares_are_those_of_the_reference(expected):  # noqa: F811
     assert exact["kf", "nees_dof", "a"] == 3
 
 
+@pytest.mark.ci
 def test_runs_come_to_it_and_who_is_told_when_a_sample_is_taken_is_told_here_too():
     """With one sample on its way at a time Alexander's filter is the optimum once it has arrived, as it has at the last tick.
 

@@ -63,12 +63,14 @@ def gone(monkeypatch):
     return calls
 
 
+@pytest.mark.ci
 def test_an_affine_observer_goes_through_all_realisations_at_once(tmp_path, gone):
     stats = pcbench.exact_moments(study(tmp_path), schedules=SCHEDULES).stats.query("metric == 'mse'")
     assert gone == [SCHEDULES]
     assert stats[["method", "n"]].to_numpy().tolist() == [["exact", SCHEDULES]]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("lines", [{"flow": "jnp.sin(memory)"}, {"jump": "jnp.tanh(off)"}], ids=["flow", "jump"])
 def test_one_that_is_not_goes_through_the_first_alone(lines, tmp_path, gone):
     stats = pcbench.exact_moments(study(tmp_path, **lines), schedules=SCHEDULES).stats.query("metric == 'mse'")
@@ -77,6 +79,7 @@ def test_one_that_is_not_goes_through_the_first_alone(lines, tmp_path, gone):
     assert "not affine in the noise" in stats["reason"].iloc[0]
 
 
+@pytest.mark.ci
 def test_one_whose_limit_is_never_met_has_the_numbers_of_one_without(tmp_path, gone):
     straight = pcbench.exact_moments(study(tmp_path), schedules=SCHEDULES).stats
     limited = pcbench.exact_moments(study(tmp_path, flow="jnp.clip(memory, -1e3, 1e3)"), schedules=SCHEDULES).stats
@@ -103,6 +106,7 @@ def test_plants_that_each_run_draws_are_those_of_its_seed():
         jax.tree.map(np.testing.assert_array_equal, each[2 + seed], p.layout.plant.of_run(p.problem.params, uniform))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("scenario", "observer", "doubted"),
     [

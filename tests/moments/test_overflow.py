@@ -33,6 +33,7 @@ def found(options, *observers):
     )
 
 
+@pytest.mark.ci
 def test_an_observer_that_overflows_leaves_the_others_as_they_are():
     alone, both = found({}, "kf", "model-only"), found({"nudge": {"share": 1e11}}, "kf", WILD, "model-only")
     assert np.isnan(both["nudge", "mse"]), "there, with its reason"

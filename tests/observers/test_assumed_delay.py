@@ -22,6 +22,7 @@ def traces():
     return {w: pcbench.simulate(study | {"axes": {"assumed_delay_error": [w]}}, LABELS) for w in WRONG}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", ["pccebo", "pco", "pi-pco", "kf"])
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_sample_taken_for_older_puts_the_estimate_ahead_by_the_way_made_meanwhile(traces, observer, wrong):

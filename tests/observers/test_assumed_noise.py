@@ -58,6 +58,7 @@ def joint_filter(u, y, Q, R):
     return np.array(out)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", ["kf", "ekf"])
 @pytest.mark.parametrize(
     ("assumed", "Q", "R"),
@@ -74,6 +75,7 @@ def test_filters_equal_one_of_whole_vectors_that_assumes_the_same(observer, assu
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
+@pytest.mark.ci
 def test_noise_through_each_input_and_of_each_channel_with_clocks_of_their_own():
     q, R = [0.3, 0.02], [0.5, 0.02]
     u, y, got = traced("kf", {"q": q, "R": R, "Q": [0.0] * 3}, sampling_period=[0.04, 0.03], delay=[0.06, 0.01])

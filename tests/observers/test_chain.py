@@ -52,6 +52,7 @@ def test_perfect_start_is_exact(plant, case):
         assert (np.abs(run.x - run.estimates[label]) < 1e-13 * np.abs(run.x).max(0)).all(), label
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", ["tau", "stamp", "source"])
 @pytest.mark.parametrize("slip", [-1, 1])
 def test_a_sample_of_slip_anywhere_is_caught(what, slip):

@@ -34,6 +34,7 @@ def want(schedule, gate=np.inf, gate_opens=5, huber=np.inf):
     )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 @pytest.mark.parametrize("options", CHOICES, ids=str)
 @pytest.mark.parametrize("name", ["kf", "ekf"])
@@ -45,6 +46,7 @@ def test_it_is_the_reference_whatever_is_late_lost_or_overtaking(name, options, 
     assert np.abs(plain - expected).max() > 1e-3 * np.abs(expected).max()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["now", "wild"])
 @pytest.mark.parametrize("options", [CHOICES[0], CHOICES[2]], ids=str)
 def test_a_sensor_that_is_taken_by_its_slope_is_guarded_alike(options, schedule):
@@ -60,6 +62,7 @@ def test_what_nothing_exceeds_changes_nothing():
     np.testing.assert_allclose(found("kf", "wild", gate=1e9, huber=1e9), found("kf", "wild"), rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_a_gate_that_leaves_out_everything_opens_after_so_many():
     """A start far off its prior: all samples are far from what is expected, until the gate opens."""
     opens = STUDY["options"] | {

@@ -76,6 +76,7 @@ def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
         assert (jumped.c.tolist(), jumped.newest.tolist()) == (list(c), list(newest))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("case", [case for case in PAGE if case[2] <= 1], ids=str)
 def test_the_worked_first_second(case):
     assert_page(case, record(planned(case[1], 1.0, name=case[0])))
@@ -147,6 +148,7 @@ def test_other_forms_of_the_observer_are_the_same(form):
     assert gap(planned("high-gain", SHORT, name="varying"), form) < 1e-10
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("misprint", forms.MISPRINTS)
 def test_a_misprint_would_be_seen(misprint):
     tuning = forms.Tuning(misprint=misprint)

@@ -46,6 +46,7 @@ def test_who_has_a_covariance_says_what_it_expects_but_for_five():
     assert able == {*SAYS, *SILENT}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["now", "one step", "late", "wild"])
 @pytest.mark.parametrize("name", ["kf", "ekf", "kf-reprocess"])
 def test_every_sample_is_compared_with_all_that_arrived_before(name, schedule):
@@ -62,11 +63,13 @@ def test_who_corrects_all_copies_expects_rightly_of_those_out_of_order_too(sched
     assert expected[:, 1].sum() == len(plant(schedule)[1])
 
 
+@pytest.mark.ci
 def test_what_is_discarded_is_not_judged():
     kept = [s for s in plant("wild")[1] if s.arrival - s.taken <= 12]
     same(found("kf-drop-delayed", "wild", max_age=12 * H)[2], want(kept, every=True))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["oosm-a1", "oosm-b1", "oosm-lag"])
 def test_retrodiction_compares_every_sample_that_it_uses(name):
     same(found(name, "now")[2], want(plant("now")[1]))
@@ -99,6 +102,7 @@ def test_shifting_expects_the_output_of_its_estimate_of_now_less_the_inputs_resp
     same(found("kf-shifted-innovation", "late")[2], want(sorted(map(shifted, plant("late")[1]))))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 def test_on_a_linear_model_the_extended_filter_believes_what_kalmans_does(schedule):
     xhat, P, _ = found("ekf", schedule)
@@ -107,6 +111,7 @@ def test_on_a_linear_model_the_extended_filter_believes_what_kalmans_does(schedu
     same(P, true)
 
 
+@pytest.mark.ci
 def test_on_the_arm_the_extended_filter_believes_and_expects_what_the_reference_does():
     s = SCENARIOS["arm/sampled"].having(duration=0.07, steady_start=0.03, noise_std=(1e-3, 2e-3))
     known, N = planning.setting(cell_of(s)), 70

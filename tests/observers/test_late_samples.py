@@ -80,6 +80,7 @@ def apart(a, b):
     return np.abs(a - b).max() > 1e-4 * np.abs(b).max()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 @pytest.mark.parametrize("name", EQUAL)
 def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_overtaking(name, schedule):
@@ -89,6 +90,7 @@ def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_overtak
     same(P, found("kf", schedule)[1])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", LATE)
 def test_where_nothing_is_late_all_are_the_optimum(name):
     options = {"lag": 0.0} if name == "kf-delayed-horizon" else {"keep": 9} if name == "kf-reprocess" else {}

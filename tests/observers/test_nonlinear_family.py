@@ -80,6 +80,7 @@ WEIGHTS = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("options", WEIGHTS, ids=str)
 def test_unscented_points_equal_the_reference(options):
     want = reference.by_points(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), **options)
@@ -177,6 +178,7 @@ def test_looking_back_equals_the_reference(window, iterations):
     agrees(swinging.found("mhe", known=ANYWHERE, window=window, iterations=iterations), horizon.estimated(*given))
 
 
+@pytest.mark.ci
 def test_looking_back_within_bounds_equals_the_reference():
     """An interior point against active sets: its last l s, 1e-14, over a multiplier is how near it comes to a bound."""
     low, high = np.array([-0.2, -0.9]), np.array([0.75, 0.1])
@@ -229,6 +231,7 @@ def eight_particles():
     return gains, Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
 
 
+@pytest.mark.ci
 def test_a_particle_that_overflows_gets_weight_zero():
     """The other particles give mean and covariance, at this tick and after the next measurement."""
     gains, now = eight_particles()
@@ -244,6 +247,7 @@ def test_a_particle_that_overflows_gets_weight_zero():
     assert np.isfinite(particle.mean(gains, particle.update(gains, now, after, arrival))).all()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis(value):
     """As of a level below zero whose root is measured: what is expected of a sample is the other particles'."""

@@ -45,6 +45,7 @@ CASES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("case", CASES)
 def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case):
     arrivals, places = CASES[case]

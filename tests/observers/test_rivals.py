@@ -108,6 +108,7 @@ def test_aligned_starts_perfectly_until_rounding_has_grown():
     assert (np.abs(x - estimates(d, "no-delay"))[:20] < 1e-13 * np.abs(x).max(0)).all()
 
 
+@pytest.mark.ci
 def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
     s = SCENARIOS["csth/10s"]
     SCENARIOS["perfect"] = s.having(name="perfect", xhat0=s.truth.x0, delay=(20.0,) * 3, options=LABELS)

@@ -113,6 +113,7 @@ def filter_agrees(got, x, te, d, noise_std, seed):
 CASES = tuple((te, d, 3e-3 * (i % 3), i) for i, (te, d) in enumerate(TIMES))  # every third without noise
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("i", range(len(CASES)), ids=lambda i: "{} {} {:g}".format(*CASES[i]))
 def test_smo_and_pio_equal_the_reference(i, variant):

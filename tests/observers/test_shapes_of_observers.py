@@ -45,6 +45,7 @@ def refused(function, *args):
     assert "Type-check error" in str(found.value)
 
 
+@pytest.mark.ci
 def test_as_they_should_be_all_are_taken(calls):
     c = calls
     for memory in (
@@ -61,6 +62,7 @@ def test_a_start_of_another_rank_is_refused(calls):
     refused(calls.observer.init, calls.gains, calls.xhat0[None])
 
 
+@pytest.mark.ci
 def test_a_note_of_a_memory_of_another_rank_is_refused(calls):
     refused(calls.observer.snapshot, calls.gains, taller(calls.memory), calls.now)
 

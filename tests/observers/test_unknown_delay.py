@@ -46,6 +46,7 @@ def told():
     return linear.Model(np.array(A), np.array(B), np.array(C), TICK), np.diag(np.square(PRIOR)), np.array(R), np.diag(Q)
 
 
+@pytest.mark.ci
 def test_the_bank_is_the_mixture_of_textbook_filters():
     got, u, samples = traced("mmae-delay")
     model, P0, variance, noise = told()
@@ -53,6 +54,7 @@ def test_the_bank_is_the_mixture_of_textbook_filters():
     np.testing.assert_allclose(got, want[:, :2], rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_the_delay_as_a_state_is_what_the_loops_make_of_it():
     got, u, samples = traced("ekf-delay")
     model, P0, variance, noise = told()
@@ -60,6 +62,7 @@ def test_the_delay_as_a_state_is_what_the_loops_make_of_it():
     np.testing.assert_allclose(got, want[:, :2], rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_a_bank_of_the_right_delay_alone_is_the_filter_that_knows_it():
     given = {"mmae-delay": {"R": R, "Q": Q, "delays": [LATE * TICK]}, "kf": {"R": R, "Q": Q}}
     bank, *_ = traced("mmae-delay", options=given)

@@ -30,6 +30,7 @@ def found(name, schedule, options, noise=True, perfect=False):
     return driven.run(name, KNOWN, options, there, inputs(CASE), start)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_overtaking(schedule):
     xhat, P = found("mmae-delay", schedule, RIGHT["mmae-delay"])
@@ -37,6 +38,7 @@ def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_overt
     same(P, of_family("kf", schedule)[1])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_a_bank_is_the_mixture_of_textbook_filters_of_all_samples_in_their_order(schedule):
     delays = [2, 13, 20, 22, 31]
@@ -71,6 +73,7 @@ SPREAD = 6  # ticks, of a jitter of the delay
 VARYING = {"delay_jitter": SPREAD * TICK, "loss": 0.2, "sampling_jitter": TICK, "sampling_period": [4 * TICK, 5 * TICK]}
 
 
+@pytest.mark.ci
 def test_in_a_run_with_jitter_and_losses_the_right_mean_delay_makes_it_the_filter_that_knows_every_age():
     """Whatever constant all ages are believed to be less than they are; so a bank finds the mean of delays that vary."""
     R, Q = STUDY["options"]["mmae-delay"]["R"], STUDY["options"]["mmae-delay"]["Q"]

@@ -100,6 +100,7 @@ def second():
     return recorded(planned("arm/sine", ALL, ui.DT, 10_001))
 
 
+@pytest.mark.ci
 def test_the_sine_equals_the_reference_tick_by_tick(second):
     np.testing.assert_array_equal(second.x[:, 4], ui.d1(np.arange(10_002) * ui.DT))
     agree(second, ui.d1, 4000, ui.DT)
@@ -217,6 +218,7 @@ def rows(table, observer):
         yield metric, table.loc[(scenario, observer)].loc[SIGNAL_NAMES, metric].to_numpy(), np.array(want)
 
 
+@pytest.mark.ci
 def test_all_smo_entries_of_table_2_come_out(table):
     for _, got, want in rows(table, "smo"):
         np.testing.assert_allclose(got, want, rtol=1e-6)

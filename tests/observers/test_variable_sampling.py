@@ -99,6 +99,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("plant", "observer", "options", "clock"), EVERY, ids=str)
 def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, observer, options, clock):
     if plant == "cart":

@@ -52,6 +52,7 @@ def traces():
     }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("place", TRAJECTORIES, ids=str)
 def test_trajectory(traces, place):
     scenario, tick = place
@@ -63,6 +64,7 @@ def test_trajectory(traces, place):
     assert row["kfbo.position"] == pytest.approx(kfbo, abs=tolerance)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("place", ERRORS, ids=str)
 def test_errors_in_the_tables(stats, place):
     mae, rmse, tolerance = ERRORS[place]

@@ -56,6 +56,7 @@ def test_an_observer_that_is_refused_in_one_cell_is_left_out(monkeypatch):
     assert "whole" in study.excluded["no-delay"]
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("few")
 def test_reasons_are_said_once_and_stay_with_the_results(tmp_path):
     said = []
@@ -76,6 +77,7 @@ def test_without_an_observer_that_can_run_the_first_reason_is_the_sentence(monke
         all_observers.grid_of(STUDY, {"observers": "all"}, [])
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("few")
 def test_trace_and_replay_take_all(tmp_path, monkeypatch):
     """The log has no place for `kf`, as where it brings more samples on their way than an observer can keep."""

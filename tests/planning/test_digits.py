@@ -200,6 +200,7 @@ def test_an_unstable_nonlinear_plant_is_said_to_be_that(monkeypatch):
             pcbench.run(given)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", ["kf", "kf-reprocess"])
 def test_nor_is_the_trace_of_a_run(observer):
     with pytest.raises(DigitsError, match=BLAMELESS):
@@ -244,6 +245,7 @@ duration = 2.0
 """
 
 
+@pytest.mark.ci
 def test_a_state_that_is_known_at_the_start_has_a_settling_band_of_its_size(tmp_path):
     (tmp_path / "known.toml").write_text(TABLE)
     (cell,) = parse.grid_of(str(tmp_path / "known.toml"), {}, []).cells
@@ -269,6 +271,7 @@ def still(observer, prior, **changed):
     }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("observer", "prior", "changed"),
     [("kf", 100.0, {}), ("ekf", 1.0, {}), ("ekf", 100.0, {"loss": 0.3})],

@@ -52,6 +52,7 @@ def sentences(tmp_path):
     return of
 
 
+@pytest.mark.ci
 def test_run_names_observer_and_age_if_a_loop_no_longer_stores_an_input(sentences):
     loop = {"controller": {"use": "lqr", "Q1": 1.0, "Q2": 1.0}}
     found = sentences(["far", "near", "far_by_vmap", "far_by_scan"], **loop)

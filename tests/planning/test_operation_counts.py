@@ -53,6 +53,7 @@ def test_costs_of_observers_of_two_states_and_one_output():
     assert found.memory["model-only"] == 2 * 8
 
 
+@pytest.mark.ci
 def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
     """Of `ekf-delay` state, input, slope go on over the longest delay (4 + 2 + 8 products a tick), all it keeps over a period.
 

@@ -53,6 +53,7 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
         assert p.layout.ring >= random_times.room(p.cell.times.clocks, p.cell.times.ticks, 0)
 
 
+@pytest.mark.ci
 def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
     """Gamma distributions of two means have tables of two lengths, and every sample its own delay."""
     before = drafts({"delay_gamma_mean": [0.05, 0.4], "delay_gamma_shape": [3.0]}, ("model-only",))

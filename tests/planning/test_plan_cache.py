@@ -56,6 +56,7 @@ def test_a_program_is_begun_before_the_tasks_of_the_one_before_it(given, ahead, 
     assert " ".join(t.name for t in planning.interleaved(tasks, ahead)) == wanted
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("study", [OPEN, CLOSED], ids=["open", "closed"])
 def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypatch):
     made, draft = [], build.draft

@@ -29,6 +29,7 @@ def test_every_study_with_runs_has_its_count():
     assert {name for name, study in STUDIES.items() if study.evaluation != "exact"} == PROGRAMS.keys()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_study_compiles_no_more_programs(name):
     with config.float64():

@@ -34,6 +34,7 @@ def errors(mean, told, name):
     return np.abs(trace[[f"{name}.{of}" for of in signals]].to_numpy() - true).max(0) / np.abs(true).max(0)
 
 
+@pytest.mark.ci
 def test_its_run_is_scipys_and_its_delay_is_that_of_its_samples_in_the_mean():
     trace = traced(LATE, LATE)
     A, h = np.array([[0.0, 1.0, 0.0], [0.0, -122.0, 355.0], [0.0, 0.0, 0.0]]), 0.01

@@ -42,6 +42,7 @@ def own(monkeypatch):
     return put
 
 
+@pytest.mark.ci
 def test_its_linearisation_is_the_one_by_hand():
     """The Jacobians by jax to 1e-12, also for other numbers."""
     entry = pendulum()
@@ -84,6 +85,7 @@ def test_perfect_start_holds(own, observer):
     assert off < (1e-12 if observer == "ekf" else 1e-15)
 
 
+@pytest.mark.ci
 def test_for_small_angles_it_is_the_linear_plant(own):
     """Of 1e-6 rad the sine is off by 1e-18: the same numbers as `[lti]` with the matrices by hand, to 1e-9 of the signals."""
     A, B, C = (each.tolist() for each in matrices())
@@ -105,6 +107,7 @@ def test_for_small_angles_it_is_the_linear_plant(own):
         np.testing.assert_allclose(ours[column], theirs[column], rtol=0, atol=loose * size, err_msg=column)
 
 
+@pytest.mark.ci
 def test_signals_are_deviations_from_the_operating_point(own):
     """A pendulum that hangs: 0 is straight down, where functions see pi; and a plant that is held up by its input."""
     down = pendulum(operating_point=([0.3, np.pi, 0.0, 0.0], [0.0]))
@@ -263,6 +266,7 @@ def rooted(p, now, x):
     return jnp.sqrt(x[:2])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

@@ -40,6 +40,7 @@ def books(folder):
     )
 
 
+@pytest.mark.ci
 def test_a_smoother_is_left_out_before_memory_runs_out(replayed, monkeypatch):
     folder, found = replayed
     assert not found.distances.empty

@@ -66,6 +66,7 @@ def replayed(tmp_path_factory):
     return folder, samples, pcbench.replay(folder, PLANT, ["kf", "kf-drop-delayed", "ekf-iterated"])
 
 
+@pytest.mark.ci
 def test_every_sample_counts_by_channel_in_the_order_of_arrival(replayed):
     _, samples, found = replayed
     z, total = whitened(samples)
@@ -110,6 +111,7 @@ def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     assert found.each.sum() == pytest.approx(whitened(samples)[1], rel=1e-10)
 
 
+@pytest.mark.ci
 def test_innovations_in_order_of_arrival_are_white_and_have_variance_one():
     """Of the reference, on 15 runs: what is compared with above has the distribution that NIS and whiteness assume."""
     z = np.concatenate([whitened(walk(seed))[0] for seed in range(15)])

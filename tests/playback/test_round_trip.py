@@ -57,6 +57,7 @@ def test_estimates_are_those_of_the_run(traced, name, kind, tmp_path):
     same(found, frame)
 
 
+@pytest.mark.ci
 def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, monkeypatch):
     """To rounding: another length is another program. Of each observer, though each is computed by itself."""
     study, _, folder = traced["wild"]
@@ -68,6 +69,7 @@ def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, m
         pd.testing.assert_frame_equal(getattr(found, what), getattr(whole, what), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("size", [0.0, 1e12])
 def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
     """A position of 1e12 m is resolved to 0.1 mm; its noise is as large."""

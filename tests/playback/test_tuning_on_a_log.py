@@ -99,6 +99,7 @@ def covers(found):
     return [i.low <= true <= i.high for i, true in zip(found.intensities, (R, Q), strict=True)]
 
 
+@pytest.mark.ci
 def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp_path):
     u, y = recording(tmp_path / "log", 1)
     found = pcbench.tune(PLANT, "kf", log=tmp_path / "log", out=tmp_path / "tuned")
@@ -154,6 +155,7 @@ def test_a_part_with_too_few_samples_or_none_is_refused_before_anything_is_compi
     assert not (tmp_path / "tuned").exists()
 
 
+@pytest.mark.ci
 def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piece(tmp_path, monkeypatch, capsys):
     recording(tmp_path / "log", 1)
     (tmp_path / "lag.toml").write_text(tomli_w.dumps(PLANT))

@@ -22,6 +22,7 @@ def run(result):
     return one_run.of(result.study, "lti", None)
 
 
+@pytest.mark.ci
 def test_over_time_it_is_the_mean_of_the_runs_and_the_band_of_so_many(result, run):
     last = run[np.isclose(run.t, 5.9)].set_index(["series", "kind"]).value
     for observer in ("kf", "kf-bold"):

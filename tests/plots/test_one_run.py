@@ -22,6 +22,7 @@ def shown():
         return one_run.of(made, "cart/white", None, cell=1), traces
 
 
+@pytest.mark.ci
 def test_it_is_thinned_evenly_from_the_start_to_the_end(shown):
     frame, (trace, *_) = shown
     for _, mine in frame.groupby(["signal", "series", "kind"]):
@@ -57,6 +58,7 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
         np.testing.assert_allclose(found["position", "pccebo", kind].value, values, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.ci
 def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
     study = parse.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
     assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
@@ -64,6 +66,7 @@ def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentenc
         one_run.of(study, "cart/nominal", None, cell=7)
 
 
+@pytest.mark.ci
 def test_scenarios_shown_together_are_those_shown_alone():
     """They share a program; a run is not another's for that."""
     raw = {"name": "t", "scenarios": ["cart/slow", "cart/nominal"], "observers": ["pccebo"]}

@@ -38,6 +38,7 @@ def dots(ax):
     return {line.get_label(): line for line in ax.get_lines() if not line.get_label().startswith("_")}
 
 
+@pytest.mark.ci
 def test_a_distribution_is_the_runs_in_order(result):
     part = frames.distribution(result, metric="steady_rmse", cell=1)
     runs = result.runs.query("cell == 1 and signal == 'position'")
@@ -196,6 +197,7 @@ def test_a_map_of_winners_says_who_and_by_how_much_and_is_pale_where_that_is_not
             assert text.startswith("tie")
 
 
+@pytest.mark.ci
 def test_one_run_in_time_is_the_trace(result):
     figure = plots.time(result, cell=2, seed=3)
     above, below = figure.axes

@@ -145,6 +145,7 @@ def test_a_gap_is_found_wherever_it_is(seed):
         clocks.require_one("log", times(clocks.HOUR * 1.06))
 
 
+@pytest.mark.ci
 def test_a_replay_of_two_clocks_ends_within_seconds_and_writes_nothing(tmp_path):
     measured, inputs, _ = LOGS["inputs"]
     rows(tmp_path / "log", measured, inputs)

@@ -120,6 +120,7 @@ HOW = ((1, "BZ2"), (1, "LZ4"), (2, "FILE"), (2, "MESSAGE"))
 LARGE |= {f"ROS {ros}, {how}": partial(bag, ros=ros, how=how) for ros, how in HOW}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", LARGE)
 def test_a_bag_that_unpacks_to_much_memory_is_refused_before_it_takes_it(name, tmp_path):
     path, fields = LARGE[name](tmp_path)

@@ -277,6 +277,7 @@ def test_methods_which_know_their_delay_start_perfectly(delays):
         assert (np.abs(x - xhat) < 1e-13 * np.abs(x).max(0)).all()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("delays", DELAYS)
 @pytest.mark.parametrize("output", ["updated", "deadbeat"])
 def test_random_plants_perfect_start_radius_and_covariance(delays, output):

@@ -334,6 +334,7 @@ def driven(gain, bias):
     return lambda k, x, u: Ad @ x + Bd @ (gain * u + bias)
 
 
+@pytest.mark.ci
 def test_under_input_bias_pi_pco_beats_pco_the_bias_state_beats_both_and_the_plain_filter_is_worst():
     tails = {name: steady_rmse(name, driven(1.0, 0.2)) for name in ("pco", "pi-pco", "kf", "kf, bias")}
     position = {name: tail[0] for name, tail in tails.items()}

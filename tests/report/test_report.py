@@ -48,6 +48,7 @@ def figure(text, name):
     return re.search(rf'<figure id="{re.escape(name)}">.*?</figure>', text, re.S).group(0)
 
 
+@pytest.mark.ci
 def test_it_is_one_file_that_needs_no_other(text):
     assert len(text.encode()) < 1e6
     assert not re.search(r'(src|href)="(?!#|data:)', text)
@@ -208,6 +209,7 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
         assert f">{number_format.interval(row)}<" in text
 
 
+@pytest.mark.ci
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
     names = export_figures.write(
         pcbench.open_result(folder), tmp_path, shown=figures.Shown(paper=plots.Paper(3.3, 8.0))
@@ -237,6 +239,7 @@ def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp
         assert sentence in done.stderr
 
 
+@pytest.mark.ci
 def test_a_folder_without_results_is_one_sentence(tmp_path):
     done = call("report", str(tmp_path))
     assert done.returncode == 2
@@ -300,6 +303,7 @@ def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
     assert " ± ?" in text
 
 
+@pytest.mark.ci
 def test_what_a_user_names_stays_text(folder, text):
     result, unit = pcbench.open_result(folder), "</svg><script>m"
     result.stats["unit"] = unit

@@ -63,6 +63,7 @@ def test_no_drift_is_the_limit_of_a_small_drift():
     np.testing.assert_allclose(near.Gamma, np.broadcast_to(exact.Gamma, near.Gamma.shape), rtol=0, atol=1e-8)
 
 
+@pytest.mark.ci
 def test_a_random_initial_state_is_drawn_from_the_prior():
     """The model alone keeps x(0) - xhat(0): position error at the end is p0 + v0 / 122, of variance 25 + (10/122)^2."""
     options = {"scenario": {"random_initial_state": True}}
@@ -73,6 +74,7 @@ def test_a_random_initial_state_is_drawn_from_the_prior():
     assert abs(final.std() / sigma - 1) < 4 / np.sqrt(2 * n)
 
 
+@pytest.mark.ci
 def test_the_same_start_for_every_observer():
     options = {"scenario": {"random_initial_state": True}}
     runs = pcbench.run("cart/nominal", observers=["model-only", "pccebo"], seeds=16, options=options).runs

@@ -16,6 +16,7 @@ MAPPED = Path(__file__).parents[1] / "support" / "mapped.py"
 START, EACH = 2500, 600  # mappings of a process that has imported all, and of a program
 
 
+@pytest.mark.ci
 def test_a_bounded_function_drops_its_programs():
     power = program_cache.bounded(lambda n, x: x**n, 0)
     for n in range(3 * program_cache.MOST):
@@ -23,6 +24,7 @@ def test_a_bounded_function_drops_its_programs():
         assert power._cache_size() <= program_cache.MOST
 
 
+@pytest.mark.ci
 def test_programs_that_were_asked_for_last_are_kept():
     programs = program_cache.Programs()
     for i in range(program_cache.MOST):

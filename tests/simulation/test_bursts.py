@@ -35,6 +35,7 @@ def gaps(lost):
     return (ends[:, 1] - begins[:, 1])[whole]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("loss", "burst"), [(0.2, 5.0), (0.5, 2.5), (0.1, 20.0)])
 def test_as_many_are_lost_as_without_and_so_many_in_a_row(loss, burst):
     """Gaps are geometric: the mean within four of its errors; the share within four, where 2 burst samples are one."""
@@ -49,6 +50,7 @@ def test_the_burst_that_losses_of_their_own_leave_is_those_losses():
     np.testing.assert_array_equal(alone, told)
 
 
+@pytest.mark.ci
 def test_a_histogram_has_its_shares_and_each_delay_is_by_itself():
     clock = Clock((0,), 1, 3, steps=(0, 7, 2), share=(0.5, 0.2, 0.3))
     taken, arrives = arrivals(clock)
@@ -59,6 +61,7 @@ def test_a_histogram_has_its_shares_and_each_delay_is_by_itself():
     assert abs(again - 0.2**2) < 4 * np.sqrt(0.04 / late.size)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("mean", "shape"), [(12.0, 1.0), (40.0, 4.0), (3.0, 0.5)])
 def test_a_gamma_distribution_is_in_whole_ticks_as_scipy_has_it(mean, shape):
     share = np.array(sampling.gamma(mean, shape))

@@ -111,6 +111,7 @@ def test_the_engine_equals_the_definition(case, engine):
                 np.testing.assert_allclose(quick[name], value, atol=WITHIN * scale, err_msg=f"{label} {name}")
 
 
+@pytest.mark.ci
 def test_grid_points_of_one_shape_are_one_call_over_periods_delays_and_drifts():
     axes = {"sampling_period": [0.1, 0.2], "delay": [0.1, 0.3], "parameter_drift": [0.0, 0.2]}
     short = {"base": "cart/white", "name": "short", "duration": 1.0, "steady_start": 0.5}

@@ -39,6 +39,7 @@ def run():
         return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(SEED))), p
 
 
+@pytest.mark.ci
 def test_the_start_is_its_mean_and_a_root_of_its_covariance_times_the_draws(run):
     got, p = run
     v = [drawn(jax.random.normal, INITIAL, j, 0) for j in range(3)]

@@ -307,6 +307,7 @@ def peaks(clock, **numbers):
     return {name: np.asarray(stream.peak).max() / max(CASE.x0) for name, stream in found.items()}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_perfect_start_is_zero_for_every_observer_that_knows_its_schedule(clock):
     found = peaks(clock)

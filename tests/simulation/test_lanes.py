@@ -73,6 +73,7 @@ FUNCTIONS = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
 def test_over_equals_vmap(name, shared):
@@ -85,6 +86,7 @@ def test_over_equals_vmap(name, shared):
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
 def test_forms_alone_are_those_of_the_numbers(name, shared):
@@ -144,6 +146,7 @@ def in_form(form, params):
     return rest | (said if form == "trees" else {"num_consts": consts, "num_carry": carry})
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("form", ["counts", "trees"])
 @pytest.mark.parametrize("name", ["scan with rows", "a ring", "loop"])
 def test_a_scan_is_read_in_the_form_of_any_release_of_jax(name, form):
@@ -187,6 +190,7 @@ def test_split_and_join_are_inverse():
     np.testing.assert_array_equal(lane_array.join(lane_array.split(x)), x)
 
 
+@pytest.mark.ci
 def test_a_table_keeps_its_rows_together_and_is_the_same_array():
     x = jnp.arange(24.0).reshape(3, 2, 4)
     whole = lane_array.table(lane_array.split(x))
@@ -229,6 +233,7 @@ def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
         np.testing.assert_array_equal(lane_array.join(back[name]), lane_array.join(entry))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mode", ["fill", "clip", "wrap"])
 def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
     index = jnp.array([[0, 5, 11, 12, 30], [-1, 3, 40, -20, 2]])
@@ -237,6 +242,7 @@ def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
     np.testing.assert_array_equal(lane_array.join(got), want)
 
 
+@pytest.mark.ci
 def test_in_one_piece_what_is_the_same_in_all_lanes_stays_so_and_many_rows_lie_together():
     f = vmap_as_unit(lambda x, k: (jnp.outer(jnp.arange(50.0), x), k + 1, x + k))
     found = vmap_entrywise(f)(lane_array.split(jnp.ones((3, L))), jnp.asarray(4))

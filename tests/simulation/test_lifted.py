@@ -63,6 +63,7 @@ def both(observers, **given):
     return ways, quick
 
 
+@pytest.mark.ci
 def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick():
     ways, left = both(["kf"], jumps=(210, 300))
     peaks = np.asarray(left.streams["kf"].peak).max(0)[2]
@@ -82,6 +83,7 @@ def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound, jum
     assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-delayed-horizon"}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("jumps", [(), (210, 300)])
 def test_sums_are_those_of_the_errors_of_a_recorded_run(jumps):
     layout, p = problem(CASE, {"kf": {}})
@@ -108,6 +110,7 @@ def ways(observer=None, label="kf", case=CASE):
         return "lifted" if label in found else "stepped"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("label", ["kf", "kfbo", "chain", "kf-delayed-horizon"])
 def test_who_keeps_a_schedule_of_its_own_is_stepped(label):
     assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")
@@ -139,6 +142,7 @@ FLOWS = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", FLOWS)
 def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
     flow, way = FLOWS[kind]

@@ -24,6 +24,7 @@ def runs():
     return frame[frame.seed == SEED].set_index(["observer", "signal"])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("signal", ["position", "velocity"])
 @pytest.mark.parametrize("observer", NAMES)
 def test_every_metric_equals_that_of_the_trace(trace, runs, observer, signal):

@@ -19,6 +19,7 @@ def tailed(degrees, **given):
     return PLAIN | {"lti": PLAIN["lti"] | {"student_t_dof": degrees} | given}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("n", [2.5, 3.0, 7.0, 40.0])
 def test_it_is_students_distribution_and_of_variance_one(n):
     """Of 50,000 draws by Kolmogorov and Smirnov's test: p above 0.01 for these seeds; and it goes to the normal as n grows."""
@@ -31,6 +32,7 @@ def test_it_is_students_distribution_and_of_variance_one(n):
     np.testing.assert_array_equal(measurement_noise.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(np.inf)), w)
 
 
+@pytest.mark.ci
 def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
     without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(tailed(3.0), "kf", seed=4)
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])

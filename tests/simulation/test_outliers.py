@@ -16,6 +16,7 @@ def odd(**given):
     return PLAIN | {"lti": PLAIN["lti"] | {"outlier_probability": 0.3, "outlier_scale": 7.0} | given}
 
 
+@pytest.mark.ci
 def test_outliers_are_the_samples_that_the_address_says_and_all_else_is_as_without():
     """Every 5 ticks a sample, 3 ticks late; the plant's own noise, start and samples are those of the study without."""
     without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(odd(), "kf", seed=4)
@@ -37,12 +38,14 @@ def test_a_run_among_others_on_a_schedule_of_its_own_is_the_run_alone():
         assert runs.loc[(seed, "a"), "final_error"] == pytest.approx((trace["a"] - trace["kf.a"])[59], rel=1e-9)
 
 
+@pytest.mark.ci
 def test_outliers_of_the_usual_size_are_none():
     few = {"seeds": 4}
     a, b = pcbench.run(odd(outlier_scale=1.0), **few).runs, pcbench.run(PLAIN, **few).runs
     np.testing.assert_allclose(a.rmse, b.rmse, rtol=1e-13)
 
 
+@pytest.mark.ci
 def test_of_what_is_not_normal_there_is_no_bound_and_no_exact_answer():
     result = pcbench.run(odd(), seeds=2)
     assert "rms_efficiency" not in set(result.stats.metric)

@@ -196,6 +196,7 @@ seed_of = st.integers(0, 2**31 - 1)
 # one run: its samples, and its schedule
 
 
+@pytest.mark.ci
 @settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, root=st.integers(0, 5), seed=seed_of)
 def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
@@ -423,6 +424,7 @@ def agenda_of(clocks, seeds, ticks=LONGEST):
     return jax.tree.map(np.asarray, plan)
 
 
+@pytest.mark.ci
 @settings(max_examples=20)
 @given(clocks=any_clocks(), ticks=ticks_of, first=st.integers(0, 2**20))
 def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
@@ -536,6 +538,7 @@ def test_as_many_are_lost_as_the_probability_says(loss):
     assert abs(lost.mean() - loss) <= 4 * np.sqrt(loss * (1 - loss) / lost.size)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("clocks", [PAIR, [Clock((0, 1), 5, 0, (3, 11, 4), 1)]], ids=["two", "one"])
 def test_the_room_for_samples_changes_nothing(clocks):
     for seed in range(4):

@@ -20,6 +20,7 @@ def rounded(step, dither=0.0, **given):
     return PLAIN | {"lti": PLAIN["lti"] | {"quantization_step": step, "dither": dither} | given}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("dither", [0.0, 1.0])
 def test_samples_are_whole_steps_of_what_they_were_and_all_else_is_as_without(dither):
     without, found = (pcbench.simulate(s, "kf", seed=4) for s in (PLAIN, rounded([0.25], dither)))
@@ -57,6 +58,7 @@ def test_without_dither_what_is_smaller_than_a_step_is_lost():
     np.testing.assert_allclose(error(y, 0.4, 0.0), -y, rtol=0, atol=1e-15)
 
 
+@pytest.mark.ci
 def test_a_step_of_0_is_none():
     np.testing.assert_array_equal(error(np.linspace(-1, 1, 7), 0.0, 1.0), np.zeros(7))
 

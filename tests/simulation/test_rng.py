@@ -25,6 +25,7 @@ def test_the_first_draws_are_these():
     np.testing.assert_allclose(rng.measurement_noise(0, 0, 3)[0], FIRST, rtol=1e-15)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("root", "seed", "channel"), ADDRESSES)
 @pytest.mark.parametrize("stream", ["measurement", "initial", "process"])
 def test_normal_draws_equal_the_reference(stream, root, seed, channel):
@@ -34,6 +35,7 @@ def test_normal_draws_equal_the_reference(stream, root, seed, channel):
         np.testing.assert_allclose(got, threefry.normal(root, seed, stream, channel, sample), rtol=1e-13)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("root", "seed", "channel"), ADDRESSES)
 @pytest.mark.parametrize(("stream", "many"), [("jitter", 3), ("loss", 1), ("drift", 2), ("initial", 4)])
 def test_uniform_draws_equal_the_reference_to_the_bit(stream, many, root, seed, channel):
@@ -46,6 +48,7 @@ def test_uniform_draws_equal_the_reference_to_the_bit(stream, many, root, seed, 
 SETTINGS = ["JAX_DEFAULT_PRNG_IMPL=rbg", "JAX_THREEFRY_PARTITIONABLE=0", "JAX_RANDOM_SEED_OFFSET=5"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_no_setting_of_jax_changes_a_draw(setting):
     """In a process of its own, compiled: the flag is read when a program is lowered."""

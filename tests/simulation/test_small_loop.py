@@ -116,6 +116,7 @@ def runs():
     return [written_out(seed) for seed in SEEDS.tolist()]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("run", range(3))
 def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_ticks(outcome, runs, run):
     e, off, _ = runs[run]

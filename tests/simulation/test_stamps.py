@@ -58,6 +58,7 @@ def test_a_filter_that_is_told_them_is_the_one_whose_samples_are_of_those_times(
     np.testing.assert_allclose(trace[["kf.a", "kf.b", "kf.c"]].to_numpy(), want, rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_all_else_is_as_without_and_an_offset_is_a_delay_error_that_nobody_assumes():
     plain = pcbench.simulate(stamped(), "kf", seed=3)
     wrong = pcbench.simulate(stamped(**WRONG), "kf", seed=3)

@@ -37,6 +37,7 @@ def same_as_traces(observers, seeds):
     return runs
 
 
+@pytest.mark.ci
 def test_cloning_equals_the_optimum_run_by_run_and_runs_equal_traces():
     rmse = same_as_traces(["kf", "kf-cloning"], 2)
     np.testing.assert_allclose(rmse["kf-cloning"], rmse["kf"], rtol=1e-10)

@@ -58,6 +58,7 @@ def covered(name, n):
     return np.mean(found, 0)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("name", "n"), HOLDS)
 def test_mean_and_pooled_rmse_are_covered_in_93_5_to_96_5_percent(name, n):
     mean, pooled = covered(name, n)
@@ -115,6 +116,7 @@ def coverage_of_fractions(n):
     return found.min(), found.max(), found[: len(grid)]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("n", [1024, 2048])
 def test_every_divergence_rate_is_covered_in_93_5_to_96_5_percent(n):
     least, most, _ = coverage_of_fractions(n)
@@ -160,6 +162,7 @@ def p_values(draw, n, repeats=REPEATS, shift=0.0):
     return np.concatenate(out)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("draw", "n"), [(alike, 64), (alike, 256), (tied, 64), (tied, 256), (unlike, 256), (unlike, 1024)]
 )

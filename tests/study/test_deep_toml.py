@@ -27,6 +27,7 @@ def test_text_that_is_deep_enough_for_any_study_is_read():
     assert toml_text.parse(b"\xef\xbb\xbfa = 1\r\n") == {"a": 1}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", DEEP)
 @pytest.mark.parametrize("command", ["info", "show", "status", "check", "run", "compare"])
 def test_every_command_that_reads_it_says_one_sentence(command, what, tmp_path, monkeypatch):

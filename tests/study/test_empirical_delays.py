@@ -27,6 +27,7 @@ def study(log):
     return MOTOR | {"lti": MOTOR["lti"] | {"delay": f"from:{log}", "duration": 50.0}}
 
 
+@pytest.mark.ci
 def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
     late = recorded(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])

@@ -75,6 +75,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("fuzzed")
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", [what for what, (_, planned, _) in CONTENT.items() if not planned])
 @settings(max_examples=40, **FEW)
 @given(data=st.data())
@@ -82,6 +83,7 @@ def test_a_file_is_read_or_refused_in_one_sentence(what, data, folder):
     outcome(written(folder, data.draw(CONTENT[what][0])))
 
 
+@pytest.mark.ci
 @settings(max_examples=10, **FEW)
 @given(content=CONTENT[OF_ONES_OWN][0])
 def test_a_plant_of_ones_own_is_planned_or_refused_in_one_sentence(content, folder):
@@ -128,6 +130,7 @@ def tables_hold_numbers(path):
     assert (stats["n"] + stats["diverged"] > 0).all()
 
 
+@pytest.mark.ci
 @settings(max_examples=12, **FEW)
 @given(content=extreme)
 def test_a_plant_of_extreme_numbers_runs_or_is_refused_in_one_sentence(content, folder):

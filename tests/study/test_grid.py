@@ -69,6 +69,7 @@ def test_a_cell_that_is_changed_is_of_no_study():
     assert (changed.digest, changed.times.clocks[0].delay) == ("", 400)
 
 
+@pytest.mark.ci
 def test_a_run_builds_each_cell_once(monkeypatch, tmp_path):
     """Options, digests and cells are made when a study is read; whatever writes, plans or closes it takes them from there."""
     counts = dict.fromkeys(("cells", "options_of", "identity"), 0)

@@ -72,6 +72,7 @@ def columns(d, prefix, names):
     return d[[f"{prefix}{name}" for name in names]].to_numpy()
 
 
+@pytest.mark.ci
 def test_the_plant_moves_as_scipys(traced):
     plant, _, d = traced
     F, G, C, D, dt = discretised(plant)
@@ -209,6 +210,7 @@ def test_two_clocks_are_refused_for_an_observer_that_takes_one():
         pcbench.run(study("motor", ["pccebo"]), seeds=1)
 
 
+@pytest.mark.ci
 def test_the_table_in_a_file_runs(tmp_path):
     pytest.importorskip("tomli_w")
     import tomli_w

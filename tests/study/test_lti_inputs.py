@@ -50,12 +50,14 @@ SAID = {
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", SAID)
 def test_an_input_is_what_the_study_says(what):
     given, want = SAID[what]
     np.testing.assert_allclose(driven(given), want, rtol=0, atol=1e-6 if what == "saw teeth" else 1e-12)
 
 
+@pytest.mark.ci
 def test_a_file_stands_beside_the_study_and_its_rows_in_what_is_left(tmp_path, monkeypatch):
     rows = [[0.0, 1.0, 2.0], [0.25, -1.0, 0.5]]
     (tmp_path / "a").mkdir()
@@ -94,6 +96,7 @@ def test_an_unknown_input_is_said_likewise_and_its_unit_is_the_signals():
     assert stats[stats.metric == "recovery_time"]["mean"].notna().any(), "it is known where the input jumps"
 
 
+@pytest.mark.ci
 def test_a_trace_says_the_unit_of_the_input_and_whether_gains_are_certified(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(tomli_w.dumps(study(input=[SINE | {"unit": "V"}, "sine"])))

@@ -75,6 +75,7 @@ def test_the_plant_is_pushed_by_the_root_of_the_covariance_of_a_tick(given, root
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
+@pytest.mark.ci
 def test_filters_equal_the_reference_that_knows_the_intensity():
     d = pcbench.simulate(study(), ["kf", "ekf"], seed=2)
     u, y = d[["u1", "u2"]].to_numpy(), d[["y1", "y2"]].to_numpy()

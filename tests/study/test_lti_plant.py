@@ -75,6 +75,7 @@ DIFFERS = {  # what the study says besides, k and c of the plant, and what of it
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", DIFFERS)
 def test_the_plant_moves_by_its_own_numbers_and_observers_keep_the_models(what):
     asked, plant, (k, c), own = DIFFERS[what]
@@ -112,6 +113,7 @@ def test_a_range_of_a_named_number_is_proven_over():
         pcbench.design(one | {"options": {"pccebo": {"parameter_range": {"m": [1.5, 2.5]}}}}, "pccebo")
 
 
+@pytest.mark.ci
 def test_a_study_with_named_numbers_is_written_and_run_again(tmp_path):
     asked = study(PLANT | {"plant": {"k": 2.5, "A": PLANT["A"]}}, seeds=4)
     pcbench.run(asked, out=tmp_path / "out")

@@ -65,6 +65,7 @@ def test_seeds_observers_and_options_accept_other_types():
     assert parse.grid_of(STUDY | {"lti": LTI | matrices}, {}, []).study.lti == parse.grid_of(STUDY, {}, []).study.lti
 
 
+@pytest.mark.ci
 def test_a_run_accepts_other_types():
     plain = pcbench.run(STUDY, seeds=2, axes={"delay": [0.1, 0.2]}).stats
     for axis in AXES.values():

@@ -38,6 +38,7 @@ def cell(raw):
     return found
 
 
+@pytest.mark.ci
 def test_a_plant_and_a_law_stand_where_names_of_pcbench_do(here):
     found = cell(STUDY | {"controller": LAW})
     module = sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"]
@@ -219,6 +220,7 @@ BROKEN = {
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_law_that_breaks_the_protocol_is_named(here, what):
     old, new, sentence = BROKEN[what]

@@ -144,6 +144,7 @@ def test_its_fields_can_be_set_and_are_axes_like_any_others():
     )
 
 
+@pytest.mark.ci
 def test_a_result_says_its_scenario_and_goes_on_with_it(tmp_path):
     table = {
         "base": "cart/slow",

@@ -92,6 +92,7 @@ def test_sensors_that_repeat_each_other_share_a_gain():
             np.testing.assert_allclose(poles, [0.36, 0.4] if len(C) == 2 else [0.4, 0.4], rtol=1e-6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("options", [{}, {"pole_per_tick": 0.8}, {"gain": "riccati", "output": "deadbeat"}], ids=str)
 def test_the_papers_condition_is_reported_with_a_p_that_proves_it(options):
     """(29) at the P and e that were found, with the couplings read from the reference's map of one sample."""

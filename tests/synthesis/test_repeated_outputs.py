@@ -34,6 +34,7 @@ def study(observer, options, A, B, C, x=(1.0, 1.0)):
     return {"name": "z", "observers": [observer], "options": {observer: options} if options else {}, "lti": table}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("outputs", OUTPUTS)
 @pytest.mark.parametrize(("observer", "options"), [(o, way) for o, ways in WAYS.items() for way in ways])
 def test_outputs_that_repeat_or_show_nothing_leave_gains_or_one_sentence(observer, options, outputs):
@@ -52,6 +53,7 @@ def test_two_equal_sensors_share_the_gain_of_one():
     np.testing.assert_allclose(current_estimator.closed_form(Phi, one[[0, 0]]), L[:, [0, 0]] / 2, rtol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("x", [(1e9, 1e9), (1e-9, 1e-9), (1e6, 1e-3), (1e-6, 1e3)])
 @pytest.mark.parametrize("way", ["lmi", "riccati"])
 def test_a_gain_exists_in_other_units_and_is_the_same(way, x):

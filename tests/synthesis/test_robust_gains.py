@@ -68,6 +68,7 @@ def test_h2_without_a_rate_is_the_kalman_filter(name):
     assert best * (1 - 1e-5) < np.sqrt(np.trace(W @ mine @ W.T)) <= certificate.numbers["rms_bound"] * (1 + 1e-6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("gain", ["h2", "hinf", "decay"])
 def test_a_rate_that_is_asked_for_is_kept_in_whatever_order_intervals_come(name, gain):
@@ -260,6 +261,7 @@ def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
         parameter_ranges.maps(s, [0.1, 1.0], {"lam": [1.0, 2.0], "mu": [1.0, 2.0]}, 0.0, "test")
 
 
+@pytest.mark.ci
 def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
     """Asked for a tenth more, no P is found."""
     maps = parameter_ranges.maps(known("odd"), [0.1, 0.9], None, 0.05, "test")
