@@ -82,14 +82,7 @@ FIELDS = (
         ticks=True,
         always=True,
     ),
-    Field(
-        "loss",
-        "1",
-        "probability that a sample never arrives",
-        per="sensor",
-        share=True,
-        always=True,
-    ),
+    Field("loss", "1", "probability that a sample never arrives", per="sensor", share=True, always=True),
     Field(
         "assumed_delay_error",
         "s",
@@ -157,12 +150,7 @@ FIELDS = (
         per="sensor",
         share=True,
     ),
-    Field(
-        "outlier_scale",
-        "1",
-        "how many times larger the noise of an outlier is",
-        per="sensor",
-    ),
+    Field("outlier_scale", "1", "how many times larger the noise of an outlier is", per="sensor"),
     Field(
         "student_t_dof",
         "1",
@@ -170,22 +158,14 @@ FIELDS = (
         "told; inf: it is Gaussian",
         word="inf",
     ),
-    Field(
-        "assumed_noise_scale",
-        "1",
-        "how many times larger than it is the noise of a sample is believed to be",
-    ),
+    Field("assumed_noise_scale", "1", "how many times larger than it is the noise of a sample is believed to be"),
     Field(
         "quantization_step",
         "unit of the output",
         "a sample is rounded to whole steps of this size, which nobody is told; a list where output channels differ",
         per="output",
     ),
-    Field(
-        "dither",
-        "1",
-        "1: noise uniform over one step is added before a sample is rounded, and taken off after",
-    ),
+    Field("dither", "1", "1: noise uniform over one step is added before a sample is rounded, and taken off after"),
     Field(
         "mean_burst_length",
         "samples",
@@ -199,12 +179,7 @@ FIELDS = (
         ticks=True,
         signed=True,
     ),
-    Field(
-        "clock_skew",
-        "ppm",
-        "by which the clock of the stamps is fast, from t = 0 on",
-        signed=True,
-    ),
+    Field("clock_skew", "ppm", "by which the clock of the stamps is fast, from t = 0 on", signed=True),
     Field(
         "timestamp_jitter",
         "s",
