@@ -20,7 +20,7 @@ import numpy as np
 
 import pcbench
 from pcbench.dataset import write_table
-from pcbench.recordings import writers
+from pcbench.recordings import tables
 from pcbench.recordings.log import Batch
 
 DT, LATE = 1e-3, 5
@@ -41,7 +41,7 @@ def made(folder: Path, many: int) -> None:
     rng, t = np.random.default_rng(0), np.arange(many) * DT
     y = np.sin(t) + NOISE * rng.normal(size=many)
     batch = Batch(np.zeros(many, int), t, t + LATE * DT, y, np.arange(1, many + 1))
-    for name, table in writers.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
+    for name, table in tables.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
         write_table.put(folder / f"{name}.parquet", table)
 
 

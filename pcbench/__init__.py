@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.api import simulate as simulate
     from pcbench.api import tune as tune
     from pcbench.controllers import ControllerSpec as ControllerSpec
-    from pcbench.controllers.parts.design_context import ControllerContext as ControllerContext
+    from pcbench.controllers.parts.common import ControllerContext as ControllerContext
     from pcbench.dataset.moments_frames import Exact as Exact
     from pcbench.dataset.result import Result as Result
     from pcbench.dataset.result import open_result as open_result
@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
     from pcbench.protocols import vmap_as_unit as vmap_as_unit
-    from pcbench.recordings.summary_table import info as info
+    from pcbench.recordings.survey import info as info
     from pcbench.runtime.config import setup as setup
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
@@ -61,7 +61,7 @@ _LAZY = {
     "trade_off": "gains.design",
     "tune": "api",
     "find_limit": "limits.find_limit",
-    "info": "recordings.summary_table",
+    "info": "recordings.survey",
     "replay": "playback.replay",
     "open_result": "dataset.result",
     "Result": "dataset.result",
@@ -84,7 +84,7 @@ _LAZY = {
     "PlantSpec": "plants",
     "Controller": "protocols",
     "ControllerSpec": "controllers",
-    "ControllerContext": "controllers.parts.design_context",
+    "ControllerContext": "controllers.parts.common",
     "DesignContext": "synthesis.certificate",
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",

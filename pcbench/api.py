@@ -16,14 +16,14 @@ from pcbench.gains import gain_variants
 from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, samples_of
 from pcbench.planning import operation_counts as counts
 from pcbench.plants import signals_of
-from pcbench.recordings import runs as run_as_log
+from pcbench.recordings import tables as run_as_log
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.scenarios.sources import units
 from pcbench.study import parse
 from pcbench.study.grid import engine_warnings
 from pcbench.study.parse import Described
-from pcbench.study.plugins.user_scenarios import plain
+from pcbench.study.plugins.user_plants import plain
 from pcbench.synthesis.certificate import Design, is_certified
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from pcbench.dataset.moments_frames import Exact
     from pcbench.gains.tune import Tuning
-    from pcbench.playback.tuning_result import LogTuning
+    from pcbench.playback.tuning import LogTuning
 
 
 def run(

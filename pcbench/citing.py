@@ -16,7 +16,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import Study, observers_of, scenarios_of
-from pcbench.study.lookup import base_in, own_in
+from pcbench.study.labels import base_in, own_in
 from pcbench.study.parse import outline
 
 FILE = Path(__file__).parent / "references.bib"

@@ -25,7 +25,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 settings.register_profile("house", deadline=None)  # a machine under load is no failure
 settings.load_profile("house")
-SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.actuator_delay"]
+SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.command_network"]
 install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
 
 

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 from pcbench.checking import controller, observer, plant, plant_fixtures, study, targets
 from pcbench.checking.loading import load
-from pcbench.checking.result import Finding
-from pcbench.checking.targets import WHERE, kind_of
+from pcbench.checking.targets import WHERE, Finding, kind_of
 from pcbench.errors import UserError, short, unknown
 from pcbench.plants import parameters_of
 from pcbench.runtime import config

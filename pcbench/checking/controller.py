@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.checking import pure
+from pcbench.checking import jaxpr_checks
 from pcbench.checking.controller_fixtures import Trial, asked, given, numbers, trial
-from pcbench.checking.noise_free_runs import planned, quiet, recorded, short
-from pcbench.checking.result import Finding, Skipped, ask, require
-from pcbench.checking.vmap_check import WIDTH, moved, same_in_lanes
+from pcbench.checking.noise_free_runs import WIDTH, moved, planned, quiet, recorded, same_in_lanes, short
+from pcbench.checking.targets import Finding, Skipped, ask, require
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
 from pcbench.observers import entry_of as observer_of
@@ -39,12 +38,12 @@ def shapes(t: Trial) -> str:
 
 def purity(t: Trial) -> str:
     """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    return pure.purity(asked(t), given(t))
+    return jaxpr_checks.purity(asked(t), given(t))
 
 
 def float64(t: Trial) -> str:
     """No number is rounded to fewer bits than it came with."""
-    return pure.float64(asked(t), given(t))
+    return jaxpr_checks.float64(asked(t), given(t))
 
 
 def lanes(t: Trial) -> str:

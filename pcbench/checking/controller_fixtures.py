@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from pydantic import BaseModel
 
-from pcbench.checking.tracing import Asked
+from pcbench.checking.jaxpr_checks import Asked
 from pcbench.controllers import ControllerContext, ControllerSpec, entry_of, law_of
 from pcbench.errors import UserError, shown
 from pcbench.planning import loop_setup

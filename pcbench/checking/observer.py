@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pcbench.checking.closed_loop import closed_loop
 from pcbench.checking.fixtures import Trial, trial
 from pcbench.checking.loading import Candidate
+from pcbench.checking.noise_free_runs import WIDTH, moved, same_in_lanes
 from pcbench.checking.observer_functions import asked, given
 from pcbench.checking.programs import float64, gains, purity
-from pcbench.checking.result import Finding, ask
 from pcbench.checking.run_checks import after_the_jump, delay_0, no_peeking, perfect_start
-from pcbench.checking.vmap_check import WIDTH, moved, same_in_lanes
+from pcbench.checking.targets import Finding, ask
 from pcbench.scenarios import Scenario
 from pcbench.simulation.shape_checks import check as shapes_of
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from pcbench.checking.fixtures import Case, Trial
-from pcbench.checking.tracing import Asked
+from pcbench.checking.jaxpr_checks import Asked
 from pcbench.protocols import Arrival
 from pcbench.simulation.types import present
 

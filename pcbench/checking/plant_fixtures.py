@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.checking.tracing import Asked
+from pcbench.checking.jaxpr_checks import Asked
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, shown
 from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of

@@ -5,11 +5,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from pcbench.checking import pure
+from pcbench.checking import jaxpr_checks
 from pcbench.checking.fixtures import Case, Trial, designed
+from pcbench.checking.jaxpr_checks import Program, alike, program
 from pcbench.checking.observer_functions import Given, asked, given
-from pcbench.checking.result import require
-from pcbench.checking.tracing import Program, alike, program
+from pcbench.checking.targets import require
 from pcbench.protocols import Gains
 
 ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
@@ -46,12 +46,12 @@ def gains(t: Trial) -> str:
 
 def purity(t: Trial) -> str:
     """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    return pure.purity(asked(t, t.cases[0]), _given(t))
+    return jaxpr_checks.purity(asked(t, t.cases[0]), _given(t))
 
 
 def float64(t: Trial) -> str:
     """No number is rounded to fewer bits than it came with."""
-    return pure.float64(asked(t, t.cases[0]), _given(t))
+    return jaxpr_checks.float64(asked(t, t.cases[0]), _given(t))
 
 
 def _given(t: Trial) -> Given:

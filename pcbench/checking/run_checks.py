@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.fixtures import Case, Trial
+from pcbench.checking.noise_free_runs import none, replay
 from pcbench.checking.observer_functions import AGE, TICK, given
-from pcbench.checking.replay import none, replay
-from pcbench.checking.result import Skipped, require
+from pcbench.checking.targets import Skipped, require
 from pcbench.protocols import Arrival
 from pcbench.simulation.simulate_runs import Shift
 from pcbench.simulation.types import present

@@ -7,8 +7,8 @@ import numpy as np
 
 from pcbench import planning
 from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
-from pcbench.checking.result import Finding, Noted, Skipped, ask
 from pcbench.checking.run_checks import ROUNDING
+from pcbench.checking.targets import Finding, Noted, Skipped, ask
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
 from pcbench.planning import all_observers

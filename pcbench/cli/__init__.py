@@ -8,7 +8,7 @@ from threading import Event
 from pcbench.cli import interrupts
 from pcbench.cli.interrupts import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError, missing, out_of_memory, printable, said
-from pcbench.runtime import blas_threads, ending
+from pcbench.runtime import ending, thread_pools
 
 __all__ = ["main"]
 MANY = 100_000  # new objects before Python looks for cycles: by thousands it does so all the time that it imports
@@ -25,7 +25,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, interrupt)
     interrupts.watch()
     sys.unraisablehook = unraisable
-    blas_threads.one()
+    thread_pools.one()
     try:
         from pcbench.cli.commands import app
         from pcbench.cli.shared import speak

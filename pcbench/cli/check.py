@@ -43,7 +43,7 @@ def check(
     given = dict(map(_option, options or []))
     setup()
     from pcbench import checking
-    from pcbench.checking.result import FAILS
+    from pcbench.checking.targets import FAILS
     from pcbench.cli.render import gains
 
     with contextlib.redirect_stdout(sys.stderr):  # what the user's code prints is no part of the answer

@@ -7,11 +7,9 @@ import typer
 
 from pcbench.cli import (
     check,
-    dataset,
     export,
     external,
     find_limit,
-    guide,
     lists,
     new,
     observers,
@@ -19,26 +17,25 @@ from pcbench.cli import (
     report,
     reproduce,
     runs,
-    tables,
     tuning,
 )
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
-    "guide": (guide.guide, "a page of the guide, or which there are"),
+    "guide": (new.guide, "a page of the guide, or which there are"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),
     "new": (new.new, "a file to start from: an observer, plant, controller, scenario"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (report.report, "one HTML page of the results, or figures"),
-    "tables": (tables.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
+    "tables": (report.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
     "find-limit": (find_limit.find_limit, "the largest period, delay, noise that keeps an error small"),
     "simulate": (runs.simulate, "one run tick by tick, as a file"),
     "info": (recordings.info, "what is in a recorded log: rates, gaps, delays"),
     "replay": (recordings.replay, "observers on recorded data, as it arrived"),
-    "status": (dataset.status, "how far a study is, and whether it is whole"),
-    "verify": (dataset.verify, "check every file, compute some runs again"),
-    "merge": (dataset.merge, "one dataset of several"),
-    "compare": (dataset.compare, "what changed between two results of a study"),
+    "status": (runs.status, "how far a study is, and whether it is whole"),
+    "verify": (runs.verify, "check every file, compute some runs again"),
+    "merge": (runs.merge, "one dataset of several"),
+    "compare": (runs.compare, "what changed between two results of a study"),
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
     "export": (export.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
@@ -46,7 +43,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "external score": (external.score, "estimates made elsewhere, as one more observer"),
     "external run": (external.run, "an observer in Python, one run at a time, on the same draws"),
     "check": (check.check, "check what is your own: observer, plant, controller, study"),
-    "cite": (tables.cite, "BibTeX of what a study used"),
+    "cite": (report.cite, "BibTeX of what a study used"),
     "reproduce": (reproduce.reproduce, "what five papers print, against what comes out"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}

@@ -50,11 +50,11 @@ def export(
     if files.compiler() is None:
         say("there is no C compiler here, so nothing was compiled; the line to do it stands in the header.")
     else:
-        from pcbench.cli.render import replay
+        from pcbench.cli.render import recordings
 
         double, single = (files.replayed(found, single=each) or "" for each in (False, True))
         of = "a simulated run" if log is None else log
-        replay.table(found, files.said(double), files.said(single), of, console())
+        recordings.table(found, files.said(double), files.said(single), of, console())
         print(double.splitlines()[-1] + ", in double precision")
     label = found.about.label
     print(f"{len(made)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")

@@ -29,7 +29,7 @@ def design(
     """
     setup()
     from pcbench.cli.render import gains
-    from pcbench.cli.render.json import readable
+    from pcbench.cli.render.tables import readable
     from pcbench.dataset import storage, write_table
     from pcbench.gains import design
     from pcbench.runtime import config

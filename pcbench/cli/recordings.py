@@ -24,10 +24,10 @@ def info(
     Example: pcbench info flight.toml --out delays.svg
     """
     from pcbench.cli.render import recordings
-    from pcbench.cli.render.json import readable
-    from pcbench.recordings import summary_table
+    from pcbench.cli.render.tables import readable
+    from pcbench.recordings import survey
 
-    table = summary_table.info(file, delay=delay)
+    table = survey.info(file, delay=delay)
     if picture is not None:
         from pcbench.plots import delays, save
 
@@ -58,8 +58,8 @@ def replay(
     """
     setup()
     from pcbench.cli.render import recordings
-    from pcbench.cli.render.json import readable
     from pcbench.cli.render.progress import bar
+    from pcbench.cli.render.tables import readable
     from pcbench.playback import replay
 
     with bar(quiet or as_json, "reading the log") as progress:

@@ -40,26 +40,26 @@ def reproduce(
 
 
 def _one(paper: str, title: str, rows: list[Any], quiet: bool, as_json: bool) -> None:
-    from pcbench.cli.render.claims import claims
+    from pcbench.cli.render import folder
 
     if as_json:
         print(json.dumps(_said(paper, title, rows), indent=2))
     elif not quiet:
-        claims(title, rows, console())
+        folder.claims(title, rows, console())
 
 
 def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
-    from pcbench.cli.render import claims
+    from pcbench.cli.render import folder
     from pcbench.cli.render.progress import bar
     from pcbench.dataset import storage
-    from pcbench.papers import PAPERS, every
+    from pcbench.papers import PAPERS, claim
     from pcbench.papers.claim import counts
-    from pcbench.papers.page import page as written
+    from pcbench.papers.claim import page as written
 
     if page is not None:
         storage.make(storage.target(page.parent))  # a folder that cannot be written is said before the work
     with bar(quiet or as_json) as progress:
-        found = every.claims(stoppable(progress))
+        found = claim.claims(stoppable(progress))
     if page is not None:
         storage.put(storage.target(page.parent), page.name, written(found).encode())
     if as_json:
@@ -67,7 +67,7 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
         print(json.dumps({"papers": said, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
     elif not quiet:
         screen = console()
-        claims.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
+        folder.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
         if page is not None:
             screen.print(f"The page: {page}", highlight=False, markup=False)
 

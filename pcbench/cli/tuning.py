@@ -137,9 +137,9 @@ def _on_log(
     as_json: bool,
 ) -> None:
     """Tune on a log and print what was found."""
-    from pcbench.cli.render import likelihood
-    from pcbench.cli.render.json import readable
+    from pcbench.cli.render import comparison
     from pcbench.cli.render.progress import bar
+    from pcbench.cli.render.tables import readable
     from pcbench.gains.tune import BUDGET
     from pcbench.playback.tuning import tune_log
 
@@ -156,6 +156,6 @@ def _on_log(
             progress=stoppable(progress),
         )
     if as_json:
-        print(readable(likelihood.summary(found)))
+        print(readable(comparison.summary(found)))
     elif not quiet:
-        likelihood.tuned(found, observer, log, folder, console())
+        comparison.tuned(found, observer, log, folder, console())

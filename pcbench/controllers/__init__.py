@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.controllers import lqr, pd, pid, state_feedback
-from pcbench.controllers.parts.design_context import ControllerContext
-from pcbench.controllers.parts.validate import Sizes
+from pcbench.controllers.parts.common import ControllerContext, Sizes
 from pcbench.protocols import Controller
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.lqr import Law

@@ -12,10 +12,8 @@ from pydantic import Field
 
 from pcbench.controllers import state_feedback
 from pcbench.controllers.parts import common
-from pcbench.controllers.parts import validate as fit
-from pcbench.controllers.parts.common import Weight
-from pcbench.controllers.parts.design_context import ControllerContext
-from pcbench.controllers.parts.validate import Sizes
+from pcbench.controllers.parts import common as fit
+from pcbench.controllers.parts.common import ControllerContext, Sizes, Weight
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis import lqr
 

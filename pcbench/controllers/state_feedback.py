@@ -21,11 +21,9 @@ from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.controllers.parts import common
-from pcbench.controllers.parts import validate as fit
-from pcbench.controllers.parts.common import Rows
-from pcbench.controllers.parts.design_context import ControllerContext
+from pcbench.controllers.parts import common as fit
+from pcbench.controllers.parts.common import ControllerContext, Rows, Sizes
 from pcbench.controllers.parts.set_points import reference
-from pcbench.controllers.parts.validate import Sizes
 from pcbench.protocols import Controller, Leaf, Now
 from pcbench.synthesis import lqr
 

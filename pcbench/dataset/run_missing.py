@@ -22,8 +22,7 @@ from pcbench.dataset.timing import Cost, added
 from pcbench.dataset.work_plan import Gaps, SeedsOf, planned
 from pcbench.errors import UserError
 from pcbench.runtime import provenance
-from pcbench.runtime.progress import SILENT, Progress
-from pcbench.runtime.stopwatch import Stopwatch
+from pcbench.runtime.progress import SILENT, Progress, Stopwatch
 from pcbench.study.grid import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second

@@ -6,6 +6,8 @@ away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs:/
 one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
 name write the same bytes. Nothing is locked anywhere: what is done is what is there.
 No symbolic link is followed below a folder.
+
+Files and folders of this machine: made new, found without following symbolic links, kept over a power cut. No jax.
 """
 
 import itertools
@@ -13,6 +15,7 @@ import json
 import os
 import re
 import socket
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -24,9 +27,70 @@ import pyarrow as pa
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
-from pcbench.dataset import local_files, parquet_io
+from pcbench.dataset import parquet_io
 from pcbench.errors import UserError, shown_address
 from pcbench.runtime import ending
+
+NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
+
+
+def create(path: str | Path) -> int:
+    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
+
+
+def links(root: str, name: str) -> list[str]:
+    """Return the parts of a name below a folder that are symbolic links, the outermost first."""
+    parts = name.split("/") if name else []
+    every = ["/".join(parts[: i + 1]) for i in range(len(parts))]
+    return [each for each in every if os.path.islink(f"{root}/{each}")]
+
+
+def files(folder: str) -> Iterator[tuple[str, int]]:
+    """Yield the paths and sizes of all files below a folder, and of links, which are not followed."""
+    try:
+        entries = list(os.scandir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for entry in entries:
+        if entry.is_dir(follow_symlinks=False):
+            yield from files(entry.path)
+        else:
+            with suppress(FileNotFoundError):
+                yield entry.path, entry.stat(follow_symlinks=False).st_size
+
+
+def make_folders(root: str, name: str) -> None:
+    """Make the folders that a name asks for below the root; a root that has been removed is not made again."""
+    folder = Path(root)
+    for part in Path(name).parent.parts:
+        folder /= part
+        if not folder.is_dir():
+            folder.mkdir(exist_ok=True)
+            sync_folder(folder.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Let the names of the files in a folder outlast a power cut."""
+    with suppress(OSError):  # not every file system lets a folder be opened
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def require_printable(root: str) -> None:
+    """Raise UserError for a path that this process's encoding cannot write."""
+    try:
+        root.encode()
+        os.fsencode(root)
+    except UnicodeEncodeError:
+        raise UserError(
+            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
+            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
+        ) from None
+
 
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
@@ -54,7 +118,7 @@ def target(out: str | Path) -> Target:
         raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
     if "://" not in str(out):
         root = str(Path(out).expanduser().absolute())
-        local_files.require_printable(root)
+        require_printable(root)
         return Target(pafs.LocalFileSystem(), root, str(out), root)
     return _reached(str(out))
 
@@ -89,10 +153,10 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
                 f.flush()
                 os.fsync(f.fileno())
             if not os.path.isdir(os.path.dirname(path)):
-                local_files.make_folders(target.root, name)
+                make_folders(target.root, name)
             os.replace(beside, path)
             if lasting:
-                local_files.sync_folder(Path(path).parent)
+                sync_folder(Path(path).parent)
         finally:
             with suppress(OSError):
                 os.unlink(beside)
@@ -103,12 +167,12 @@ def _partial(root: str) -> tuple[str, int]:
     while True:
         path = f"{root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
         with suppress(FileExistsError):
-            return path, local_files.create(path)
+            return path, create(path)
 
 
 def _require_no_link(target: Target, name: str, parents: bool = False) -> None:
     """Raise UserError where a name below a folder goes through a symbolic link; with `parents` its last part may be one."""
-    for each in local_files.links(target.root, name.rpartition("/")[0] if parents else name) if target.local else []:
+    for each in links(target.root, name.rpartition("/")[0] if parents else name) if target.local else []:
         raise UserError(
             f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
             "there what it points at."
@@ -123,7 +187,7 @@ def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) 
 def last(target: Target, folders: Iterable[str]) -> None:
     """Let the names of all files in some folders below the target outlast a power cut."""
     for folder in folders if target.local else ():
-        local_files.sync_folder(Path(target.root) / folder)
+        sync_folder(Path(target.root) / folder)
 
 
 def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
@@ -170,7 +234,7 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
         base = f"{target.root}/{under}" if under else target.root
         if target.local:
             _require_no_link(target, under)
-            each = {path[len(target.root) + 1 :]: size for path, size in local_files.files(base)}
+            each = {path[len(target.root) + 1 :]: size for path, size in files(base)}
         else:
             found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
             each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import aggregate, block_files, call_time, columns, run_rows, storage
+from pcbench.dataset import aggregate, block_files, columns, storage, table_builder, timing
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.serialize import pack, unpack
 from pcbench.engine import runner
@@ -133,7 +133,7 @@ def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, 
     """Return about how many seconds a call of a task takes, from calls that end early."""
     with config.float64():
         p, jobs, made = _prepared(work, task, device)
-        return p, call_time.seconds(made, jobs[0]), made
+        return p, timing.seconds(made, jobs[0]), made
 
 
 def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[runner.Job], runner.Program]:
@@ -183,8 +183,8 @@ def block(
     }
     common = {} if common is None else common
     if many not in common:
-        common[many] = run_rows.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
-    table = run_rows.runs_table(common[many], results, p.predicts_unknown_input[label])
+        common[many] = table_builder.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
+    table = table_builder.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
     return name, (block_files.sealed(table, about), aggregate.Runs(about, kept))

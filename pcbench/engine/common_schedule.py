@@ -14,14 +14,14 @@ from jax import Array, lax
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import Happen, any_is_notified, jump, measure, notify_sampled, snapshot
-from pcbench.simulation import measurement_noise
-from pcbench.simulation.measurement_noise import Noise
+from pcbench.simulation import measurements
+from pcbench.simulation.measurements import Noise
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, PerLane, State
 
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
-    noise = measurement_noise.drawing(p, root_seed, seeds, apart=True)
+    noise = measurements.drawing(p, root_seed, seeds, apart=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 

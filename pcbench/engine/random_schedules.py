@@ -14,9 +14,9 @@ from jax import Array, lax
 from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
-from pcbench.simulation import measurement_noise
-from pcbench.simulation.schedule.agenda import EventTable, agenda
+from pcbench.simulation import measurements
 from pcbench.simulation.schedule.common_times import NEVER
+from pcbench.simulation.schedule.periodic import EventTable, agenda
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, State
 
@@ -189,7 +189,7 @@ def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Arra
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
-    noise, index = measurement_noise.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
+    noise, index = measurements.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
     each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
 

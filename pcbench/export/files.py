@@ -15,10 +15,10 @@ import pandas as pd
 
 from pcbench.dataset import atomic_files, storage
 from pcbench.errors import UserError
-from pcbench.export import functions, library, numbers, recording, vector
+from pcbench.export import functions, library, numbers, recording, structs
 from pcbench.export import replay as replaying
 from pcbench.export.library import About
-from pcbench.export.vector import Vector
+from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import signals_of
 from pcbench.playback.replay import asked, replay
@@ -114,7 +114,7 @@ def _simulated(p: padding.Plan, root_seed: int, seed: int) -> Chosen:
         certificate=p.certificates[label],
         rows=rows,
         ring=p.layout.ring,
-        run=vector.vector(p, root_seed, seed, rows),
+        run=structs.vector(p, root_seed, seed, rows),
     )
 
 

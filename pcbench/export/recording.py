@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.export.vector import JUMP, SAMPLED, SNAPSHOT, Event, Vector
+from pcbench.export.structs import JUMP, SAMPLED, SNAPSHOT, Event, Vector
 from pcbench.plants import signals_of
 from pcbench.playback import stream
 from pcbench.playback.replay import LENGTH, Asked

@@ -3,8 +3,8 @@
 from pcbench.export import library
 from pcbench.export.functions import Source
 from pcbench.export.library import About, plain
+from pcbench.export.structs import Vector
 from pcbench.export.terms import known, written
-from pcbench.export.vector import Vector
 
 MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
    With the argument `estimates` it prints them instead, a line a tick. */

@@ -1,10 +1,30 @@
-"""A guest: an observer whose estimates were made elsewhere, one run at a time. Its runs are scored, never simulated here."""
+"""A guest: an observer whose estimates were made elsewhere, one run at a time. Its runs are scored, never simulated here.
+
+A guest's own process: made anew for each run, and given tick by tick what has arrived. It sees the draws, nothing else.
+
+    python -m pcbench.external.entry DIR MODULE:NAME OUT.parquet
+
+NAME is a function or a class: `make(cell, xhat0)` returns an object whose `step(t, u, arrivals)` returns xhat at t: `cell` is
+an entry of cells.json, `u` [m] the input held since the tick before (zeros at the first), and `arrivals` what has come at this
+tick, the oldest sample first. Mistakes of the guest's end in one sentence and exit code 2.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from pcbench.errors import UserError, raised, short
 from pcbench.observers import ObserverSpec
 from pcbench.protocols import Observer
+from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 ONE_AT_A_TIME = "guest: one run at a time"
@@ -37,3 +57,109 @@ GUEST = ObserverSpec(
     takes="any schedule",
     elsewhere=True,
 )
+
+
+Floats = NDArray[np.float64]
+
+
+class Arrived(NamedTuple):
+    """One sampling instant, of which some channels arrive now; q outputs."""
+
+    sampled: float  # [s]
+    tick: int  # at which it was taken
+    value: Floats  # [q] NaN where not fresh
+    mask: NDArray[np.bool_]  # [q]
+
+
+def main(folder: str, reference: str, out: str) -> None:
+    """Run a guest on all runs of some draws, one after another, and leave its estimates."""
+    draws = Path(folder) / "draws"
+    cells = json.loads((draws / "cells.json").read_text())
+    tables = {
+        name: pd.read_parquet(draws / f"{name}.parquet", partitioning=None) for name in ("samples", "inputs", "starts")
+    }
+    make = maker(reference)
+    parts = [part for cell in cells for part in of_cell(make, cell, tables, reference)]
+    pd.concat(parts, ignore_index=True).to_parquet(out, index=False)
+
+
+def maker(reference: str) -> Callable[..., Any]:
+    """Return what MODULE:NAME names; raise UserError where that is nothing that can be called."""
+    where = "guest"
+    code = user_code.code_of(reference, where)
+    module, name = user_code.split(reference, where)
+    found = getattr(user_code.module_of(code, where, Path(module).resolve().parent if code.files else None), name, None)
+    if not callable(found):
+        raise UserError(
+            f"{where}: got no function '{name}' in {short(module)}, expected make(cell, xhat0); write it there."
+        )
+    return found
+
+
+def of_cell(
+    make: Callable[..., Any], cell: dict[str, Any], tables: dict[str, Any], where: str
+) -> Iterator[pd.DataFrame]:
+    """Yield the estimates of each run of a cell."""
+    mine = {
+        name: table[(table.scenario == cell["scenario"]) & (table.cell == cell["cell"])]
+        for name, table in tables.items()
+    }
+    inputs = mine["inputs"].sort_values("tick").filter(regex=r"^u\d+$").dropna(axis=1).to_numpy(float)
+    samples = dict(iter(mine["samples"].dropna(subset=["arrived_tick"]).groupby("seed")))
+    q = len(cell["noise_std"])
+    for row in mine["starts"].sort_values("seed").itertuples():
+        xhat0 = np.array([getattr(row, f"x{i + 1}") for i in range(len(cell["model"]["A"]))])
+        coming = arrivals(samples.get(row.seed), q)
+        found = of_run(make, cell, xhat0, inputs, coming, f"{where}: seed {row.seed}")
+        names = [signal["name"] for signal in cell["signals"]][: found.shape[1]]
+        keys = {"scenario": cell["scenario"], "cell": cell["cell"], "seed": row.seed, "tick": np.arange(len(found))}
+        yield pd.DataFrame(keys | dict(zip(names, found.T, strict=True)))
+
+
+def arrivals(samples: Any, q: int) -> dict[int, list[Arrived]]:
+    """Return by tick what arrives then, the oldest sampling instant first."""
+    out: dict[int, list[Arrived]] = {}
+    if samples is None:
+        return out
+    for (tick, taken), rows in samples.groupby(["arrived_tick", "sampled_tick"], sort=True):
+        value = np.full(q, np.nan)
+        value[rows.channel.to_numpy() - 1] = rows.value.to_numpy()
+        out.setdefault(int(tick), []).append(Arrived(float(rows.sampled.iloc[0]), int(taken), value, ~np.isnan(value)))
+    return out
+
+
+def of_run(
+    make: Callable[..., Any],
+    cell: dict[str, Any],
+    xhat0: Floats,
+    inputs: Floats,
+    coming: dict[int, list[Arrived]],
+    where: str,
+) -> Floats:
+    """Return a guest's estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for what it raises, or returns amiss."""
+    out, most = [], len(cell["signals"])
+    try:
+        guest = make(cell, xhat0.copy())
+        for k in range(cell["ticks"]):
+            u = inputs[k - 1] if k else np.zeros(inputs.shape[1])
+            xhat = np.asarray(guest.step(k * cell["dt"], u.copy(), coming.get(k, [])), float).ravel()
+            if len(xhat) not in (len(xhat0), most):
+                raise UserError(
+                    f"{where}: step returned {len(xhat)} numbers, expected {len(xhat0)}, one for each state; return those."
+                )
+            out.append(xhat)
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(
+            f"{where}: got {raised(error)}, expected step(t, u, arrivals) to return xhat; mend that line."
+        ) from None
+    return np.array(out)
+
+
+if __name__ == "__main__":
+    try:
+        main(*sys.argv[1:])
+    except UserError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

@@ -25,7 +25,7 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
     with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
         out = f"{place}/estimates.parquet"
         progress.note("a guest estimates, one run at a time")
-        words = [sys.executable, "-m", "pcbench.external.worker", str(folder), reference, out]
+        words = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
         done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]

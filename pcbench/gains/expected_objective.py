@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from pcbench.dataset.seed_ranges import counted
 from pcbench.errors import UserError
-from pcbench.gains import gradient
+from pcbench.gains import optimizers
 from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
 from pcbench.gains.objective_eval import METHODS, Evaluate
@@ -78,7 +78,7 @@ def evaluator(
     def at(point: Vector) -> tuple[float, Vector]:
         lost = float("inf"), np.full(many, np.nan)
         try:
-            found = call(design(point), gradient.directions(design, point))
+            found = call(design(point), optimizers.directions(design, point))
         except (UserError, ValidationError):  # its design refuses, or it is no option
             return lost
         if why := refusal(found.cell, p.labels[0], INSTEAD):

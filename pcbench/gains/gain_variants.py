@@ -25,14 +25,14 @@ from pcbench.dataset import run_study, storage
 from pcbench.dataset.manifest import BESIDE, TEXT
 from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import expected_objective, parameters, tune, tune_only
+from pcbench.gains import expected_objective, parameters, tune, validation
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, TunedCell, TunedOptions, given, observers_of, scenarios_of
 from pcbench.study.grid import Grid, cells
 from pcbench.study.grid import points as grid_points
-from pcbench.study.lookup import entry_in
+from pcbench.study.labels import entry_in
 from pcbench.study.parse import grid_of, one_cell
 
 JUDGES = counted(tune.JUDGES.first, 256)
@@ -86,8 +86,8 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     _ours(study, out, overwrite)
     scenario = scenarios_of(study)[study.scenarios[0]]
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
-    tune_only.require_tunable(study, list(paper))
-    tune_only.require_free_labels(study, scenario, list(paper))
+    validation.require_tunable(study, list(paper))
+    validation.require_free_labels(study, scenario, list(paper))
     points = _points(study) if "tuned" in study.tunings else [{}]
     gains = []
     for i, point in enumerate(points):
@@ -279,7 +279,7 @@ def _better(
 
 def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
-    only = tune_only.only(study, version.observer)
+    only = validation.only(study, version.observer)
     if not parameters.tunable(entry_in(study, version.observer)) or only == []:
         return False
     here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "published"})
@@ -318,7 +318,7 @@ def _tuned(
             objective=study.tune.objective,
             signal=study.tune.signal,
             exact_objective=study.tune.exact_objective,
-            only=tune_only.only(study, observer),
+            only=validation.only(study, observer),
             training=tune.TRAINING if study.tune.exact_objective else _training(study),
             judges=tune.JUDGES if study.tune.exact_objective else JUDGES,
             out=folder and f"{folder}/{observer}",

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from pcbench.engine import runner
 from pcbench.errors import DigitsError, UserError
-from pcbench.gains import gradient
+from pcbench.gains import optimizers
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning import run_local
@@ -55,13 +55,13 @@ def evaluator(
 ) -> Evaluate:
     """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers
-    back = gradient.backwards(p, aim, root_seed, seeds)
+    back = optimizers.backwards(p, aim, root_seed, seeds)
 
     def with_slope(at: Vector) -> tuple[float, Vector]:
         mean, slopes, lost = back(design(at))
         if lost:
             return float("inf"), np.full(len(at), np.nan)
-        return aim.of(mean), aim.slope(mean) * gradient.chain(slopes, design, at)
+        return aim.of(mean), aim.slope(mean) * optimizers.chain(slopes, design, at)
 
     def alone(at: Vector) -> tuple[float, Vector]:
         here = p._replace(problem=p.problem._replace(gains={label: design(at)}))

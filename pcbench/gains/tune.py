@@ -13,7 +13,7 @@ from pcbench import planning
 from pcbench.dataset import storage
 from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import expected_objective, gradient, history, objective_eval, optimizers, parameters
+from pcbench.gains import expected_objective, history, objective_eval, optimizers, parameters
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
@@ -175,7 +175,7 @@ def freed(
 
     def gains(there: Vector) -> list[Any]:
         there_too = parameters.put(options, every, there)
-        return gradient.numbers(planning.designed(observer, entry, known, there_too).gains)
+        return optimizers.numbers(planning.designed(observer, entry, known, there_too).gains)
 
     used = parameters.used(every, at, gains)
     if not used:

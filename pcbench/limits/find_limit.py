@@ -20,9 +20,7 @@ from pcbench.dataset.run_study import How, Say
 from pcbench.errors import UserError
 from pcbench.gains import gain_variants
 from pcbench.limits import seed_growth
-from pcbench.limits.axis import axis_of, scale_of
-from pcbench.limits.question import Question, notes, question
-from pcbench.limits.search import search
+from pcbench.limits.search import Question, axis_of, notes, question, scale_of, search
 from pcbench.planning import all_observers
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
@@ -31,7 +29,7 @@ from pcbench.study import grid, observers_of
 from pcbench.study.grid import Grid
 from pcbench.study.load import Described, raw_of, where_of
 from pcbench.study.parse import FROM_HERE, described, scenario_in
-from pcbench.study.plugins.user_scenarios import plain
+from pcbench.study.plugins.user_plants import plain
 
 METRIC = "steady_rmse"
 BUDGET = 16  # times the study's seeds, where no budget is given

@@ -14,8 +14,7 @@ from pcbench import planning
 from pcbench.dataset import manifest, run_study, storage
 from pcbench.dataset.result import Result
 from pcbench.errors import DesignError, UserError
-from pcbench.limits.question import Question
-from pcbench.limits.search import Look
+from pcbench.limits.search import Look, Question
 from pcbench.statistics import limit_search
 from pcbench.statistics.limit_search import NULL, REFUSED, Point
 from pcbench.study import Study, fits, grid, observers_of

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
-from pcbench.moments.covariance import both, product, squared
 from pcbench.moments.inputs import Event
 from pcbench.moments.merging import merged
+from pcbench.moments.nees import both, product, squared
 from pcbench.moments.noise_state import Form, slope, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs

@@ -3,15 +3,51 @@
 A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
 it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign satisfies too. A run that may leave the
 scenario's divergence threshold counts as diverged and enters no average, so there the moments of all runs are no answer.
+
+Whether exact moments keep their digits: they are of the state and of memories, which may be far larger than the errors.
+
+Two things need digits. The trial of `exactness` compares runs to ROUNDING of the errors' size, and a state x is rounded by EPS
+|x|: where the trial fails, that may be why. And noise adds to the covariance of the state and of the estimates, from which the
+errors' is a difference of large squares: it keeps about EPS Var x / E e^2. What the start adds goes by itself, and loses no
+square (`programs`).
 """
 
 import numpy as np
 
-from pcbench.moments import digits
-from pcbench.moments.error_sums import strayed
+from pcbench.moments.error_sums import AMPLIFIED, strayed
 from pcbench.moments.plant_affinity import ROUNDING
 from pcbench.moments.solve import CellMoments
+from pcbench.planning.digits import EPS, amount
 from pcbench.plants import signals_of
+
+SQUARES = 1e-6  # of E e^2
+TRIFLE = 1e-4  # of the settling band: what is less is 0 for every purpose
+
+
+def lost(cell: CellMoments, label: str) -> str:
+    """Return which state leaves an observer's moments too few digits, the middle of a sentence; empty where none does."""
+    if not np.size(cell.reached):
+        return ""
+    p, s, mine = cell.planned, cell.sums, cell.signals[label]
+    size, deviation = np.asarray(cell.reached).max(-1)
+    n = min(len(size), mine.stop - mine.start)
+    state = slice(mine.start, mine.start + n)
+    size, deviation, band = size[:n], deviation[:n], np.asarray(p.problem.band)[:n]
+    square = np.asarray(s.square)[1, state].min(-1) / (p.cell.times.ticks - p.cell.times.tail)
+    with np.errstate(over="ignore", invalid="ignore"):
+        failed = (strayed(s, mine) > ROUNDING).any()
+        trial = failed & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
+        squares = EPS * deviation**2 > SQUARES * square
+        bad = (trial & (EPS * size > ROUNDING * TRIFLE * band)) | (squares & (np.sqrt(EPS) * deviation > TRIFLE * band))
+    if not bad.any():
+        return ""
+    i = int(np.argmax(np.where(bad, size, 0.0)))
+    name, unit = signals_of(p.cell.scenario)[i]
+    return (
+        f"has too few digits for an exact answer: {name} reaches {amount(float(size[i]), unit)}, whose rounding in float64 is "
+        "not small beside the errors"
+    )
+
 
 INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
 
@@ -29,7 +65,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         )
     if any(p.cell.scenario.sampling.quantization_step):
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
-    if said := digits.lost(cell, label):
+    if said := lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."
     part = strayed(s, mine, cell.reached)
     worst = int(np.argmax(part))

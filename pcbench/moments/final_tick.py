@@ -9,7 +9,7 @@ from jax import Array, lax
 
 from pcbench.moments.error_sums import Read
 from pcbench.moments.events import Means
-from pcbench.simulation import nees
+from pcbench.simulation import innovation_stats
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import Layout
 
@@ -34,7 +34,7 @@ def kept(by: Means, k: Array, here: Array, mean: Run, read: Read, before: Last) 
 
 def _believed(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -> dict[str, Array]:
     """What the observers of one cell believe of their errors at tick k."""
-    return nees.covariances(layout, p, k, run.memories, run.commands)
+    return innovation_stats.covariances(layout, p, k, run.memories, run.commands)
 
 
 def nothing(by: Means, mean: Run, signals: int) -> Last:

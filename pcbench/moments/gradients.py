@@ -1,7 +1,7 @@
 """Exact moments of one cell with their derivatives by an observer's gains: forward through the very program, no seed anywhere.
 
 Forward mode follows loops from event to event, which backward mode cannot, and there are few directions: one for each free
-parameter of a tuning. Directions stand side by side where `program` has cells: all have the gains asked for, each a derivative
+parameter of a tuning. Directions stand side by side where `programs` has cells: all have the gains asked for, each a derivative
 of its own. A tick's matrix is taken anew where its value differs from the last one's; so that a matrix is not taken for
 unchanged whose derivative alone differs, at a gain of 0, the last place has gains a little off (`OFF`), and no derivative.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from pcbench.engine import runner
-from pcbench.moments import program
+from pcbench.moments import programs
 from pcbench.moments.error_sums import Sums
 from pcbench.moments.inputs import Given, own_of, together
 from pcbench.moments.noise_state import form_of
@@ -60,7 +60,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
         left, right = iter(reals), iter(others)
         gains = jax.tree.unflatten(tree, [next(left if mine else right) for mine in real])
         problem = given.problem._replace(gains={label: gains})
-        return program.run(one.layout, shape, given._replace(problem=problem)).sums
+        return programs.run(one.layout, shape, given._replace(problem=problem)).sums
 
     def both(given: Given, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
         return jax.jvp(partial(sums, given, others), (reals,), (ways,))

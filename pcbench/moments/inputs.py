@@ -2,17 +2,23 @@
 
 What is the same in all cells of a batch stays one array; small arrays of numbers that may differ are one a cell, [..., C].
 Cells whose long tables differ are not put in one batch.
+
+The joint state before tick 0, as a function of what a run draws for its start.
 """
 
 import itertools
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 
+from pcbench.simulation.closed_loop import before
 from pcbench.simulation.schedule.common_times import NEVER, Schedule
-from pcbench.simulation.types import GridPointParams
+from pcbench.simulation.simulate_runs import Run
+from pcbench.simulation.types import GridPointParams, Layout, Packet
 
 KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
 SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
@@ -127,4 +133,23 @@ def together(
         start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
         chance=np.array(chance),
         network=tuple(np.stack(each, -1) for each in zip(*network, strict=True)),
+    )
+
+
+def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any) -> Run:
+    """Return the state before tick 0 of one cell; drawn [2 n], of mean 0 and variance 1, for the plant and for the estimate."""
+    n = p.x0.shape[0]
+    x = p.x0 + p.spread0 @ drawn[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0
+    scatter = p.scatter * drawn[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # of a uniform number in -1 .. 1
+    xhat0 = p.xhat0 + scatter
+    memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
+    loop = before(layout, p, memories)
+    return Run(
+        x=x,
+        memories=memories,
+        flight=Packet((), {}),  # `events.Moving` has what is on the network
+        streams={},
+        watches={},
+        commands=loop.commands,
+        law=loop.law,
     )

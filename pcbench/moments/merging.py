@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from pcbench.moments.covariance import squared
 from pcbench.moments.delay_modes import Mode
+from pcbench.moments.nees import squared
 from pcbench.moments.noise_state import Form, vectors
 
 

@@ -16,7 +16,7 @@ from jax import Array
 
 from pcbench.engine import initial_state, interpreter
 from pcbench.engine.lane_array import is_lanes, join, split
-from pcbench.engine.products.jaxpr_dependence import reach
+from pcbench.engine.products.affine_detection import reach
 from pcbench.moments.inputs import SMALL
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.engine.products.jaxpr_dependence import reach
+from pcbench.engine.products.affine_detection import reach
 from pcbench.moments.events import jump, sense
-from pcbench.moments.initial_moments import begin
+from pcbench.moments.inputs import begin
 from pcbench.moments.noise_state import OneCell, form_of, slope, vector
 from pcbench.moments.tick_matrix import flat, one_cell
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout

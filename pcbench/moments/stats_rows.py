@@ -13,8 +13,7 @@ from pcbench.moments import nees
 from pcbench.moments.solve import CellMoments
 from pcbench.statistics.consistency import INSIDE
 from pcbench.statistics.distributions import normal_quantile
-from pcbench.statistics.estimates import Estimate, positive, reached, root, student
-from pcbench.statistics.moments import Values, moments
+from pcbench.statistics.estimates import Estimate, Values, moments, positive, reached, root, student
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
 
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}

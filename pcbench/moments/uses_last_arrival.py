@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.moments.initial_moments import begin
+from pcbench.moments.inputs import begin
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.types import GridPointParams, Layout

@@ -30,7 +30,7 @@ from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
 from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
-from pcbench.synthesis import chain, chain_lyapunov
+from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled_model import sampled
@@ -171,7 +171,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     certificate = require_certified(chain.certify(found, plant.C, options.gain), where)
     certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:
-        extra = chain_lyapunov.check(found, plant.scale)
+        extra = chain.check(found, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}

@@ -17,9 +17,8 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.kalman_update import Linear
+from pcbench.observers.parts import kalman, nonlinear_model, repropagation
+from pcbench.observers.parts.kalman import Linear, Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import State
@@ -50,7 +49,7 @@ def looked(
     gains: Gains, now: Now, state: State, sample: Measurement, about: Array
 ) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, by the sensor's slope at `about`."""
-    return kalman_update.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
+    return kalman.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:

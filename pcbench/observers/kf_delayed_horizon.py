@@ -26,8 +26,8 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import linear_filter, prediction, reorder_buffer
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.options import kept
 from pcbench.observers.parts.reorder_buffer import Measurement
-from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 

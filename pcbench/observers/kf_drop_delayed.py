@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from pcbench.observers.parts import linear_filter
+from pcbench.observers.parts.options import kept
 from pcbench.observers.parts.prediction import Memory
-from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, Gains, InnovationStats, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 

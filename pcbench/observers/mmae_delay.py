@@ -10,7 +10,7 @@ and the covariance is that of the mixture. At the start w_j is the prior's densi
 and true noise this is the posterior mean: no causal estimator has a smaller mean square over the prior that the d_j are.
 Not claimed: anything of a delay between two of them; the weights then settle on one of its neighbours, and the filter believes
 to know it. Nor of delays that vary and no stamp tells of. A step between delays should be below the spread that the samples
-can tell (`statistics.crlb_delay`), and a finer one costs in proportion.
+can tell (`statistics.distributions`), and a finer one costs in proportion.
 Time index: the estimate is of now, after the jump. A sample that comes after a newer one is put in its place
 (`parts/reorder_buffer`), and weighs as if it had come in order. One that would be of a tick that has not been is of its
 arrival's.

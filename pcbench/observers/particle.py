@@ -23,12 +23,11 @@ from jaxtyping import Float, Int, UInt32
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
+from pcbench.observers.parts import kalman, nonlinear_model, repropagation
 from pcbench.observers.parts.nonlinear_model import Gains, started, value_of, within
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import normals, tunable, uniforms
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import Memory
-from pcbench.observers.parts.rng import normals, uniforms
 from pcbench.protocols import InnovationStats, Leaf, Now, Room, vmap_as_unit
 from pcbench.runtime import memory as machine
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -143,7 +142,7 @@ def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Innov
     left = jnp.where(lost, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
     both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
-    return kalman_update.by_points(gains, *weighted(weight, both), sample)[2]
+    return kalman.by_points(gains, *weighted(weight, both), sample)[2]
 
 
 OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))._replace(

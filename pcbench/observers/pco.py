@@ -35,7 +35,7 @@ from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
-from pcbench.synthesis import parameter_ranges, reduced_order, units
+from pcbench.synthesis import parameter_ranges, reduced_order, riccati
 from pcbench.synthesis.certificate import Design, DesignContext, one_clock, require_certified
 from pcbench.synthesis.parameter_ranges import Range
 
@@ -111,7 +111,7 @@ def design(setting: DesignContext, options: Proportional) -> Design:
     where = f"{name} in {setting.scenario}"
     one_clock(setting, name)
     maps = parameter_ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
-    plant = reduced_order.partition(setting.model, units.prior_size(setting), maps, where)
+    plant = reduced_order.partition(setting.model, riccati.prior_size(setting), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
     asked = {name: given for name, given in named.items() if given is not None and given != "lmi"}

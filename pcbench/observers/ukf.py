@@ -24,9 +24,8 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.ekf_iterated import first, mean, spread
-from pcbench.observers.parts import kalman_update, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.kalman_update import Linear
+from pcbench.observers.parts import kalman, nonlinear_model, repropagation
+from pcbench.observers.parts.kalman import Linear, Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reorder_buffer import Measurement
@@ -92,12 +91,12 @@ def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tup
     n = gains.C.shape[1]
     if gains.sensor is None:  # linear: no points are needed
         sensor = Linear(*seen(gains, now, state.mean), state.mean)
-        return kalman_update.by_slope(gains, state.mean, state.P, sensor, sample)
+        return kalman.by_slope(gains, state.mean, state.P, sensor, sample)
 
     def output(z: Array) -> Array:
         return jnp.concatenate([z, value_of(gains, gains.sensor(now, z[:n], z[n:]))])
 
-    return kalman_update.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
+    return kalman.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:

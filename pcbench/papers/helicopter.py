@@ -16,8 +16,8 @@ from pcbench.papers.helicopter_runs import VISCOSITY, Flight, misread, record
 from pcbench.plants import helicopter
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.synthesis import high_gain
-from pcbench.synthesis.high_gain import limit
+from pcbench.synthesis import lqr
+from pcbench.synthesis.lqr import limit
 
 SEEDS = 256
 RANDOM: dict[str, dict[str, Any]] = {"scenario": {"random_initial_state": True}}
@@ -59,7 +59,7 @@ def _printed(runs: dict[str, Flight]) -> list[Claim]:
         (float(s.sampling.delay[0]) + s.sampling.delay_sine[0] * np.sin(s.sampling.delay_sine[1] * t)).max()
     )
     out.append(digits("largest varying delay [s]", "0.045", longest))
-    radius, far = high_gain.radius(4.0 * 0.2), high_gain.radius(4.0 * 0.8)
+    radius, far = lqr.radius(4.0 * 0.2), lqr.radius(4.0 * 0.8)
     text = f"linear part: radius {radius:.2f} a sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
     claim = "beyond a limit of the sampling period it does not converge"
     return [*out, statement(claim, "a limitation", text, bool(radius < 1 < far))]

@@ -3,9 +3,8 @@
 All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
 """
 
-from pcbench.planning.build import alone, draft, drafts, plan, samples_of, schedule_of, width
+from pcbench.planning.build import alone, bound, draft, drafts, plan, samples_of, schedule_of, width
 from pcbench.planning.design_context import setting
-from pcbench.planning.error_bound import bound
 from pcbench.planning.run_design import designed
 
 __all__ = ["alone", "bound", "designed", "draft", "drafts", "plan", "samples_of", "schedule_of", "setting", "width"]

@@ -11,8 +11,8 @@ from pcbench.planning.build import draft
 from pcbench.runtime import config
 from pcbench.study import Study, parse
 from pcbench.study.grid import Cell, Grid
+from pcbench.study.labels import entry_in
 from pcbench.study.load import Described, raw_of, where_of
-from pcbench.study.lookup import entry_in
 from pcbench.study.parse import ALL, FROM_HERE
 
 

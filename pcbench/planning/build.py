@@ -1,4 +1,7 @@
-"""From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
+"""From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell.
+
+The least error that any causal estimator can have in a cell.
+"""
 
 from collections.abc import Callable, Container, Iterable, Iterator
 from typing import Any
@@ -9,25 +12,67 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import plants
+from pcbench.dynamics import linear
 from pcbench.engine import runner
-from pcbench.engine.products import blocks
+from pcbench.engine.products import matmul
 from pcbench.engine.products.affine_detection import plant_goes
 from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.planning import loop_setup, memo, padding
 from pcbench.planning.design_context import prepared, setting
-from pcbench.planning.error_bound import bound
 from pcbench.planning.padding import Plan
-from pcbench.plants import lti
+from pcbench.plants import differs, lti, nonlinear, numbers_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.scenario import per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
-from pcbench.simulation.measurement_noise import Outliers, Rounding
+from pcbench.simulation.measurements import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, periodic, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells_of
+from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
+
+
+def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
+    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and normal noise and starts."""
+    s = cell.scenario
+    other = differs(numbers_of(s), cell.parameters)
+    wrong = nonlinear(s) or s.truth.parameter_drift or other or s.truth.unknown_input or s.loop.command_std
+    wrong = wrong or len(s.belief.unknown_std) > 0  # what is not known of the plant is looked for
+    normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and np.isinf(s.sampling.student_t_dof)
+    normal = normal and not any(s.sampling.quantization_step)
+    normal = normal and not (cell.choices.random_initial_state and s.belief.initial_box)  # runs draw a uniform start
+    normal = normal and not cell.choices.initial_spread  # or one that is not of the prior
+    exact = not wrong and normal
+    clocks = cell.times.clocks
+    if not exact or cell.times.random:
+        return None
+    known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
+    sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
+    key = memo.key_of((*sees, cell.times.tail)), tuple(clocks)
+    alike = memo.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
+    steps = ask("steps", alike, riccati.no_steps)
+    moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
+    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known, moved, steps))
+    return found
+
+
+def _over_ticks(known: DesignContext, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
+    """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
+    doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
+    added = known._replace(process_std=process_std).process_noise
+    return doubled, linear.noise_doublings(known.model, added, known.dt, len(doubled))
+
+
+def _bound(
+    cell: Cell, known: DesignContext, moved: tuple[linear.Matrix, linear.Matrix], steps: riccati.Steps
+) -> NDArray[np.float64]:
+    samples = [(s.arrives, s.taken, s.channel) for s in common_times.samples(cell.times.clocks, known.ticks)]
+    tail = range(cell.times.tail, known.ticks)
+    variance = riccati.posterior_variance(*moved, known.model.C, known.noise_variance, known.P0, samples, tail, steps)
+    return np.sqrt(variance)
+
 
 AnySchedule = (
     common_times.Schedule | random_times.ClockParams
@@ -181,7 +226,7 @@ def _late(cell: Cell) -> float:
 def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
     """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
     schedule = problem.schedule
-    room = blocks.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0
+    room = matmul.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0
     if not room:
         return 0
     bare = layout._replace(observers=(), width=1, ring=1)

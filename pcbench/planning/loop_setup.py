@@ -14,7 +14,7 @@ from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
-from pcbench.simulation import actuator_delay, law_conformance, metrics
+from pcbench.simulation import command_network, law_conformance, metrics
 from pcbench.simulation import command_network as network_of
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import controller_table, times
@@ -49,7 +49,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     known = oldest(cell, overtaking, ticks)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
-    back = actuator_delay.rows_needed(delay, s.dt, ticks, known + 1)
+    back = command_network.rows_needed(delay, s.dt, ticks, known + 1)
     return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
 
 
@@ -75,13 +75,13 @@ def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
     )
 
 
-def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator_delay.Line]:
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, command_network.Line]:
     """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
     s, known = cell.scenario, told(cell, reach, ticks)
     law = _numbers(cell, known)
     if controller_table.held(s):
-        return law, actuator_delay.held_line(known.late, reach.back, ticks + reach.ahead)
-    return law, actuator_delay.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
+        return law, command_network.held_line(known.late, reach.back, ticks + reach.ahead)
+    return law, command_network.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
 
 
 def _numbers(cell: Cell, told: ControllerContext) -> Any:

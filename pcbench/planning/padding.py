@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcbench.planning import loop_setup, memo
 from pcbench.protocols import Plant
 from pcbench.simulation import shape_checks
-from pcbench.simulation.measurement_noise import Outliers, Rounding
+from pcbench.simulation.measurements import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell

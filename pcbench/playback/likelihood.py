@@ -4,7 +4,7 @@
 
 An observer whose model is true has independent innovations, so the sum of l_i is the log-likelihood of the log (by its
 prediction errors). Derivatives go forwards through the replay: there are few parameters, so each sample has its own score, and
-no tick is kept. From the parameters to the gains lead the observer's own designs (`gains.gradient.directions`).
+no tick is kept. From the parameters to the gains lead the observer's own designs (`gains.optimizers.directions`).
 Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Information Theory 11 (1965).
 """
 
@@ -19,7 +19,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError
-from pcbench.gains import gradient
+from pcbench.gains import optimizers
 from pcbench.gains.parameters import Vector
 from pcbench.playback import step_block, stream
 from pcbench.playback.replay import Asked
@@ -78,7 +78,7 @@ def evaluator(log: Recorded, design: Callable[[Vector], Any]) -> Callable[[Vecto
 
     def at(point: Vector) -> Found:
         gains = design(point)
-        ways = gradient.directions(design, point)
+        ways = optimizers.directions(design, point)
         along = [np.stack(each) for each in zip(*ways, strict=True)]
         leaves, tree = jax.tree.flatten(gains)
         real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)

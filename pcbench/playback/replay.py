@@ -9,7 +9,7 @@ import pandas as pd
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import signals_of
-from pcbench.playback import innovation_tests, output, parallel, replay_metrics, smoother, step_block, stream
+from pcbench.playback import innovation_tests, replay_metrics, smoother, step_block, stream
 from pcbench.playback.setup import Prepared, prepared
 from pcbench.recordings import readers
 from pcbench.recordings.events import Clocked
@@ -81,7 +81,7 @@ def replay(
         if parse.ALL in names:
             a = _capable(a, room, names)
         p = prepared(a.cell, room, a.last, a.log.name)
-        with output.draft(Path(spare if out is None else out)) as draft:
+        with replay_metrics.draft(Path(spare if out is None else out)) as draft:
             judged, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
             return _results(a, p, judged, score, smoothed, draft, loose=out is None)
 
@@ -169,7 +169,7 @@ def rounding(a: Asked) -> dict[str, Any]:
 
 
 def _run(
-    a: Asked, p: Prepared, slots: int, length: int, draft: output.Draft, seed: int, progress: Progress
+    a: Asked, p: Prepared, slots: int, length: int, draft: replay_metrics.Draft, seed: int, progress: Progress
 ) -> tuple[innovation_tests.Judged, Any, np.ndarray | None]:
     """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
     scored = a.log.truth is not None
@@ -182,7 +182,7 @@ def _run(
             f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
             f"{p.m} inputs, in their order; mend the table."
         )
-    every = parallel.begun(p.layout, p.problem, slots, scored, seed)
+    every = stream.begun(p.layout, p.problem, slots, scored, seed)
     tail, out_from = a.cell.times.tail, int((1 - innovation_tests.HELD_OUT) * a.last)
     able, q = [label for label, o in p.layout.observers if o.innovation], len(a.log.channels)
     judged = innovation_tests.Judged(
@@ -192,14 +192,14 @@ def _run(
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
     largest, largest_y = np.zeros(many), np.zeros(q)  # of the truth, by signal, and of what was measured
-    schema = output.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
+    schema = replay_metrics.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
     parts = stream.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many)
     progress.begin("ticks", a.last + 1)
-    for part, seen in parallel.through(every, parts, p.back, np.array([tail, a.last])):
+    for part, seen in stream.through(every, parts, p.back, np.array([tail, a.last])):
         here = part.first + np.arange(length)
         kept = min(length, a.last + 1 - part.first)
         found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
-        draft.write(output.table(schema, here[:kept] * a.clock.dt, found))
+        draft.write(replay_metrics.table(schema, here[:kept] * a.clock.dt, found))
         progress.step(kept)
         for label, numbers in seen.surprise.items():
             flat = np.asarray(numbers).reshape(-1, step_block.JUDGED + q)
@@ -213,7 +213,7 @@ def _run(
             k, slot, channel = np.nonzero(part.window.mask)
             y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
     draft.close()
-    score = parallel.score(every)
+    score = stream.score(every)
     if score:
         band, noise = np.asarray(p.problem.band)[:many], np.sqrt(np.asarray(p.setting.noise_variance))
         a.said.extend(replay_metrics.rounding_warnings(score, largest, signals, [(largest, band), (largest_y, noise)]))
@@ -221,7 +221,13 @@ def _run(
 
 
 def _results(
-    a: Asked, p: Prepared, judged: innovation_tests.Judged, score: Any, smoothed: Any, draft: output.Draft, loose: bool
+    a: Asked,
+    p: Prepared,
+    judged: innovation_tests.Judged,
+    score: Any,
+    smoothed: Any,
+    draft: replay_metrics.Draft,
+    loose: bool,
 ) -> Replayed:
     """Make tables of what a run left."""
     signals = signals_of(a.cell.scenario)
@@ -256,14 +262,14 @@ def _results(
         "distances": distances.to_dict("records"),
         "metrics": metrics.to_dict("records"),
     }
-    every = [t.to_pandas() for _, t in output.parts(draft.estimates)] if loose else []
-    output.finish(draft, summary)
+    every = [t.to_pandas() for _, t in replay_metrics.parts(draft.estimates)] if loose else []
+    replay_metrics.finish(draft, summary)
     estimates = pd.concat(every, ignore_index=True) if loose else None
     return Replayed(
         innovations=innovations,
         distances=distances,
         metrics=metrics,
         estimates=estimates,
-        summary=output.plain(summary),
+        summary=replay_metrics.plain(summary),
         channels=pd.DataFrame(channels),
     )

@@ -10,17 +10,14 @@ how wide a column is [inches], and the size and font of text; `plots.save` write
 shows is found in `frames`.
 """
 
-from pcbench.plots.canvas import Paper
-from pcbench.plots.consistency import nees
 from pcbench.plots.fault_tolerance import bearing
-from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
-from pcbench.plots.lines import convergence, curves, distributions
-from pcbench.plots.log_delays import delays
-from pcbench.plots.maps import divergence, heatmaps, winners
+from pcbench.plots.heatmaps import divergence, heatmaps, winners
+from pcbench.plots.labels import save
+from pcbench.plots.layout import Paper
+from pcbench.plots.lines import convergence, cost, curves, distributions, quantiles
+from pcbench.plots.one_run import delays, nees
 from pcbench.plots.palette import styles
-from pcbench.plots.pareto import cost
-from pcbench.plots.qq import quantiles
 from pcbench.plots.time_series import time
 
 __all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps",

@@ -8,10 +8,9 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import frames, scales
-from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, named
-from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
 from pcbench.plots.palette import SOFT, styles
 
 ALONE = "model-only"  # the model alone
@@ -82,20 +81,20 @@ def bearing(
     parts = part_of_alone(result, whole.scenario.iloc[0], whole.signal.iloc[0], metric)
     look = styles(parts.observer)
     keys = [Key(o, look[o], "points") for o in dict.fromkeys(parts.observer)]
-    y = scales.of([*parts.part, 1.0], scales.is_wide([*parts.part, 1.0]))
+    y = layout.of([*parts.part, 1.0], layout.is_wide([*parts.part, 1.0]))
     units, panels, every = frames.units(result, whole), [], {}
     axes: dict[str, Any] = {str(name): mine for name, mine in parts.groupby("axis", sort=False)}
     for i, (name, mine) in enumerate(axes.items()):
         over = f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}" if i == 0 else ""
         every[name] = sorted(set(mine.value))
-        panels.append(Panel(scales.at(every[name]), y, frames.label(name, units), over, height=1.1))
+        panels.append(Panel(layout.at(every[name]), y, frames.label(name, units), over, height=1.1))
     figure, drawn = sheet(paper, about(result, whole, {}), panels, keys, columns=min(BESIDE, len(panels)))
     with drawn_on(paper):
         for ax, panel, (name, mine) in zip(drawn, panels, axes.items(), strict=True):
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for key in keys:
                 line = mine[mine.observer == key.label].sort_values("value")
-                at = scales.places(panel.x, line.value, every[name])
+                at = layout.places(panel.x, line.value, every[name])
                 ax.plot(at, line.part, color=key.style.colour, linestyle=key.style.line, linewidth=1.0,
                         marker=key.style.marker, markersize=3.5)  # fmt: skip
     return figure

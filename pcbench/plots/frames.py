@@ -14,7 +14,7 @@ from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.plants import states_of
-from pcbench.plots import output_units, scales
+from pcbench.plots import layout, output_units
 from pcbench.statistics import ranking
 from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.statistics.number_format import ROUNDING
@@ -115,7 +115,7 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
 def said(axis: str, value: Any) -> str:
     """Return an axis' name with a value and its unit: "delay 0.2 s"."""
     unit = AXIS_UNITS.get(axis, "")
-    text = f"{axis.removeprefix('plant.').replace('_', ' ')} {scales.word(value)}"
+    text = f"{axis.removeprefix('plant.').replace('_', ' ')} {layout.word(value)}"
     return f"{text} {unit}" if unit == "s" and not isinstance(value, str) else text
 
 
@@ -231,7 +231,7 @@ def telling(result: Result, scenario: str | None = None, signal: str | None = No
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
     """Return the two axes of a map, across and up: the first two that vary; of these the one with the longer words goes up."""
     across, up = varying(part)[:2]
-    long = [sum(len(scales.word(v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
+    long = [sum(len(layout.word(v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
     return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
 
 

@@ -5,10 +5,9 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.plots import scales
-from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots import layout
 from pcbench.plots.labels import title_of
-from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
 from pcbench.plots.palette import COLOURS, SOFT, Style, styles
 
 MARKS = {"published": "o", "design": "s", "tuned": "D"}
@@ -31,7 +30,7 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     keys = [Key(WORDS[str(t)], Style(SOFT, (), MARKS[str(t)]), "points", 0.0) for t in dict.fromkeys(table.tuning)]
     keys.append(Key("open: on training runs", Style("#FFFFFF", (), ""), "points", 0.0))
     title = title_of(first.metric, first.signal, first.unit)
-    panel = Panel(scales.at(names), scales.of(shown, log=scales.is_wide(shown)), "observer", title)
+    panel = Panel(layout.at(names), layout.of(shown, log=layout.is_wide(shown)), "observer", title)
     figure, (ax,) = sheet(paper, f"{first.scenario}, held-out runs", [panel], keys)
     with drawn_on(paper):
         for tuning, mine in table.groupby("tuning", sort=False):
@@ -59,7 +58,7 @@ def trade_off(
     stands = table[table.refused == ""]
     words = "promised decay rate [1/s]" if x == "rate" else x.replace("_", " ")
     option = str(table.columns[0])
-    over = {name: scales.of(stands[name], scales.is_wide(stands[name]), margin=0.12) for name in (x, cost)}
+    over = {name: layout.of(stands[name], layout.is_wide(stands[name]), margin=0.12) for name in (x, cost)}
     panel = Panel(over[x], over[cost], f"{words}; beside a point: {option}", label or cost.replace("_", " "))
     figure, (ax,) = sheet(paper, title, [panel])
     with drawn_on(paper):
@@ -67,7 +66,7 @@ def trade_off(
         middle = (over[x].low * over[x].high) ** 0.5 if over[x].log else (over[x].low + over[x].high) / 2
         for row in stands.to_dict("records"):
             right = row[x] > middle
-            ax.annotate(scales.word(row[option]), (row[x], row[cost]), textcoords="offset points",
+            ax.annotate(layout.word(row[option]), (row[x], row[cost]), textcoords="offset points",
                         xytext=(-5 if right else 5, 3), ha="right" if right else "left", fontsize=paper.size - 1)  # fmt: skip
     return figure
 

@@ -1,4 +1,9 @@
-"""Lines: how errors are distributed over runs, how a metric moves with one axis of a study, and what more seeds are worth."""
+"""Lines: how errors are distributed over runs, how a metric moves with one axis of a study, and what more seeds are worth.
+
+Simulated means against exact ones: distances in standard errors, sorted, over the normal quantiles they should have.
+
+What an observer is worth against what it costs.
+"""
 
 from collections.abc import Iterable
 from typing import Any
@@ -6,13 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from scipy.special import ndtri
 
 from pcbench.dataset.result import Result
-from pcbench.errors import UserError
-from pcbench.plots import frames, scales
-from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.dataset.validate_exact import Checked
+from pcbench.errors import UserError, unknown
+from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, title_of, unit_of
-from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
 from pcbench.plots.palette import SOFT, Style, styles
 
 APART = 0.012  # of an axis' length, between points of observers at one value
@@ -36,8 +42,8 @@ def distributions(
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
     names = list(dict.fromkeys(named.observer))
-    x = scales.of(part.value, scales.is_wide(part.value))
-    y = scales.Scale(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), ("0", "25 %", "50 %", "75 %", "100 %"))
+    x = layout.of(part.value, layout.is_wide(part.value))
+    y = layout.Scale(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), ("0", "25 %", "50 %", "75 %", "100 %"))
     title = title_of(metric, named.signal.iloc[0], unit_of(named))
     keys = keys_of(names)
     panel = Panel(x, y, title, "share of runs")
@@ -78,7 +84,7 @@ def curves(
     every = list(dict.fromkeys(part[axis]))
     names = list(dict.fromkeys(whole.observer))
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
-    x, y = scales.at(every), scales.of(ends, scales.is_wide(ends))
+    x, y = layout.at(every), layout.of(ends, layout.is_wide(ends))
     keys = keys_of(names, "points")
     panel = Panel(
         x, y, frames.label(axis, frames.units(result, whole)), title_of(metric, whole.signal.iloc[0], unit_of(whole))
@@ -90,7 +96,7 @@ def curves(
         for i, key in enumerate(keys):
             mine = part[part.observer == key.label]
             moved = APART * (i - (len(keys) - 1) / 2)
-            found = np.array(_beside(scales.places(x, list(mine[axis]), every), x, moved))
+            found = np.array(_beside(layout.places(x, list(mine[axis]), every), x, moved))
             where, mine = np.sort(found), mine.iloc[np.argsort(found)]
             faint = 0.45 if len(every) < FEW else 1.0
             ax.plot(where, mine["mean"], color=key.style.colour, linestyle=key.style.line, linewidth=1.1, alpha=faint)
@@ -117,8 +123,8 @@ def convergence(
     part = frames.convergence(result, scenario, signal, metric, cell)
     names = [n for n in dict.fromkeys(named.observer) if n in set(part.observer)]
     keys = [*keys_of(names), Key("1/√seeds", Style(SOFT, (1.0, 1.0), ""), width=0.9)]
-    x = scales.at(sorted(set(part.seeds)) or [1, 2])
-    y = scales.of(100 * part.half, log=True)
+    x = layout.at(sorted(set(part.seeds)) or [1, 2])
+    y = layout.of(100 * part.half, log=True)
     title = f"± of {title_of(metric, named.signal.iloc[0], '')} [% of it]"
     figure, (ax,) = sheet(
         paper, about(result, named, frames.values_at(named, cell)), [Panel(x, y, "seeds", title)], keys
@@ -148,8 +154,74 @@ def line(key: Key) -> dict[str, Any]:
     return {"color": key.style.colour, "linewidth": key.width, "linestyle": key.style.line}
 
 
-def _beside(where: list[float], x: scales.Scale, by: float) -> list[float]:
+def _beside(where: list[float], x: layout.Scale, by: float) -> list[float]:
     """Places on an axis moved by a part of its length."""
     if x.log:
         return [v * (x.high / x.low) ** by for v in where]
     return [v + (x.high - x.low) * by for v in where]
+
+
+def quantiles(found: Checked, *, paper: Paper = PAPER) -> Figure:
+    """Return the quantile plot of a comparison: points on the line are chance. Raises UserError where there is none to draw."""
+    rows = found.rows[np.isfinite(found.rows.z)].sort_values("z", kind="stable")
+    if rows.empty:
+        raise UserError("plots.quantiles: got no mean that varies, expected some; run a study with noise.")
+    expected = ndtri((np.arange(len(rows)) + 0.5) / len(rows))
+    keys = keys_of(dict.fromkeys(sorted(rows.observer)))
+    panel = Panel(
+        layout.of(expected),
+        layout.of([*rows.z, *expected]),
+        "normal quantile",
+        "(mean less exact) / standard error",
+        2.4,
+    )
+    figure, (ax,) = sheet(paper, f"{len(rows):,} simulated means against exact values", [panel], keys)
+    with drawn_on(paper):
+        ends = [expected[0], expected[-1]]
+        ax.plot(ends, ends, color=SOFT, linewidth=0.8, zorder=1)
+        for key in keys:
+            mine = (rows.observer == key.label).to_numpy()
+            ax.scatter(expected[mine], rows.z[mine], s=7, color=key.style.colour, linewidths=0, label=key.label)
+    return figure
+
+
+WORDS = {
+    "sample": "multiplications of a sample",
+    "tick": "multiplications of a tick",
+    "memory": "bytes of memory",
+}
+
+
+def cost(
+    result: Result,
+    costs: pd.DataFrame,
+    *,
+    by: str = "sample",
+    metric: str = "steady_rmse",
+    scenario: str | None = None,
+    signal: str | None = None,
+    cell: int = 0,
+    paper: Paper = PAPER,
+) -> Figure:
+    """Return a metric of every observer of a cell over what it costs (`pcbench.operation_counts`), by sample, tick or memory.
+
+    Raises UserError where there is no such cost.
+    """
+    if by not in WORDS:
+        raise unknown("cost", "cost", by, WORDS)
+    whole = frames.rows(result, scenario, signal, metric)
+    chosen = whole[whole.cell == cell]
+    both = chosen.merge(costs[["scenario", "cell", "observer", *WORDS]], on=["scenario", "cell", "observer"])
+    both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
+    look, row = styles(both.observer), chosen.iloc[0]
+    x = layout.of(both[by], layout.is_wide(both[by]), margin=0.12)
+    y = layout.of(both[["mean", "ci_low", "ci_high"]], layout.is_wide(both["mean"]), margin=0.12)
+    panel = Panel(x, y, WORDS[by], title_of(metric, row.signal, row.unit))
+    keys = [Key(o, look[o], "points", 0.0) for o in both.observer]
+    figure, (ax,) = sheet(paper, about(result, chosen, frames.values_at(whole, cell)), [panel], keys)
+    with drawn_on(paper):
+        for one in both.to_dict("records"):
+            style = look[one["observer"]]
+            ax.vlines(one[by], one["ci_low"], one["ci_high"], colors=style.colour, linewidth=1.2)
+            ax.scatter([one[by]], [one["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3)
+    return figure

@@ -1,14 +1,74 @@
-"""What the observers of one cell cost, kept beside its run in time."""
+"""What the observers of one cell cost, kept beside its run in time.
 
+What pictures need besides the tables: made once, kept in the folder `examples` beside these, and found again there.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
 
+from pcbench.dataset import parquet_io, storage
 from pcbench.planning import drafts, operation_counts
-from pcbench.plots.example_cache import Thing, kept
-from pcbench.runtime import config
+from pcbench.runtime import config, provenance
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
+from pcbench.study.plugins.user_observers import is_absent
+
+KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
+
+
+class Thing(NamedTuple):
+    """What is kept under a name: of a cell, its observers and this release, and what is said `about` it."""
+
+    name: str
+    cell: Cell
+    about: list[Any]
+
+    @property
+    def path(self) -> str:
+        """Return its file below the dataset's folder."""
+        return f"examples/{self.name.replace('/', '%2F')}.parquet"
+
+    @property
+    def key(self) -> bytes:
+        """Return what it was made of."""
+        options = {o: given.model_dump() for o, given in self.cell.options.items()}
+        said = [self.cell.digest, options, self.cell.told, provenance.versions(), *self.about]
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
+
+    @property
+    def can_be_made(self) -> bool:
+        """Whether the code of every observer, plant and law of a user's own is here."""
+        return not any(map(is_absent, [*self.cell.own.values(), *self.cell.scenario.own.values()]))
+
+
+def kept(out: str | Path | None, thing: Thing, make: Callable[[], pd.DataFrame]) -> pd.DataFrame | None:
+    """Return a thing that stands in `out`, made where it does not; None where code that it takes is not here."""
+    there = found(out, thing)
+    if there is not None or not thing.can_be_made:
+        return there
+    return keep(out, thing, make())
+
+
+def found(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
+    """Return a thing as it stands in `out`; None where it does not, or is of something else."""
+    content = None if out is None else storage.get(storage.target(str(out)), thing.path)
+    there = None if content is None else parquet_io.whole(content)
+    return there.to_pandas() if there is not None and there.schema.metadata.get(KEY) == thing.key else None
+
+
+def keep(out: str | Path | None, thing: Thing, made: pd.DataFrame) -> pd.DataFrame:
+    """Put a thing into `out`, where there is such a folder, and return it."""
+    if out is not None:
+        table = pa.Table.from_pandas(made, preserve_index=False)
+        said = {**(table.schema.metadata or {}), KEY: thing.key}
+        storage.put_table(storage.target(str(out)), thing.path, parquet_io.sealed(table.replace_schema_metadata(said)))
+    return made
 
 
 def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:

@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from pcbench.plots import scales
-from pcbench.plots.canvas import Paper, drawn_on, width_of
-from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots import layout
+from pcbench.plots.layout import Key, Panel, Paper, drawn_on, sheet, width_of
 from pcbench.plots.palette import INK, on
 
 FINE = 6  # values of both axes from which on contour lines are drawn
@@ -46,7 +45,7 @@ def drawn(
     maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool, keyed: bool = False
 ) -> Figure:
     """Draw maps side by side, as many as two columns of the paper hold; with keys where some cell has no room for words."""
-    across, up = (scales.Scale(-0.5, len(v) - 0.5, tuple(range(len(v))), tuple(map(scales.word, v))) for _, v in (x, y))
+    across, up = (layout.Scale(-0.5, len(v) - 0.5, tuple(range(len(v))), tuple(map(layout.word, v))) for _, v in (x, y))
     columns, wide = _columns(len(maps), across, up, paper)
     height = max(2.6 * paper.em, min(ROW, TALL / len(y.values))) * len(y.values)
     panels = []
@@ -62,7 +61,7 @@ def drawn(
     return figure
 
 
-def _columns(many: int, across: scales.Scale, up: scales.Scale, paper: Paper) -> tuple[int, float]:
+def _columns(many: int, across: layout.Scale, up: layout.Scale, paper: Paper) -> tuple[int, float]:
     """How many maps stand side by side, and how wide they are together in inches."""
     small, em = paper.size - 1, paper.em
     cell = max(3.3 * em, *(width_of(w, small, paper.font) + 0.4 * em for w in across.words))
@@ -82,7 +81,7 @@ def _filled(ax: Axes, each: Map, x: Over, y: Over, figure: Figure, paper: Paper,
     for (a, b), cell in each.cells.items():
         i, j = x.values.index(a), y.values.index(b)
         patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor="#FFFFFF", linewidth=0.8)
-        patch.set_gid(f"tip:{cell.tip}, {x.title} {scales.word(a)}, {y.title} {scales.word(b)}")
+        patch.set_gid(f"tip:{cell.tip}, {x.title} {layout.word(a)}, {y.title} {layout.word(b)}")
         ax.add_patch(patch)
         words = next((w.strip() for w in cell.words if _goes_in(w.strip(), room, small, paper)), "")
         ax.text(i, j, words, ha="center", va="center", fontsize=small, color=on(cell.colour), linespacing=1.15)
@@ -119,6 +118,6 @@ def grid_of(each: Map, x: Over, y: Over) -> NDArray[np.float64]:
 def levels_of(grid: NDArray[np.float64], log: bool) -> list[float]:
     """Return the values of which lines are drawn."""
     found = grid[np.isfinite(grid)]
-    if not found.size or np.ptp(found) <= scales.SAME * np.abs(found).max():
+    if not found.size or np.ptp(found) <= layout.SAME * np.abs(found).max():
         return []
-    return [v for v in scales.of(found, log).ticks if found.min() < v < found.max()]
+    return [v for v in layout.of(found, log).ticks if found.min() < v < found.max()]

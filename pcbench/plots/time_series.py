@@ -9,10 +9,9 @@ from matplotlib.figure import Figure
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run, scales
-from pcbench.plots.canvas import PAPER, Paper, drawn_on
+from pcbench.plots import frames, layout, one_run
 from pcbench.plots.labels import title_of_scenario
-from pcbench.plots.layout import Key, Panel, sheet
+from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
 from pcbench.plots.lines import keys_of, line
 from pcbench.plots.palette import MEASURED, PLANT, SOFT, Style, pale
 from pcbench.study import scenarios_of
@@ -66,7 +65,7 @@ def drawn(
     known = set(part.series)
     keys = [key for key in keys_of(dict.fromkeys(named.observer)) if key.label in known]
     word = f"{signal.replace('_', ' ')} [{unit}]"
-    t = scales.linear(0.0, float(part.t.max()))
+    t = layout.linear(0.0, float(part.t.max()))
     upper = Panel(t, _range(part), "", word)
     lower, log = _errors_range(part)
     title = _size(part, unit, exactly(result, scenario, cell)) if log else f"error (true less estimated) [{unit}]"
@@ -168,7 +167,7 @@ def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
     return (f"rms error over {over(of, exact)}" if of else "|error|") + f" [{unit}]"
 
 
-def _range(part: pd.DataFrame) -> scales.Scale:
+def _range(part: pd.DataFrame) -> layout.Scale:
     """The axis of the plant and its target, with room; what runs away leaves the picture."""
     mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     low, high = float(mine.min()), float(mine.max())
@@ -178,10 +177,10 @@ def _range(part: pd.DataFrame) -> scales.Scale:
         (max(low - room, min(low, near.min())), min(high + room, max(high, near.max()))) if len(near) else (low, high)
     )
     room = 0.05 * (high - low) or room
-    return scales.linear(low - room, high + room)
+    return layout.linear(low - room, high + room)
 
 
-def _errors_range(part: pd.DataFrame) -> tuple[scales.Scale, bool]:
+def _errors_range(part: pd.DataFrame) -> tuple[layout.Scale, bool]:
     """The axis of errors, and whether it is logarithmic: where their sizes span decades."""
     errors = part[part.kind == "error"]
     size = part[part.kind == "rms"] if (part.kind == "rms").any() else errors
@@ -191,16 +190,16 @@ def _errors_range(part: pd.DataFrame) -> tuple[scales.Scale, bool]:
     value = size.value.abs()
     value = value[np.isfinite(value) & ((value <= most) | (most == 0))]
     if not len(value) or not value.max():
-        return scales.linear(-1.0, 1.0), False
+        return layout.linear(-1.0, 1.0), False
     later = size[size.t >= STEADY * size.t.max()].groupby("series").value
     steady = later.apply(
         lambda v: float(np.sqrt(np.nanmean(np.square(v[np.isfinite(v)]))) if np.isfinite(v).any() else np.nan)
     )
-    if value.max() > scales.WIDE * np.nanmin(steady):
+    if value.max() > layout.WIDE * np.nanmin(steady):
         inside = value[value > 0]
-        return scales.of(inside.clip(lower=DEPTH * inside.max()), log=True), True
+        return layout.of(inside.clip(lower=DEPTH * inside.max()), log=True), True
     shown = part[part.kind.isin(["error", "low", "high"])].value
     believed = 3 * part.value[(part.kind == "sigma") & (part.t >= STEADY * part.t.max())]
     shown = pd.concat([shown, believed, -believed])
     shown = shown[np.isfinite(shown) & ((shown.abs() <= most) | (most == 0))]
-    return scales.of([*shown, 0.0]), False
+    return layout.of([*shown, 0.0]), False

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pcbench import toml_text
 from pcbench.errors import UserError, said
-from pcbench.recordings import matlab, mcap, rosbag, ulog, wide_table
+from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
 from pcbench.recordings.log import Batch, Floats, Log, Rows, Table
 from pcbench.recordings.messages import RECEIVED
 from pcbench.recordings.units import SECONDS
@@ -80,8 +80,8 @@ FORMATS = {
     ".mcap": Format(_by_parts(mcap.fields), "header.stamp", RECEIVED),
     ".ulg": Format(ulog.reader, "timestamp_sample", "timestamp"),
     ".mat": Format(matlab.reader, "t", None),
-    ".csv": Format(_by_parts(wide_table.fields), "t", None),
-    ".parquet": Format(_by_parts(wide_table.fields), "t", None),
+    ".csv": Format(_by_parts(tables.fields), "t", None),
+    ".parquet": Format(_by_parts(tables.fields), "t", None),
 }
 
 

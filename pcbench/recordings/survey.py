@@ -6,18 +6,24 @@ interval. Its *drift* is by how much the clock of the stamps is fast beside that
 minus the slope of the line through all delays.
 A sample is *out of order* where one with a later stamp stands before it, *doubled* where its stamp stands there twice.
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
+
+What is in a log as a table, a row a channel.
 """
 
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError
-from pcbench.recordings import clocks
+from pcbench.recordings import clocks, readers
 from pcbench.recordings.clocks import Times
 from pcbench.recordings.log import Batch, Log, Table, require_sound
 from pcbench.recordings.running_stats import Line, Spread, add, fit, largest
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 GAP = 5.0  # medians of an interval
 JUMP = 10.0  # middle halves of the delays
@@ -199,3 +205,17 @@ def _row(name: str, seen: Seen) -> dict[str, Any]:
         "drift_ppm": -1e6 * slope,
         "drift_ppm_se": 1e6 * se,
     }
+
+
+def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
+    """Return what is in a log, a row a channel: rate, gaps and delays [s], samples out of order or doubled, stamps that drift.
+
+    `name` is a folder or file of tables, or a TOML that says what of a bag is which channel; `delay` [s] stands for arrivals
+    that it does not have. `log(...).attrs["survey"]` has what the picture `plots.delays` shows. Raises UserError with the row.
+    """
+    import pandas as pd
+
+    found = survey(readers.opened(name, delay))
+    table = pd.DataFrame(described(found))
+    table.attrs = {"survey": found, "name": str(name)}
+    return table

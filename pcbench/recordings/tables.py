@@ -5,19 +5,27 @@
 
 Measurements have the columns channel, sampled, arrived, value; inputs and truth t and one column each. A head may say a unit of
 time, "sampled [ms]"; seconds otherwise. Channels stand in the order of the numbers in their names, y2 before y10.
+
+CSV and Parquet of any shape: a column for each channel, or a file with one row a sample; fields are columns.
+
+A run as a log: the tables that `tables` reads.
+
+A simulated run as a log: what its samples brought and when, the input held over every tick, and the true state.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from pcbench.errors import UserError
 from pcbench.recordings import columns, units
-from pcbench.recordings.log import Batch, Log, Rows, Table
+from pcbench.recordings.log import Batch, Floats, Log, Rows, Table
 
 COLUMNS = ("channel", "sampled", "value")
 
@@ -136,3 +144,77 @@ def _seconds(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
 
 def _number(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
     return columns.numbers(part.column(head), f"{path.name}: {head}")
+
+
+def fields(
+    path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
+) -> Iterator[dict[str, Floats]]:
+    """Yield parts of columns, [K] each; times in seconds. What is empty is NaN."""
+    columns.require(path, columns.heads(path), wanted, f"{where}: {path.name}")
+    for part in columns.parts(path, wanted):
+        found = {}
+        for name in wanted:
+            column = part.column(name)
+            if name in times:
+                found[name] = units.seconds(column, unit or units.parts(name)[1], f"{where}: {name}")
+            else:
+                found[name] = columns.numbers(column, f"{where}: {name}")
+        yield found
+
+
+def as_tables(
+    samples: Batch,
+    channels: Sequence[str],
+    inputs: tuple[NDArray[Any], NDArray[Any]] | None = None,
+    truth: tuple[Sequence[str], NDArray[Any], NDArray[Any]] | None = None,
+) -> dict[str, pa.Table]:
+    """Return samples, inputs (t [K], u [K, m]) and truth (names, t [K], x [K, n]) as tables, by the names of their files."""
+    names = pa.array(channels).take(pa.array(samples.channel))
+    lost = np.isnan(samples.arrived)
+    columns = [names, pa.array(samples.sampled), pa.array(samples.arrived, mask=lost), pa.array(samples.value)]
+    out = {"measurements": pa.table(columns, ["channel", "sampled", "arrived", "value"])}
+    if inputs is not None:
+        t, u = inputs
+        out["inputs"] = _wide(t, u, [f"u{i + 1}" for i in range(u.shape[1])])
+    if truth is not None:
+        signals, t, x = truth
+        out["truth"] = _wide(t, x, signals)
+    return out
+
+
+def _wide(t: NDArray[Any], values: NDArray[Any], names: Sequence[str]) -> pa.Table:
+    columns = [t, *(np.ascontiguousarray(v) for v in values.T)]
+    return pa.table([pa.array(column) for column in columns], ["t", *names])
+
+
+def tables_of(
+    samples: list[Any], schedule: Any, recording: Any, dt: float, signals: list[str], error: int = 0
+) -> dict[str, pa.Table]:
+    """Return the tables of a run by name.
+
+    `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. Their times are
+    the stamps that observers get, which assume a delay that is `error` ticks too long (`Sample.stamp`). One that was lost,
+    or is on its way when the run ends, never arrives. Raises UserError where measuring began before
+    tick 0: such samples have measured nothing that a log holds.
+    """
+    if len(schedule.early):
+        raise UserError(
+            "--log: got a scenario that measured before t = 0, expected one that begins there; take another."
+        )
+    last = len(recording.x) - 1
+    every = sorted((s for s in samples if s.taken <= last), key=lambda s: (s.taken, s.channel))
+    k, slot, channel = np.nonzero(schedule.mask)
+    brought = recording.brought[k, slot, channel]
+    value = dict(
+        zip(zip(channel.tolist(), schedule.number[k, slot, channel].tolist(), strict=True), brought, strict=True)
+    )
+    batch = Batch(
+        channel=np.array([s.channel for s in every], int),
+        sampled=np.array([s.stamp(error) * dt for s in every]),
+        arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
+        value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
+        row=np.arange(1, len(every) + 1),
+    )
+    t = np.arange(last + 1) * dt
+    channels = [f"y{i + 1}" for i in range(schedule.mask.shape[2])]
+    return as_tables(batch, channels, (t, recording.u), (signals, t, recording.x))

@@ -1,11 +1,20 @@
-"""What pictures show, in words: for those who do not see them, and as captions."""
+"""What pictures show, in words: for those who do not see them, and as captions.
+
+What suffices, in a sentence beside a curve: up to which value of its axis each observer's error surely stays below a limit.
+
+From the values that were run; `pcbench find-limit` finds values between them.
+"""
+
+from math import isfinite
 
 import numpy as np
 import pandas as pd
 
-from pcbench.plots import frames, one_run, scales
-from pcbench.plots.scales import number as exact
+from pcbench.plots import frames, layout, one_run
+from pcbench.plots.layout import number as exact
 from pcbench.plots.time_series import BANDS, over
+from pcbench.statistics import limit_search
+from pcbench.statistics.limit_search import Answer
 from pcbench.statistics.ranking import most_often
 
 WINNERS = (
@@ -42,7 +51,7 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     said = []
     for observer, mine in first.groupby("observer", sort=False):
         a, b = mine.iloc[0], mine.iloc[-1]
-        ends = [f"{_said(row['mean'], unit)} at {scales.word(row[axis])}" for row in (a, b)]
+        ends = [f"{_said(row['mean'], unit)} at {layout.word(row[axis])}" for row in (a, b)]
         said.append(f"{observer}: {' to '.join(ends)}")
     return "; ".join(said) + "."
 
@@ -131,3 +140,37 @@ def where(part: pd.DataFrame, cell: int) -> str:
 
 def _said(value: float, unit: str) -> str:
     return f"{number(value)} {unit}" if np.isfinite(value) else "(diverged in every run)"
+
+
+TIMES = 2.0  # the least error of the axis, that is the limit where none is given
+
+
+def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:
+    """Return what suffices, from the rows of stats along an axis; empty where the axis is no numbers, or no error is finite.
+
+    `below` is the limit, in the unit of the rows; None: TIMES their least mean.
+    """
+    if not all(isinstance(v, int | float) and isfinite(v) for v in part[axis]):
+        return ""
+    least = part["mean"].min()
+    limit = TIMES * least if threshold is None else threshold
+    if not limit > 0:
+        return ""
+    found = limit_search.points(part, axis, limit)
+    each = "; ".join(f"{observer} {_words(limit_search.answer(points))}" for observer, points in found.items())
+    which = f"{number(limit)} {unit}".strip() + (", twice the least" if threshold is None else "")
+    return f"Surely below {which}: {each}."
+
+
+def _words(a: Answer) -> str:
+    """An answer in a few words."""
+    if a.largest is None or a.kind != "up to":
+        return {
+            "every value": "everywhere",
+            "no value": "nowhere",
+            "undecided": "not sure anywhere",
+        }.get(a.kind, "has no number")
+    end = f"up to {layout.word(a.largest.value)}"
+    beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", beyond not sure"
+    odd = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""
+    return end + beyond + odd

@@ -7,7 +7,7 @@ from pcbench.dataset import storage
 from pcbench.dataset.result import Result
 from pcbench.errors import unknown
 from pcbench.plots import frames
-from pcbench.plots.files import KINDS, saved
+from pcbench.plots.labels import KINDS, saved
 from pcbench.report import figures
 from pcbench.report.figures import SHOWN, Picture, Shown
 from pcbench.runtime.progress import SILENT, Progress

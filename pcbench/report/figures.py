@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
-from pcbench.plots import consistency, fault_tolerance, frames, observer_costs, one_run, time_series
-from pcbench.plots.canvas import PAPER, Paper
+from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
 from pcbench.plots.labels import named, unit_of
-from pcbench.report import captions, limit_sentence
+from pcbench.plots.layout import PAPER, Paper
+from pcbench.report import captions
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import scenarios_of
@@ -108,7 +108,7 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         figure = plots.curves(result, axis, at=rest, **here)
         part = frames.fixed(whole, [axis], rest)
         note = " ".join(
-            filter(None, [limit_sentence.said(part, axis, unit, shown.threshold), "Bars: 95 % intervals of the mean."])
+            filter(None, [captions.said(part, axis, unit, shown.threshold), "Bars: 95 % intervals of the mean."])
         )
         title = f"{_upper(words)} over {frames.label(axis, units)}"
         yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, captions.curve(part, axis, unit), note)
@@ -137,8 +137,8 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
         text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
-    if run is not None and consistency.judged(run):
-        figure = consistency.drawn(result, run, scenario, cell, shown.paper)
+    if run is not None and one_run.judged(run):
+        figure = one_run.drawn(result, run, scenario, cell, shown.paper)
         name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
         yield Picture(name, title, figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.dataset.result import Result
-from pcbench.plots import frames, scales
+from pcbench.plots import frames, layout
 from pcbench.plots.palette import styles
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
@@ -103,7 +103,7 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     rows: list[dict[str, Any]] = []
     for observer, mine in part.groupby("observer", sort=False):
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
-        median = scales.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
+        median = layout.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
         name = number_format.marked(str(observer), mine.certified)
         led = sum(observer in each for each in won.leaders)
         cells = [name, str(wins.get(observer, 0)), str(led), median, "none" if not share else f"{share:.3g} %"]

@@ -15,10 +15,10 @@ from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.plots import frames
-from pcbench.plots.files import inline
-from pcbench.plots.labels import title_of_scenario
-from pcbench.report import captions, figures, headline, set_options, summary
-from pcbench.report.experiment import Experiment, experiment
+from pcbench.plots.labels import inline, title_of_scenario
+from pcbench.report import captions, figures, headline, summary
+from pcbench.report import experiment as of_scenario
+from pcbench.report.experiment import Experiment
 from pcbench.report.figures import SHOWN, Picture, Shown
 from pcbench.runtime.progress import SILENT, Progress
 
@@ -87,7 +87,7 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
             several=any(t.of > len(rows) for t in won),
             anchors={name: f"scenario-{i}" for i, name in enumerate(names)},
             sections=sections,
-            options=set_options.rows(result),
+            options=of_scenario.rows(result),
             tuned=result.study.tuning_sentence,
             command=_command(result),
             study=_said(result),
@@ -120,7 +120,7 @@ def _section(here: figures.Place, anchor: str) -> Section:
         parts.append(Part(title, tables, at, drawn))
     besides = [_drawn(p) for p in figures.of_all_signals(here)]
     parts += [Part("All signals", [], "", besides)] if besides else []
-    return Section(anchor, title_of_scenario(result, scenario), experiment(result, scenario), parts)
+    return Section(anchor, title_of_scenario(result, scenario), of_scenario.experiment(result, scenario), parts)
 
 
 def _drawn(p: Picture) -> dict[str, Any]:

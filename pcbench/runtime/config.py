@@ -9,7 +9,7 @@ from platform import machine
 import jax
 
 from pcbench.errors import UserError, said, shown
-from pcbench.runtime import blas_threads
+from pcbench.runtime import thread_pools
 from pcbench.runtime.cache import folder
 
 ISA = "--xla_cpu_max_isa"  # the instruction set; AVX is the last one of x86 without FMA
@@ -22,7 +22,7 @@ def setup() -> None:
     own jax configuration leaves it out: pcbench then computes the same, from jax 0.11 on but for the last bit
     (`without_fma`), and compiles anew in every process.
     """
-    blas_threads.one()
+    thread_pools.one()
     if flags := without_fma(os.environ.get("XLA_FLAGS", "")):
         os.environ["XLA_FLAGS"] = flags
     jax.config.update("jax_enable_x64", True)

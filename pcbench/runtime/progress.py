@@ -1,7 +1,13 @@
-"""How long work says how far it is: what has begun, how many steps of it are done, what is being done now. No jax."""
+"""How long work says how far it is: what has begun, how many steps of it are done, what is being done now. No jax.
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+Where the time of one thread goes. No jax.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any, NamedTuple, TypeVar
 
 
 def _ignore(*said: Any) -> None:
@@ -21,3 +27,33 @@ class Progress(NamedTuple):
 
 
 SILENT = Progress()
+
+
+T = TypeVar("T")
+
+
+class Stopwatch:
+    """Seconds by what they were spent on."""
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, what: str) -> Iterator[None]:
+        """Count the time until this is left."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[what] += perf_counter() - start
+
+    def each(self, what: str, things: Iterable[T]) -> Iterator[T]:
+        """Yield things, and count the time that they take to come."""
+        left = iter(things)
+        while True:
+            with self(what):
+                try:
+                    thing = next(left)
+                except StopIteration:
+                    return
+            yield thing

@@ -1,7 +1,7 @@
 """The closed loop in a run: commands made of the estimate, the input that they become, and what is off the set point.
 
 In a closed loop there is one observer, with a plant of its own. A run that has diverged is frozen. Commands go to the plant on
-a line that is the same for all runs (`actuator_delay`), or over a network with delays and losses of each run's own
+a line that is the same for all runs (`command_network`), or over a network with delays and losses of each run's own
 (`command_network`).
 """
 

@@ -5,8 +5,28 @@ In an open loop no observer has a part in it: runs are simulated without any, an
     y_j of sample i, taken at tick k  =  output(x_k)_j + noise_std_j v_j(i)
 
 A sample from before tick 0 has measured x(0).
+
+The noise of samples before scaling, by channel and sample: normal, or Student's t of the same variance; and outliers.
+
+    v = w with probability 1 - p, scale w with probability p,   w ~ N(0, 1)
+
+(the contaminated normal: Tukey 1960). With n degrees of freedom w is replaced by
+
+    t sqrt((n - 2) / n),   t = w sqrt(n (e^(r/n) - 1) / r),   r = w^2 + z^2,   z ~ N(0, 1)
+
+which is Student's t exactly (Bailey, Math. Comp. 62 (1994), 779: in polar form its radius alone differs from the normal's), has
+the sign of w, and goes to w as n grows. w has the address of the sample's noise whether there are outliers or not, and which
+samples are outliers is drawn beside it: with and without them a study stands on the same draws.
+
+What comes out is rounded to whole steps D, where a channel has them, with subtractive dither d or with none:
+
+    D floor((y + d) / D + 1/2) - d,   d ~ U(-D/2, D/2)
+
+whose error is then uniform over one step, of variance D^2/12, whatever y is (Schuchman, IEEE Trans. Commun. Tech. 12
+(1964), 162).
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -14,9 +34,80 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from pcbench.protocols import Leaf
 from pcbench.runtime import program_cache
-from pcbench.simulation import measurement_noise, rng
+from pcbench.simulation import rng
 from pcbench.simulation.types import GridPointParams, Layout, params_of, present
+
+# (channels j, index[j] of the sample of each) -> v [len(channels), L]; where samples are rounded as many uniform numbers after
+Noise = Callable[[list[int], Any], Array]
+
+
+class Outliers(NamedTuple):
+    """Which samples are."""
+
+    probability: Leaf  # one, or [q] where channels differ
+    scale: Leaf  # of their noise; likewise
+
+
+class Rounding(NamedTuple):
+    """How samples are rounded; q channels."""
+
+    step: Leaf  # [q] D; 0: not at all
+    dither: Leaf  # 1: with subtractive dither; 0: without
+
+
+def rounded(r: Rounding, y: Array, uniform: Array) -> Array:
+    """Return samples [q] as they come out; `uniform` [q] in [0, 1) is what dither is drawn by, [0]: there is none."""
+    d = r.dither * r.step * (uniform - 0.5) if uniform.shape[0] else 0.0
+    step = jnp.where(r.step > 0, r.step, 1.0)
+    return jnp.where(r.step > 0, step * jnp.floor((y + d) / step + 0.5) - d, y)
+
+
+def students(w: Array, z: Array, n: Array) -> Array:
+    """Return what has Student's distribution with n degrees of freedom, scaled to variance 1, of two normal numbers.
+
+    It is w where n is infinite.
+    """
+    r, finite = w * w + z * z, jnp.isfinite(n)
+    m = jnp.where(finite, n, 3.0)
+    return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
+
+
+def _of_channels(a: Any, channels: list[int], ndim: int) -> Any:
+    """What some channels have, to go with noise whose first axis they are; as it is where it is one for all."""
+    return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
+
+
+def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
+    """Return what draws the noise of samples of some channels.
+
+    With `apart` a compiler cannot fuse the noise with what uses it: a run then has the same bits with and without outliers of
+    probability 0.
+    """
+    many = p.noise_std.shape[0]
+    keys = rng.run_keys(root_seed, seeds, "measurement", many)
+    odd = rng.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
+    beside = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", many)
+
+    dither = rng.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
+
+    def drawn(channels: list[int], index: Any) -> Array:
+        v = noise(channels, index)
+        v = lax.optimization_barrier(v) if apart else v
+        return jnp.concatenate([v, rng.uniforms_of([dither[j] for j in channels], index)]) if dither else v
+
+    def noise(channels: list[int], index: Any) -> Array:
+        v = rng.normals([keys[j] for j in channels], index)
+        if beside:
+            v = students(v, rng.normals([beside[j] for j in channels], index), p.tail)
+        if not p.outliers:
+            return v
+        probability, scale = (_of_channels(a, channels, v.ndim) for a in p.outliers)
+        out = rng.uniforms_of([odd[j] for j in channels], index) < probability
+        return jnp.where(out, scale * v, v)
+
+    return drawn
 
 
 class Measured(NamedTuple):
@@ -31,7 +122,7 @@ def measured(layout: Layout, many: int, p: GridPointParams, root_seed: Array, se
     q, lanes = p.noise_std.shape[0], seeds.shape[0]
     numbers = layout.plant.drawn if layout.drifting else 0
     drawn = rng.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, numbers)[0] if numbers else jnp.zeros((0, lanes))
-    noise = measurement_noise.drawing(p, root_seed, seeds)
+    noise = drawing(p, root_seed, seeds)
 
     def one(k: Array, x: Array, drawn: Array) -> Array:
         return layout.plant.output(params_of(layout, p, drawn), present(p, k, True), x)

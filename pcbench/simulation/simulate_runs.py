@@ -25,16 +25,7 @@ from jax import Array, lax
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.protocols import Arrival, Now
-from pcbench.simulation import (
-    actuator_delay,
-    closed_loop,
-    command_network,
-    innovation_stats,
-    measurement_noise,
-    metrics,
-    nees,
-    rng,
-)
+from pcbench.simulation import closed_loop, command_network, innovation_stats, measurements, metrics, rng
 from pcbench.simulation.types import GridPointParams, Layout, Packet, RunSums, params_of, present, truth
 
 Tree = Any  # of arrays
@@ -160,7 +151,7 @@ def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> D
     normal = rng.normals(rng.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
     uniform = partial(rng.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
     process = rng.run_keys(root_seed, one, "process", p.process_std.shape[0])
-    noise = measurement_noise.drawing(p, root_seed, one)
+    noise = measurements.drawing(p, root_seed, one)
     sent = command_network.drawing(p.network, root_seed, one) if layout.pending else None
 
     return Draws(
@@ -216,7 +207,7 @@ def measure(layout: Layout, p: GridPointParams, params: Any, k: Array, x: Array,
     if layout.continuous:
         return y
     y = y + p.noise_std * v[: y.shape[0]]
-    return measurement_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
+    return measurements.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
 def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
@@ -322,7 +313,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) 
     sent = run.commands.sent if layout.pending else run.commands
 
     def coming(i: Array) -> Array:
-        return actuator_delay.read(p.line, sent, k + i, k - 1)
+        return command_network.read(p.line, sent, k + i, k - 1)
 
     if controller.start:
         c, law = controller.command(p.control, now, xhat, coming, run.law)
@@ -332,7 +323,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) 
     if layout.pending:
         commands = command_network.send(p.network, k, run.commands, c, drawn)
     else:
-        commands = actuator_delay.write(run.commands, k, c)
+        commands = command_network.write(run.commands, k, c)
     return run._replace(commands=commands, law=law)
 
 
@@ -372,11 +363,11 @@ def as_one_field(layout: Layout, p: GridPointParams, params: Any, now: Now, run:
 
 def normalized_errors(
     layout: Layout, p: GridPointParams, k: Array, run: Run, e: dict[str, Array]
-) -> dict[str, nees.Squares]:
+) -> dict[str, innovation_stats.Squares]:
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
-    prior, found = jnp.diagonal(p.spread0), nees.covariances(layout, p, k, run.memories, run.commands)
+    prior, found = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {
-        label: nees.normalised(e[label][: len(prior)], P, prior)._replace(
+        label: innovation_stats.normalised(e[label][: len(prior)], P, prior)._replace(
             innovation=innovation_stats.sums(run.memories[label])
         )
         for label, P in found.items()

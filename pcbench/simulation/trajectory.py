@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.runtime import program_cache
-from pcbench.simulation import closed_loop, nees, simulate_runs
+from pcbench.simulation import closed_loop, innovation_stats, simulate_runs
 from pcbench.simulation.simulate_runs import Run, Shift
 from pcbench.simulation.types import GridPointParams, Layout, params_of, present, truth
 
@@ -103,7 +103,7 @@ def _sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, 
     """The standard deviations of their errors that observers report at tick k."""
     if not layout.consistency:
         return {}
-    found = nees.covariances(layout, p, k, run.memories, run.commands)
+    found = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
 
 

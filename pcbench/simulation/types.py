@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 
 from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
-from pcbench.simulation import actuator_delay, command_network, metrics
+from pcbench.simulation import command_network, metrics
 
 PerLane = (
     Any  # a LaneArray where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
@@ -57,7 +57,7 @@ class GridPointParams(NamedTuple):
     process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
     control: Any = ()  # the controller's numbers
-    line: actuator_delay.Line = actuator_delay.NONE
+    line: command_network.Line = command_network.NONE
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
     network: Any = ()  # network.Numbers, where commands are sent over one
     weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
@@ -131,7 +131,7 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: Any = ()) -> 
             return jnp.where(age <= k, p.inputs.rows[place], 0.0)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
-        return actuator_delay.read(p.line, commands, k - age, k if decided else k - 1)
+        return command_network.read(p.line, commands, k - age, k if decided else k - 1)
 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 

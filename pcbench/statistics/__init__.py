@@ -1,14 +1,13 @@
 """Numbers over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
 
 The face of the modules below, each one idea:
-`moments` (means in parts), `estimates` (intervals of means and of fractions), `streaming_quantiles` (order statistics in two
-passes), `quantile_intervals` (their intervals), `metric_matrix` (which metrics there are), `aggregate` (rows of `stats`),
-`comparison` (tests), `pairing` (rows of `pairs`), `ranking` (who wins on a map), `number_format` (numbers as a person reads
-them).
+`estimates` (intervals of means and of fractions, in parts), `quantile_intervals` (order statistics in two passes, and their
+intervals), `metric_matrix` (which metrics there are), `aggregate` (rows of `stats`), `comparison` (tests, rows of `pairs`),
+`ranking` (who wins on a map), `number_format` (numbers as a person reads them).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
 interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
-grow with their number (quantiles: hardly, see `streaming_quantiles`). The functions of whole arrays [n] are the case of one
+grow with their number (quantiles: hardly, see `quantile_intervals`). The functions of whole arrays [n] are the case of one
 chunk.
 """
 
@@ -17,8 +16,21 @@ from numpy.typing import NDArray
 
 from pcbench.errors import unknown
 from pcbench.statistics.aggregate import ESTIMATED, Aggregate, Described, Row, columns, described, rows, see, spread
-from pcbench.statistics.comparison import SAME, contest, holm
-from pcbench.statistics.estimates import Z95, positive, reached, root, student, wilson
+from pcbench.statistics.comparison import (
+    SAME,
+    VERDICT,
+    ZERO,
+    Judged,
+    Meeting,
+    Pair,
+    contest,
+    holm,
+    meet,
+    settled,
+    verdict,
+    verdicts,
+)
+from pcbench.statistics.estimates import Z95, Values, moments, positive, reached, root, student, wilson
 from pcbench.statistics.metric_matrix import (
     ASKED,
     CHUNK,
@@ -31,8 +43,6 @@ from pcbench.statistics.metric_matrix import (
     joined,
     stack,
 )
-from pcbench.statistics.moments import Values, moments
-from pcbench.statistics.pairing import VERDICT, ZERO, Judged, Meeting, Pair, meet, settled, verdict, verdicts
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES, positions, ranks, read
 
 __all__ = [

@@ -6,10 +6,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics import consistency, streaming_quantiles
-from pcbench.statistics.estimates import Estimate, positive, reached, root, student, wilson
+from pcbench.statistics import consistency, quantile_intervals
+from pcbench.statistics.estimates import (
+    Estimate,
+    Moments,
+    Values,
+    merge,
+    moments,
+    positive,
+    reached,
+    root,
+    student,
+    wilson,
+)
 from pcbench.statistics.metric_matrix import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
-from pcbench.statistics.moments import Moments, Values, merge, moments
 from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
 
 Row = dict[str, Any]
@@ -31,7 +41,7 @@ class Aggregate(NamedTuple):
 
     rows: dict[SignalMetric, int]
     moments: Moments  # [C K]
-    order: streaming_quantiles.Order  # [C K]
+    order: quantile_intervals.Order  # [C K]
     diverged: int
     unsettled: NDArray[np.int64]  # [C signals]
     inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
@@ -66,7 +76,7 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
         return Aggregate(
             rows=s.rows,
             moments=found,
-            order=streaming_quantiles.add(streaming_quantiles.EMPTY, values),
+            order=quantile_intervals.add(quantile_intervals.EMPTY, values),
             diverged=diverged,
             unsettled=unsettled,
             inside=inside,
@@ -74,7 +84,7 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
         )
     return before._replace(
         moments=merge(before.moments, found),
-        order=streaming_quantiles.add(before.order, values),
+        order=quantile_intervals.add(before.order, values),
         diverged=before.diverged + diverged,
         unsettled=before.unsettled + unsettled,
         inside=before.inside + inside,
@@ -87,18 +97,18 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     at = {n: positions(n) for n in {s.moments.n for s in seen.values()} if n}
     where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
     asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
-    sought = {label: streaming_quantiles.seek(seen[label].order, asked[label]) for label in where}
-    open_ = [label for label in where if not streaming_quantiles.settled(seen[label].order)]
+    sought = {label: quantile_intervals.seek(seen[label].order, asked[label]) for label in where}
+    open_ = [label for label in where if not quantile_intervals.settled(seen[label].order)]
     parts: dict[str, list[list[Values]]] = {label: [] for label in where}
     for chunk in chunks() if open_ else ():
         for label in open_:
             new = stack(chunk[label])
-            parts[label].append(streaming_quantiles.collect(sought[label], kept(new.values, ~new.diverged)))
+            parts[label].append(quantile_intervals.collect(sought[label], kept(new.values, ~new.diverged)))
     out = {}
     for label, s in seen.items():
         out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
         if label in where:
-            found = read(where[label], streaming_quantiles.select(s.order, sought[label], asked[label], parts[label]))
+            found = read(where[label], quantile_intervals.select(s.order, sought[label], asked[label], parts[label]))
             out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, found)
     return out
 

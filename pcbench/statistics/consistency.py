@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.statistics.distributions import chi_square_exceeded
-from pcbench.statistics.estimates import Estimate
-from pcbench.statistics.moments import Values
+from pcbench.statistics.estimates import Estimate, Values
 
 SIGMAS = (1, 2, 3)
 INSIDE = tuple(f"coverage_{k}_sigma" for k in SIGMAS)

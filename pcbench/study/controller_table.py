@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from pcbench.controllers import CONTROLLERS, ControllerContext
 from pcbench.controllers import entry_of as law_of
-from pcbench.controllers.parts.validate import Sizes, matrix
+from pcbench.controllers.parts.common import Sizes, matrix
 from pcbench.dynamics.linear import Model
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import DesignError, UserError, unknown
@@ -16,7 +16,7 @@ from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario
 from pcbench.study import axes, times
 from pcbench.study.plugins.user_code import Own
-from pcbench.study.plugins.user_options import filled
+from pcbench.study.plugins.user_observers import filled
 from pcbench.study.pydantic_errors import sentence
 from pcbench.synthesis import lqr
 

@@ -11,9 +11,9 @@ from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.scenarios.scenario import STAMPS
 from pcbench.simulation.schedule import sampling
-from pcbench.study import faults, limits
+from pcbench.study import validate
 from pcbench.study.axes import plain
-from pcbench.study.times import clocks, whole
+from pcbench.study.times import clocks, require_few_samples, whole
 
 # what makes delays differ from sample to sample, besides a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
@@ -31,7 +31,7 @@ def fits(s: Scenario, where: str) -> None:
             f"{where}: got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, where nothing drifts, expected "
             f"0; leave it out."
         )
-    faults.require_delays_within_reach(s, where)
+    validate.require_delays_within_reach(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
@@ -42,16 +42,16 @@ def fits(s: Scenario, where: str) -> None:
             )
         youngest = sampling.ages(clock, ticks)[0]
         if late := clock.stamp.reach(ticks)[1]:
-            faults.require_stamps_before_arrivals(s, late, youngest + whole(s.belief.assumed_delay_error, s), where)
+            validate.require_stamps_before_arrivals(s, late, youngest + whole(s.belief.assumed_delay_error, s), where)
         if youngest * s.dt + s.belief.assumed_delay_error < -1e-9:
             raise UserError(
                 f"{where}: got an assumed_delay_error of {s.belief.assumed_delay_error:g} s where samples may be only "
                 f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
                 f"{-youngest * s.dt:g}."
             )
-    faults.fits(s, where)
+    validate.fits(s, where)
     if not measured.continuous:
-        limits.require_few_samples(clocks(s), ticks, s.dt, where)
+        require_few_samples(clocks(s), ticks, s.dt, where)
 
 
 def _at_every_stage(s: Scenario, where: str) -> None:

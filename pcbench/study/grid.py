@@ -13,14 +13,14 @@ from pydantic import BaseModel
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec, entry_of
 from pcbench.scenarios import Scenario
-from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
+from pcbench.study import Choices, Study, choices_of, fits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
-from pcbench.study.lookup import own_in
+from pcbench.study.labels import own_in
 from pcbench.study.lti_plant import require_plant
 from pcbench.study.options import options_in_cell
 from pcbench.study.plugins.user_code import Own
-from pcbench.study.times import Timing, times_of, whole
+from pcbench.study.times import Timing, require_few_cells, times_of, whole
 
 MANY = 300_000  # runs of a scenario from which products save more than they take to compile
 
@@ -93,7 +93,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     lengths = [len(values) for values in axes.values()]
     many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
-    limits.require_few_cells(many, whole(base.duration, base), where)
+    require_few_cells(many, whole(base.duration, base), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}

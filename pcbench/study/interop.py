@@ -18,7 +18,7 @@ from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
 from pcbench.study.parse import parse
-from pcbench.study.plugins.user_scenarios import plain
+from pcbench.study.plugins.user_plants import plain
 
 
 def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:

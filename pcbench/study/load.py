@@ -14,7 +14,7 @@ from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.references import Gate, absolute, looked_up
-from pcbench.study.plugins.user_scenarios import plain, tabled
+from pcbench.study.plugins.user_plants import plain, tabled
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 

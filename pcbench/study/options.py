@@ -9,8 +9,8 @@ from pcbench.observers import OBSERVERS
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.study import axes
-from pcbench.study.lookup import base_in, entry_in
-from pcbench.study.plugins.user_options import filled
+from pcbench.study.labels import base_in, entry_in
+from pcbench.study.plugins.user_observers import filled
 from pcbench.study.schema import Choices, Study
 
 LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the least noise is larger

@@ -20,17 +20,17 @@ from pcbench.study import (
     controller_table,
     fits,
     labels_of,
-    limits,
     scenarios_of,
     sentence,
+    times,
 )
 from pcbench.study.grid import Cell, Grid, cells
+from pcbench.study.labels import base_in
 from pcbench.study.load import Described, named, raw_of, where_of
-from pcbench.study.lookup import base_in
 from pcbench.study.plugins import registry
 from pcbench.study.plugins.references import Gate, Named, named_in
 from pcbench.study.plugins.user_code import Own
-from pcbench.study.plugins.user_scenarios import plain
+from pcbench.study.plugins.user_plants import plain
 from pcbench.study.scenario_schema import ScenarioTable
 
 ALL = "all"  # among observers: every one that can run
@@ -64,7 +64,7 @@ def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
-    limits.require_few_labels(
+    times.require_few_labels(
         {
             *(study.observers or ()),
             *study.options,

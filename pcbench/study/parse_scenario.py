@@ -12,8 +12,8 @@ from pcbench.plants import PLANTS, entry_of, numbers_of, parameters_of, signals_
 from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.scenarios.sources import Sources
-from pcbench.study import axes, controller_table, limits, times
-from pcbench.study import scenario_fit as fit
+from pcbench.study import axes, controller_table, times
+from pcbench.study import validate as fit
 from pcbench.study.lti_inputs import sources
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.scenario_schema import ScenarioTable
@@ -34,7 +34,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     given = table.given()
     start = _base(table, given, where)._replace(name=name)
     start = start.having(**{key: given[key] for key in ("dt", "duration") if key in given})
-    limits.ticks_of(start.duration, start.dt, where)
+    times.ticks_of(start.duration, start.dt, where)
     s = _of_plant(start, given, where, own)
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.synthesis import error_bounds, solver_cache, solvers
+from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
 
@@ -48,7 +48,7 @@ def design(
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
 
     def ask(solver: str) -> CommonLyapunov:
-        return solver_cache.remembered(
+        return solvers.remembered(
             CommonLyapunov, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
         )
 

@@ -20,20 +20,11 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import (
-    common_lyapunov,
-    current_estimator,
-    error_bounds,
-    riccati,
-    robust_lmi,
-    solver_cache,
-    solvers,
-    units,
-)
+from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, riccati, robust_lmi, solvers
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
-from pcbench.synthesis.memo import Again
 from pcbench.synthesis.parameter_ranges import Maps
+from pcbench.synthesis.solvers import Again
 
 ROBUST = ("decay", "h2", "hinf")
 
@@ -59,12 +50,12 @@ def find(
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
-    S = units.near(units.prior_size(setting))
-    s = units.near(np.linalg.norm(C * S, axis=1))
+    S = riccati.near(riccati.prior_size(setting))
+    s = riccati.near(np.linalg.norm(C * S, axis=1))
     into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
-        task = robust_lmi.RobustTask(maps or mean, C, R, ahead / units.prior_size(setting)[:, None], size)
+        task = robust_lmi.RobustTask(maps or mean, C, R, ahead / riccati.prior_size(setting)[:, None], size)
         found, certificate = robust_lmi.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
@@ -93,7 +84,7 @@ def _at_the_mean(
 
     def ask(solver: str) -> current_estimator.CurrentGain:
         name = f"lmi23-{solver.lower()}"
-        return solver_cache.remembered(
+        return solvers.remembered(
             current_estimator.CurrentGain, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
         )
 
@@ -131,7 +122,7 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
 
 def _size(setting: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """The errors' size [n], for a solver's sake: a Kalman filter's where there is one, or else that of x(0)."""
-    prior = units.prior_size(setting)
+    prior = riccati.prior_size(setting)
     try:
         L = riccati.current_gain(Phi, setting.model.C, Q, R, setting.scenario)
     except DesignError:

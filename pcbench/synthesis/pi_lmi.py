@@ -19,7 +19,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
-from pcbench.synthesis import solver_cache, solvers, unknown_input
+from pcbench.synthesis import solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
@@ -61,7 +61,7 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
             "decays; ask for a slower beta or a faster L1."
         )
     name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
-    return solver_cache.remembered(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
+    return solvers.remembered(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
 
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:

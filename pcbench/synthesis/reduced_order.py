@@ -19,7 +19,7 @@ from scipy.linalg import null_space
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import rank, require_observable
 from pcbench.errors import UserError
-from pcbench.synthesis import common_lyapunov, error_bounds, units
+from pcbench.synthesis import common_lyapunov, error_bounds, riccati
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import ErrorMaps
 from pcbench.synthesis.parameter_ranges import Maps
@@ -74,7 +74,7 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
         A12=whole[:, :l, l:],
         A22=whole[:, l:, l:],
         seconds=maps.seconds,
-        units=units.near(np.linalg.norm(T * size, axis=1)),
+        units=riccati.near(np.linalg.norm(T * size, axis=1)),
         corners=maps.corners,
     )
 

@@ -4,6 +4,8 @@
 
 (26) is printed K = P C' R; the printed gains need R^-1. The printed Q = 0.001 I does not give them either: the process
 noise enters through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, section 5.
+
+Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depends on the units of the states.
 """
 
 from bisect import bisect
@@ -18,7 +20,7 @@ from scipy.linalg import solve_continuous_are, solve_discrete_are
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import DesignError, said
-from pcbench.synthesis.certificate import Certificate, least_eigenvalue
+from pcbench.synthesis.certificate import Certificate, DesignContext, least_eigenvalue
 
 
 class Stationary(NamedTuple):
@@ -252,3 +254,14 @@ def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matr
             added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
         steps.flow.update(maps=np.stack(maps), noise=np.stack(added))
     return steps.flow["maps"][:many], steps.flow["noise"][:many]
+
+
+def near(size: Matrix) -> Matrix:
+    """Return the units nearest to sizes [n], 1 for a size of 0. Units of sizes a thousand times larger are so much larger."""
+    return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
+
+
+def prior_size(setting: DesignContext) -> Matrix:
+    """Return the size of x(0) [n], 1 where it is known."""
+    size = np.sqrt(np.diag(setting.P0))
+    return np.where(size > 0, size, 1.0)

@@ -19,7 +19,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import error_bounds, riccati, solver_cache, solvers
+from pcbench.synthesis import error_bounds, riccati, solvers
 from pcbench.synthesis.certificate import SHORT, Certificate
 from pcbench.synthesis.parameter_ranges import Maps
 
@@ -64,7 +64,7 @@ def design(
 
     def ask(solver: str) -> RobustGain:
         problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
-        return solver_cache.remembered(
+        return solvers.remembered(
             RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
 

@@ -15,7 +15,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import rank, shown
 from pcbench.errors import DesignError, UserError, said
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
-from pcbench.synthesis.solver_cache import remembered
+from pcbench.synthesis.solvers import remembered
 
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it

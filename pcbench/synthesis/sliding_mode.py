@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import solver_cache, solvers, unknown_input
+from pcbench.synthesis import solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
@@ -56,7 +56,7 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> S
     """
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
-    return solver_cache.remembered(
+    return solvers.remembered(
         SlidingModeGains, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
     )
 

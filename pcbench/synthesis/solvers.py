@@ -3,16 +3,32 @@
 Clarabel, an interior-point method, is asked first. Where it has no answer, or one that fails its re-check by eigenvalues, SCS
 is asked, a first-order method that shares no code with it. Both answers are judged the same way: what a solver calls
 inaccurate may prove a gain, and what it calls optimal may not.
+
+Remember what a solver found, so that the second run of a study need not import it.
+
+Only raw answers are kept, under the hash of the problem's bits, of the text that states it and of the solvers' versions;
+every certificate is re-checked on what is read back, so a damaged or foreign entry can cost time but cannot enter a table.
+
+The last answers of a function of arrays, given again for equal ones: cells of a study come one after the other, alike.
 """
 
+import hashlib
+import inspect
+import json
+import sys
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, said
+from pcbench.runtime.cache import folder, keep
 from pcbench.synthesis.certificate import Certificate, require_certified
 
 SOLVERS = ("CLARABEL", "SCS")
@@ -86,3 +102,63 @@ def proven(
         raise failure
     best = max(answers, key=lambda each: -np.inf if np.isnan(each[1].margin) else each[1].margin)
     return best[0], require_certified(best[1], where, least)
+
+
+def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Any]) -> Any:
+    """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
+    bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
+    said = f"{name} {_solvers()}".encode()
+    key = hashlib.sha256(bits + said + _source(kind.__module__) + _source(__name__)).hexdigest()[:32]
+    path = folder("gains") / f"{name}-{key}.json"
+    try:
+        stored = json.loads(path.read_text())
+        return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
+    except (OSError, ValueError, TypeError, AttributeError):
+        found = solve()
+        keep(path, _said(found))
+        return found
+
+
+@cache
+def _solvers() -> str:
+    """The versions of the solvers: looked up once, as each takes milliseconds."""
+    return f"{version('cvxpy')} {version('clarabel')} {version('scs')}"
+
+
+@cache
+def _source(module: str) -> bytes:
+    """The text of the module that states a problem: another statement may have another answer."""
+    found = inspect.getsourcefile(sys.modules[module])
+    return Path(found).read_bytes() if found else b""
+
+
+def _said(found: Any) -> str:
+    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})
+
+
+Answer = TypeVar("Answer")
+ROOM = 16  # answers
+
+
+class Again(Generic[Answer]):
+    """A function with a memory of its last answers, by what it was given, to the bit; arguments are positional.
+
+    An answer is shared: whoever gets it leaves it as it is. What is raised is not remembered.
+    """
+
+    def __init__(self, function: Callable[..., Answer]) -> None:
+        self.function = function
+        self.kept: OrderedDict[Any, Answer] = OrderedDict()
+
+    def __call__(self, *given: Any) -> Answer:
+        """Return what the function does."""
+        key = tuple((a.dtype.str, a.shape, a.tobytes()) if isinstance(a, np.ndarray) else a for a in given)
+        if key not in self.kept:
+            self.kept[key] = self.function(*given)
+            if len(self.kept) > ROOM:
+                self.kept.popitem(last=False)
+        return self.kept[key]
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self.kept.clear()

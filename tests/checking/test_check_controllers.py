@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import pcbench
 from pcbench.checking import controller_fixtures
 from pcbench.checking.controller import CHECKS, findings
-from pcbench.checking.result import Skipped
+from pcbench.checking.targets import Skipped
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import controller_table

@@ -11,9 +11,8 @@ from scipy.integrate import solve_ivp
 
 import pcbench
 from pcbench.checking import plant_fixtures
-from pcbench.checking.plant import CHECKS, findings
-from pcbench.checking.plant_motion import finer, stepping, together
-from pcbench.checking.result import Noted
+from pcbench.checking.plant import CHECKS, findings, finer, stepping, together
+from pcbench.checking.targets import Noted
 from pcbench.errors import UserError
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS

@@ -10,7 +10,7 @@ from pcbench import checking
 from pcbench.checking import closed_loop, targets
 from pcbench.checking import study as of_studies
 from pcbench.checking.loading import Candidate
-from pcbench.checking.result import Noted, Skipped
+from pcbench.checking.targets import Noted, Skipped
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
 from pcbench.study import parse

@@ -9,11 +9,11 @@ import numpy as np
 import own_observer as own
 import pytest
 
-from pcbench.checking import tracing
+from pcbench.checking import jaxpr_checks
 from pcbench.checking.fixtures import trial
 from pcbench.checking.loading import Candidate
+from pcbench.checking.noise_free_runs import none, replay
 from pcbench.checking.observer import CHECKS, findings
-from pcbench.checking.replay import none, replay
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.scenarios import SCENARIOS
@@ -237,5 +237,5 @@ def test_a_shifted_packet_is_another_measurement():
 
 def test_a_nan_that_is_written_into_a_program_is_the_same_twice():
     """As the place of a lookup that finds nothing is."""
-    asked = tracing.Asked("f", lambda x: jnp.where(x > 0, x, jnp.nan))
-    assert tracing.alike(tracing.program(asked, jnp.ones(2)), tracing.program(asked, jnp.ones(2)))
+    asked = jaxpr_checks.Asked("f", lambda x: jnp.where(x > 0, x, jnp.nan))
+    assert jaxpr_checks.alike(jaxpr_checks.program(asked, jnp.ones(2)), jaxpr_checks.program(asked, jnp.ones(2)))

@@ -19,9 +19,7 @@ from pcbench.cli.commands import app
 from pcbench.cli.render import listing
 from pcbench.cli.render.tables import Column, Screen, printed
 from pcbench.errors import UserError
-from pcbench.plots.canvas import PAPER
-from pcbench.plots.layout import Key, Panel, sheet
-from pcbench.plots.scales import Scale
+from pcbench.plots.layout import PAPER, Key, Panel, Scale, sheet
 from pcbench.study import parse, scenario_template, scenarios_of
 from pcbench.tables import latex, text
 from pcbench.tables.layout import Entry, Head, Table

@@ -22,8 +22,8 @@ from pcbench import plots
 from pcbench.cli import export
 from pcbench.dataset import atomic_files, storage
 from pcbench.export import files
-from pcbench.playback import output
-from pcbench.plots.log_delays import BINS, edges_of
+from pcbench.playback import replay_metrics
+from pcbench.plots.one_run import BINS, edges_of
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
 
@@ -117,12 +117,12 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
         (tmp_path / name).write_text(text)
 
     def replayed():
-        with output.draft(tmp_path) as draft:
+        with replay_metrics.draft(tmp_path) as draft:
             draft.write(pa.table({"t": [0.0, 1.0]}))
             if at == "estimates":
                 stopped()
             draft.close()
-            output.finish(draft, {})
+            replay_metrics.finish(draft, {})
 
     monkeypatch.setattr(storage, "put_json", stopped)
     with pytest.raises(KeyboardInterrupt):

@@ -15,7 +15,7 @@ from small_study import STUDY
 
 import pcbench
 from pcbench.cli import shared
-from pcbench.cli.render import consistency, replay, results
+from pcbench.cli.render import consistency, recordings, results
 from pcbench.cli.render.tables import Column, Screen, aligned, printed
 from pcbench.controllers import CONTROLLERS
 from pcbench.export.files import Line
@@ -362,6 +362,6 @@ def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
         found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
         console = shared.console()
         console.file = io.StringIO()
-        replay.table(SimpleNamespace(about=about), found, found, "the recording", console)
+        recordings.table(SimpleNamespace(about=about), found, found, "the recording", console)
         assert ("rms error" in console.file.getvalue()) == shown
         assert "nan" not in console.file.getvalue()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
-from pcbench.cli.render import claims, comparison, gains, results, timing
+from pcbench.cli.render import comparison, folder, gains, listing, results
 from pcbench.cli.render.tables import Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.timing import Cost
@@ -38,8 +38,8 @@ def printed(show_it, *given):
 def test_claims_are_counted_by_verdict_and_findings_apart():
     rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
     text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that stand in no paper."
-    assert claims.summary(rows) == text
-    assert text in printed(claims.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
+    assert folder.summary(rows) == text
+    assert text in printed(folder.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
 
 
 def test_a_comparison_shows_both_sides_with_two_standard_errors():
@@ -164,7 +164,7 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
     about = {"wall_seconds": 3.0, "runs_added": 8} | spent
 
     def said(cost):
-        return timing.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
+        return listing.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
 
     assert said(Cost()) == []
     exact = said(Cost(exact_seconds=1.25))

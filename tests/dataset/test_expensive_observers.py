@@ -49,7 +49,7 @@ def test_observers_of_one_cell_do_not_wait_for_an_expensive_one(done):
 
 
 def test_long_calls_are_announced(done, monkeypatch):
-    monkeypatch.setattr("pcbench.dataset.call_time.seconds", lambda made, job: 3 * 3600.0)
+    monkeypatch.setattr("pcbench.dataset.timing.seconds", lambda made, job: 3 * 3600.0)
     said = []
     pcbench.run("cart/white", observers=["kf"], seeds=100, block_size=50, out="out", say=said.append)
     assert said == [

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench.dataset import columns, run_rows, run_study
+from pcbench.dataset import columns, run_study, table_builder
 from pcbench.errors import UserError
 from pcbench.statistics import RUN_METRICS
 from pcbench.study.axes import AXES, COMMANDS
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"), ("push", "N"))
 SEEDS = np.array([7, 8, 9])
-COMMON = run_rows.common_columns({"study": "t", "scenario": "s", "cell": 4}, SEEDS, SIGNALS[:2])
+COMMON = table_builder.common_columns({"study": "t", "scenario": "s", "cell": 4}, SEEDS, SIGNALS[:2])
 
 
 def results():
@@ -24,7 +24,7 @@ def results():
 
 
 def test_a_row_is_of_one_seed_and_one_signal():
-    found, given = run_rows.runs_table(COMMON, results(), True), results()
+    found, given = table_builder.runs_table(COMMON, results(), True), results()
     rows = found.to_pylist()
     assert len(rows) == 6
     for k, row in enumerate(rows):

@@ -12,7 +12,7 @@ from documents import blocks
 import pcbench
 from pcbench.dataset import verify
 from pcbench.errors import UserError
-from pcbench.external import entry, export_draws, run_external, score, worker
+from pcbench.external import entry, export_draws, run_external, score
 from pcbench.study import parse
 from pcbench.study.plugins import registry
 
@@ -196,7 +196,7 @@ def _estimated(tmp_path, text):
     """What a guest makes of one run without delay, and what `kf` does."""
     (tmp_path / "mine.py").write_text(text)
     export_draws.write(parse.grid_of(dict(NOW), {}, []), tmp_path / "out")
-    worker.main(str(tmp_path / "out"), f"{tmp_path}/mine.py:Filter", str(tmp_path / "e.parquet"))
+    entry.main(str(tmp_path / "out"), f"{tmp_path}/mine.py:Filter", str(tmp_path / "e.parquet"))
     found = pd.read_parquet(tmp_path / "e.parquet")
     run = pcbench.simulate(dict(NOW), "kf")
     return found[["position", "velocity"]].to_numpy(), run[["kf.position", "kf.velocity"]].to_numpy()[:-1]

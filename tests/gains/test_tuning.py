@@ -13,7 +13,7 @@ from interruptions import stop_tuning_at
 import pcbench
 from pcbench.dataset.seed_ranges import counted
 from pcbench.errors import UserError
-from pcbench.gains import gradient, optimizers, parameters, tune
+from pcbench.gains import optimizers, parameters, tune
 from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
 from pcbench.gains.validation import against
@@ -62,7 +62,7 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
 
     slopes, at, most = [np.array([1.0, 10.0])], np.array([1.0, 0.0]), 2.0
     for most in (2.0, 1.0):
-        np.testing.assert_allclose(gradient.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
+        np.testing.assert_allclose(optimizers.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
 
 
 JUDGED = Judgement(

@@ -13,7 +13,7 @@ from documents import GUIDE, PAGES, README, ROOT, TEXTS, blocks, commands, prose
 from logged import plain, rows
 
 from pcbench.cli.commands import app
-from pcbench.cli.guide import pages, title
+from pcbench.cli.new import pages, title
 from pcbench.study import parse
 
 LONGEST = 150  # lines beside code

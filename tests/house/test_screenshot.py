@@ -15,7 +15,7 @@ from PIL import Image
 
 import pcbench
 from pcbench import plots
-from pcbench.plots.files import saved
+from pcbench.plots.labels import saved
 from pcbench.report import page
 
 FOLDER = Path(__file__).parents[2] / "notebooks"

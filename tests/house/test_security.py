@@ -21,7 +21,7 @@ RUNS = {  # calls that run code of others, and where they may stand
     "eval": (),
     "__import__": (),
     "loads of tomllib": ("toml_text",),  # one reader for every TOML: what is nested too deeply is a sentence
-    "module_of": ("study/plugins/registry", "checking/targets", "external/worker"),  # what the user names in a command
+    "module_of": ("study/plugins/registry", "checking/targets", "external/entry"),  # what the user names in a command
     "_from_here": (
         "study/parse",
     ),  # the gate of a study that the user gives is handed in by name, and called nowhere else

@@ -9,12 +9,11 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.render import limits
+from pcbench.cli.render import listing
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
 from pcbench.limits import seed_growth
-from pcbench.limits.axis import axis_of, scale_of
-from pcbench.limits.question import notes, question
+from pcbench.limits.search import axis_of, notes, question, scale_of
 from pcbench.planning import memo
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics.limit_search import EXCEEDS, SUFFICES, Point
@@ -159,7 +158,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
     second = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
     assert second.attrs["between"] == [(0.5, 1.0), (0.05, 0.4)]
     screen = Console(file=io.StringIO(), width=100)
-    limits.frontier(table, screen)
+    listing.frontier(table, screen)
     assert re.search(r"0\.5 +0\.59\b.*\n +1 +0\.29\b", screen.file.getvalue()), screen.file.getvalue()
 
 

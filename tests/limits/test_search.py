@@ -9,8 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pcbench.limits.scale import Scale
-from pcbench.limits.search import doubts, search
+from pcbench.limits.search import Scale, doubts, search
 from pcbench.statistics import limit_search
 from pcbench.statistics.limit_search import Point, answer
 

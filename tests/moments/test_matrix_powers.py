@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench.moments import matrix_powers
-from pcbench.moments.covariance import WRITTEN_OUT
+from pcbench.moments import propagate
+from pcbench.moments.nees import WRITTEN_OUT
 from pcbench.runtime import config
 
 CELLS = 3
@@ -32,9 +32,9 @@ def test_powers_of_a_tick_are_ticks_one_by_one(A, V, w, ticks, more, joint, unti
     P0 = np.einsum("ijc,kjc->ikc", root, root)
     with config.float64():
         M_, P_, z_ = map(jnp.asarray, (M, P0, z))
-        by = matrix_powers.powers(M_, A, ticks, joint)
-        seen, after = matrix_powers.covariances(by, P_, joint), matrix_powers.after(by, jnp.asarray(until), P_)
-        shown, later = matrix_powers.seen_of(by, z_), matrix_powers.later(by, jnp.asarray(until), z_)
+        by = propagate.powers(M_, A, ticks, joint)
+        seen, after = propagate.covariances(by, P_, joint), propagate.after(by, jnp.asarray(until), P_)
+        shown, later = propagate.seen_of(by, z_), propagate.later(by, jnp.asarray(until), z_)
     for c in range(CELLS):
         S, N, P, at = M[:, :A, c], M[:, A:, c], P0[..., c], z[..., c]
         for j in range(ticks):

@@ -11,7 +11,7 @@ from reference.linear import Sample
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.statistics.crlb_delay import delay_bound
+from pcbench.statistics.distributions import delay_bound
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 TICK, N, EVERY, LATE = 0.05, 80, 4, 7

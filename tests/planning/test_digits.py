@@ -12,7 +12,7 @@ from pcbench import planning
 from pcbench.cli.commands import app
 from pcbench.dataset import validate_exact
 from pcbench.errors import DigitsError
-from pcbench.external import metrics
+from pcbench.external import score
 from pcbench.observers import entry_of
 from pcbench.planning import digits
 from pcbench.plants import PLANTS
@@ -215,8 +215,8 @@ def test_estimates_that_are_made_elsewhere_are_not_judged_either():
     ticks = cell.times.ticks
     x = np.exp(A * H * np.arange(ticks + 1.0))[None, :, None] * np.ones((3, 1, 1))
     with pytest.raises(DigitsError, match=BLAMELESS):
-        metrics.scored(p, x, x[:, :ticks] + 0.05)
-    assert metrics.scored(p, x, 0.8 * x[:, :ticks])["diverged"].all()
+        score.scored(p, x, x[:, :ticks] + 0.05)
+    assert score.scored(p, x, 0.8 * x[:, :ticks])["diverged"].all()
 
 
 @pytest.mark.slow

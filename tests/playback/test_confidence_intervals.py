@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
 
-from pcbench.playback import confidence_intervals
+from pcbench.playback import innovation_tests
 
 N, M, V, W = 1000, 50, 1.0, 1.1  # how many samples of each kind, and their mean squares
 
@@ -22,7 +22,7 @@ def likelihood(z):
 
 def test_interval_is_one_sided_if_samples_do_not_exclude_zero():
     at = np.log([V, W - V])
-    low, high = confidence_intervals.intervals(likelihood, at)
+    low, high = innovation_tests.intervals(likelihood, at)
     assert low[0] < at[0] < high[0]
     assert low[1] == -np.inf
 
@@ -34,6 +34,6 @@ def test_interval_is_one_sided_if_samples_do_not_exclude_zero():
 
 
 def test_intensity_that_does_not_change_the_likelihood_has_no_interval():
-    low, high = confidence_intervals.intervals(lambda z: (-5.0 * z[0] ** 2, np.array([-10.0 * z[0], 0.0])), np.zeros(2))
+    low, high = innovation_tests.intervals(lambda z: (-5.0 * z[0] ** 2, np.array([-10.0 * z[0], 0.0])), np.zeros(2))
     assert np.isnan([low[1], high[1]]).all()
     assert [low[0], high[0]] == pytest.approx([-1.96 / 10**0.5, 1.96 / 10**0.5], rel=1e-4)

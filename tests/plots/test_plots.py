@@ -10,7 +10,7 @@ from scipy import stats as scipy_stats
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import frames, labels, scales
+from pcbench.plots import frames, labels, layout
 from pcbench.report import captions
 
 STUDY = {
@@ -178,7 +178,7 @@ def test_maps_stand_on_one_scale_with_numbers_and_both_axes_named(result):
     for ax, observer in zip(small, STUDY["observers"], strict=True):
         mine = rows[rows.observer == observer].sort_values(["delay", "noise_std"])
         texts = sorted((t.get_position(), t.get_text()) for t in ax.texts)
-        assert [text for _, text in texts] == [scales.short(v) for v in mine["mean"]]
+        assert [text for _, text in texts] == [layout.short(v) for v in mine["mean"]]
         for patch, value in zip(ax.patches, rows[rows.observer == observer]["mean"], strict=True):
             shown[value] = patch.get_facecolor()
     light = [sum(shown[value][:3]) for value in sorted(shown)]

@@ -12,8 +12,8 @@ from commands import call
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import files, frames, layout, scales
-from pcbench.report import captions, export_figures, figures, page, set_options
+from pcbench.plots import frames, labels, layout
+from pcbench.report import captions, experiment, export_figures, figures, page
 from pcbench.statistics import number_format
 from pcbench.study import parse
 
@@ -68,7 +68,7 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
         "tuned": tuned | {"options": {"pccebo": {"L": [[0.5], [0.125]]}, "kf-push": {"bias_variance": 9.0}}},
     }
     read_study = parse.grid_of(study, {}, []).study
-    rows = set_options.rows(SimpleNamespace(study=read_study))
+    rows = experiment.rows(SimpleNamespace(study=read_study))
     assert [(o.value, o.tuned) for o in rows if (o.observer, o.name) == ("pccebo", "L")] == [("[[0.5], [0.125]]", True)]
     (push,) = [o for o in rows if o.observer == "kf-push"]
     assert push[1:] == ("bias_variance", "0.25", "none", False, "the study"), (
@@ -83,7 +83,7 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
 
 def test_every_option_that_is_not_a_default_is_in_the_report(folder, text):
     section = re.search(r'<section id="options">.*?</section>', text, re.S).group(0)
-    assert len(re.findall(r"<tr><td>", section)) == len(set_options.rows(pcbench.open_result(folder)))
+    assert len(re.findall(r"<tr><td>", section)) == len(experiment.rows(pcbench.open_result(folder)))
     assert "the scenario" in section
 
 
@@ -115,7 +115,7 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
     mine = result.stats.query("metric == 'steady_rmse' and signal == 'position'")
     for observer, median in mine.groupby("observer")["mean"].median().items():
         assert re.search(
-            rf"</span>{observer}</td><td>\d+</td><td>\d+</td><td>{scales.number(float(f'{median:.4g}'))}</td>", text
+            rf"</span>{observer}</td><td>\d+</td><td>\d+</td><td>{layout.number(float(f'{median:.4g}'))}</td>", text
         )
     rows = re.findall(r"</span>(\S+)</td><td>(\d+)</td><td>\d+</td><td>([^<]+)</td>", text)
     order = [(-int(wins), float(median)) for _, wins, median in rows]
@@ -251,10 +251,10 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
 def test_every_picture_says_its_numbers_whole(folder, text):
     """Digits are left out of where things stand, not of what is said: a delay of 0.0125 s is not one of 0.01 s."""
     ticks = ["0.0125", "0.0375"]
-    scale = scales.at([0.0125, 0.0375])
+    scale = layout.at([0.0125, 0.0375])
     assert list(scale.words) == ticks
     drawn, _ = layout.sheet(plots.Paper(), "", [layout.Panel(scale, scale, "delay [s]", "delay [s]")])
-    written = files.inline(drawn, "x")
+    written = labels.inline(drawn, "x")
     assert all(written.count(f">{tick}<") == 2 for tick in ticks)
     assert not re.search(r'd="[^"]*\d\.\d{3}', written)
 

@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 import pytest
 
-from pcbench.cli.render.json import readable
+from pcbench.cli.render.tables import readable
 from pcbench.errors import UserError
 from pcbench.runtime import memory
 

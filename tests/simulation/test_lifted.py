@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pcbench.engine import event_loop, runner
-from pcbench.engine.products import affine_detection, blocks, jaxpr_dependence, matmul
+from pcbench.engine.products import affine_detection, matmul
 from pcbench.engine.products.block_maps import every_map
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
@@ -165,7 +165,7 @@ def test_reach_looks_into_loops_and_branches():
         chosen = jax.lax.cond(c > 0, lambda a, b: (a + 1, b), lambda a, b: (a, a * a), a, b)
         return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
 
-    found, same = jaxpr_dependence.reach(f, 1.0, 2.0, 3.0)
+    found, same = affine_detection.reach(f, 1.0, 2.0, 3.0)
     sets = [set(each) for each in jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, frozenset))]
     assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
     assert same[4]
@@ -173,26 +173,26 @@ def test_reach_looks_into_loops_and_branches():
 
 
 def test_chunks_are_of_every_tick_once_and_of_no_two_events(monkeypatch):
-    monkeypatch.setattr(blocks, "FEWEST", 0)
+    monkeypatch.setattr(matmul, "FEWEST", 0)
     _, p = problem(CASE, {"kf": {}})
     event = np.asarray(p.schedule.event)
     with config.float64():
-        each = jax.tree.map(np.asarray, jax.jit(partial(blocks.chunks, room=ROOM))(p))
+        each = jax.tree.map(np.asarray, jax.jit(partial(matmul.chunks, room=ROOM))(p))
     ticks = [range(a, a + many) for a, many in zip(each.start, each.length, strict=True) if many]
     assert [k for some in ticks for k in some] == list(range(N - 1))
     edges = set(np.flatnonzero(event)) | set(p.windows[:, 0])
     assert not any(k in edges for some in ticks for k in some[1:])
-    assert max(map(len, ticks)) <= blocks.TICKS
+    assert max(map(len, ticks)) <= matmul.TICKS
     assert [each.before[some[0]] for some in ticks] == list(range(len(ticks)))
-    assert len(ticks) <= blocks.room(event, 3) % (ROOM + 1)
+    assert len(ticks) <= matmul.room(event, 3) % (ROOM + 1)
 
 
 def test_dense_events_and_long_and_short_horizons_are_stepped():
-    assert blocks.room(np.ones(10**4, bool), 3) == 0
-    assert blocks.room(np.arange(blocks.FEWEST - 1) % 200 == 0, 3) == 0
-    assert blocks.room(np.arange(blocks.FEWEST) % 200 == 0, 3) > 0
-    assert blocks.room(np.arange(10**6) % 200 == 0, 3) == 0
-    assert blocks.room(np.arange(10**4) % 200 == 0, 3) == 256
+    assert matmul.room(np.ones(10**4, bool), 3) == 0
+    assert matmul.room(np.arange(matmul.FEWEST - 1) % 200 == 0, 3) == 0
+    assert matmul.room(np.arange(matmul.FEWEST) % 200 == 0, 3) > 0
+    assert matmul.room(np.arange(10**6) % 200 == 0, 3) == 0
+    assert matmul.room(np.arange(10**4) % 200 == 0, 3) == 256
 
 
 @pytest.mark.parametrize("own", [0, 2, matmul.FEW, matmul.FEW + 3])

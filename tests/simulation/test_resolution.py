@@ -9,7 +9,7 @@ from scipy import stats
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.simulation import measurement_noise
+from pcbench.simulation import measurements
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 PLAIN = STUDY | {"observers": ["kf"], "options": {}}
@@ -36,8 +36,8 @@ def test_samples_are_whole_steps_of_what_they_were_and_all_else_is_as_without(di
 def error(y, step, dither):
     """Of every sample y [K], each a channel of its own."""
     uniform = jnp.asarray(np.random.default_rng(5).uniform(size=y.shape))
-    r = measurement_noise.Rounding(jnp.full(y.shape, step), jnp.asarray(dither))
-    return np.asarray(measurement_noise.rounded(r, jnp.asarray(y), uniform)) - y
+    r = measurements.Rounding(jnp.full(y.shape, step), jnp.asarray(dither))
+    return np.asarray(measurements.rounded(r, jnp.asarray(y), uniform)) - y
 
 
 @pytest.mark.parametrize("signal", ["constant", "ramp", "sine"])

@@ -10,7 +10,7 @@ from harness import ODD, Case, problem, recorder
 
 from pcbench import planning
 from pcbench.engine import event_loop
-from pcbench.gains import gradient, parameters
+from pcbench.gains import optimizers, parameters
 from pcbench.gains.objective import objective_of
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.planning import padding
@@ -115,10 +115,10 @@ def test_gradients_are_those_of_finite_differences(observer):
     def design(at):
         return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
-    back = gradient.backwards(p, aim, study.root_seed, SEEDS)
+    back = optimizers.backwards(p, aim, study.root_seed, SEEDS)
     mean, slopes, lost = back(design(at))
     assert not lost
-    got = gradient.chain(slopes, design, at)
+    got = optimizers.chain(slopes, design, at)
     assert np.isfinite(got).all()
     assert got.any()
     for i, step in enumerate(1e-5 * np.eye(len(at))):

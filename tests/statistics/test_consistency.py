@@ -10,7 +10,7 @@ import pcbench
 from pcbench.errors import UserError
 from pcbench.moments import nees
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation.nees import normalised
+from pcbench.simulation.innovation_stats import normalised
 from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
 
 P = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])

@@ -13,8 +13,7 @@ from scipy import stats
 from pcbench import statistics
 from pcbench.statistics import quantile_intervals
 from pcbench.statistics.comparison import contest, judged
-from pcbench.statistics.estimates import positive, root, student, wilson
-from pcbench.statistics.moments import moments
+from pcbench.statistics.estimates import moments, positive, root, student, wilson
 
 REPEATS, BLOCK = 20_000, 2_000
 LEVELS = np.array([0.05, 0.25, 0.5, 0.75, 0.95])

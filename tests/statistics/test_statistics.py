@@ -16,8 +16,8 @@ from reference import statistics as reference
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.dataset import columns, holm, parquet_stream
-from pcbench.statistics import quantile_intervals, ranking, streaming_quantiles
+from pcbench.dataset import close, columns, parquet_io
+from pcbench.statistics import quantile_intervals, ranking
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -183,17 +183,17 @@ def test_holm_leaves_missing_tests_out():
 @pytest.mark.parametrize("at_once", [1, 5, 100])
 def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once, monkeypatch):
     """However many rows of the table are written at a time."""
-    monkeypatch.setattr(parquet_stream, "ROWS", at_once)
+    monkeypatch.setattr(parquet_io, "ROWS", at_once)
     names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
     rows = [
         {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
         for cell in range(2)
         for i, (s, g, m) in enumerate(names)
     ]
-    table = parquet_stream.GrowingTable({})
+    table = parquet_io.GrowingTable({})
     for row in rows:
         table.add(columns.table({name: [value] for name, value in (row | {"p_holm": np.nan}).items()}))
-    done = pq.read_table(pa.BufferReader(holm.adjusted(table.content(), {})))
+    done = pq.read_table(pa.BufferReader(close.adjusted(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))
@@ -273,8 +273,8 @@ def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, diver
     chunks, passes = cut(whole, size)
     bounds = {label: np.array([0.5, np.nan]) for label in whole} | {"observer-0": None}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streaming_quantiles, "HELD", held)
-        patch.setattr(streaming_quantiles, "SPLITTERS", splitters)
+        patch.setattr(quantile_intervals, "HELD", held)
+        patch.setattr(quantile_intervals, "SPLITTERS", splitters)
         stats_rows, pair_rows = statistics.summarise(chunks, bounds, SIGNALS, SIZES)
         assert len(passes) <= (1 if n <= held else 2)
         assert statistics.describe(chunks, bounds).keys() == stats_rows.keys()
@@ -303,31 +303,31 @@ def test_selection_is_exact_to_the_bit_whatever_the_parts(seed, n, kind, borders
     parts = np.split(x, sorted(b for b in borders if b <= n), axis=1)
     ranks = rng.integers(0, n, 30)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streaming_quantiles, "HELD", held)
-        patch.setattr(streaming_quantiles, "SPLITTERS", splitters)
-        order = streaming_quantiles.EMPTY
+        patch.setattr(quantile_intervals, "HELD", held)
+        patch.setattr(quantile_intervals, "SPLITTERS", splitters)
+        order = quantile_intervals.EMPTY
         for part in parts:
-            order = streaming_quantiles.add(order, part)
-        sought = streaming_quantiles.seek(order, ranks)
+            order = quantile_intervals.add(order, part)
+        sought = quantile_intervals.seek(order, ranks)
         found = (
-            [] if streaming_quantiles.settled(order) else [streaming_quantiles.collect(sought, part) for part in parts]
+            [] if quantile_intervals.settled(order) else [quantile_intervals.collect(sought, part) for part in parts]
         )
-        got = streaming_quantiles.select(order, sought, ranks, found)
+        got = quantile_intervals.select(order, sought, ranks, found)
     np.testing.assert_array_equal(got, np.sort(x)[:, ranks])
 
 
 def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
     """200,000 runs, a third of them at the horizon: what is kept of a metric is 3 splitters' worth and 2 % of its values."""
     x = np.minimum(RNG.gamma(3.0, size=(2, 200_000)), 3.5)
-    order = streaming_quantiles.EMPTY
+    order = quantile_intervals.EMPTY
     for part in np.split(x, 50, axis=1):
-        order = streaming_quantiles.add(order, part)
+        order = quantile_intervals.add(order, part)
     at = quantile_intervals.positions(order.n)
     ranks = quantile_intervals.ranks(at, order.n)
-    sought = streaming_quantiles.seek(order, ranks)
-    found = [streaming_quantiles.collect(sought, part) for part in np.split(x, 50, axis=1)]
+    sought = quantile_intervals.seek(order, ranks)
+    found = [quantile_intervals.collect(sought, part) for part in np.split(x, 50, axis=1)]
     assert sum(values.size for part in found for values in part) < 0.02 * x.size
-    got = quantile_intervals.read(at, streaming_quantiles.select(order, sought, ranks, found))
+    got = quantile_intervals.read(at, quantile_intervals.select(order, sought, ranks, found))
     np.testing.assert_array_equal(got[:, 0::3].T, np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1))
     assert got[0, 12] == got[0, 13] == got[0, 14] == 3.5
 

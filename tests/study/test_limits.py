@@ -5,48 +5,48 @@ import pytest
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.study import fits, limits
+from pcbench.study import fits, times
 
 
 def test_a_horizon_has_at_most_so_many_ticks_and_at_least_two():
     tick = 1e-3
-    assert limits.ticks_of(limits.TICKS * tick, tick, "test") == limits.TICKS
+    assert times.ticks_of(times.TICKS * tick, tick, "test") == times.TICKS
     with pytest.raises(UserError, match="expected at most 1,000,000 ticks"):
-        limits.ticks_of((limits.TICKS + 1) * tick, tick, "test")
-    assert limits.ticks_of(2 * tick, tick, "test") == 2
+        times.ticks_of((times.TICKS + 1) * tick, tick, "test")
+    assert times.ticks_of(2 * tick, tick, "test") == 2
     with pytest.raises(UserError, match="expected at least two ticks"):
-        limits.ticks_of(tick, tick, "test")
+        times.ticks_of(tick, tick, "test")
 
 
 def test_samples_are_counted_by_the_shortest_interval():
     ticks = 1_000_000
-    limits.require_few_samples([Clock((0,), 10, 0)], ticks, 1e-3, "test")
+    times.require_few_samples([Clock((0,), 10, 0)], ticks, 1e-3, "test")
     for clock in (Clock((0,), 9, 0), Clock((0,), 1000, 0, (9, 1991))):
         with pytest.raises(
             UserError, match=r"a sample every 0\.009 s over 1000 s.*write a sampling_period of at least 0\.01"
         ):
-            limits.require_few_samples([clock], ticks, 1e-3, "test")
+            times.require_few_samples([clock], ticks, 1e-3, "test")
 
 
 def test_samples_on_their_way_are_counted_by_the_longest_delay():
     ticks = 200_000
-    limits.require_few_samples([Clock((0,), 2, 20_000)], ticks, 1e-3, "test")
+    times.require_few_samples([Clock((0,), 2, 20_000)], ticks, 1e-3, "test")
     for clock in (Clock((0,), 2, 20_002), Clock((0,), 2, 20_001, spread=1)):
         with pytest.raises(UserError, match=r"up to 20\.002 s late and only 0\.002 s apart"):
-            limits.require_few_samples([clock], ticks, 1e-3, "test")
+            times.require_few_samples([clock], ticks, 1e-3, "test")
 
 
 def test_samples_may_be_overtaken_by_so_many_newer_ones_and_no_more():
-    limits.require_few_samples([Clock((0,), 1, 5, spread=limits.OVERTAKING + 1)], 5000, 1e-3, "test")
+    times.require_few_samples([Clock((0,), 1, 5, spread=times.OVERTAKING + 1)], 5000, 1e-3, "test")
     with pytest.raises(UserError, match=r"that up to 1,001 newer ones may overtake"):
-        limits.require_few_samples([Clock((0,), 1, 5, spread=limits.OVERTAKING + 2)], 5000, 1e-3, "test")
+        times.require_few_samples([Clock((0,), 1, 5, spread=times.OVERTAKING + 2)], 5000, 1e-3, "test")
 
 
-@pytest.mark.parametrize(("cells", "ticks"), [(limits.CELLS, 100), (100, limits.CELL_TICKS // 100)])
+@pytest.mark.parametrize(("cells", "ticks"), [(times.CELLS, 100), (100, times.CELL_TICKS // 100)])
 def test_cells_are_limited_by_their_number_and_by_all_their_ticks(cells, ticks):
-    limits.require_few_cells(cells, ticks, "test")
+    times.require_few_cells(cells, ticks, "test")
     with pytest.raises(UserError, match=f"expected at most {cells:,}; leave values out"):
-        limits.require_few_cells(cells + 1, ticks, "test")
+        times.require_few_cells(cells + 1, ticks, "test")
 
 
 def test_delays_of_a_gamma_distribution_are_listed_up_to_some_horizons_and_no_further():

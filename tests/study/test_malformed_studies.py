@@ -9,7 +9,7 @@ from pcbench.dynamics import linear
 from pcbench.errors import LONGEST, UserError, said, shown
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import limits, parse
+from pcbench.study import parse, times
 
 CART = "scenarios = ['cart/nominal']\n"
 LTI = {
@@ -192,7 +192,7 @@ def test_the_limits_leave_room_for_what_is_published(tmp_path):
     for name in SCENARIOS:
         parse.load(name)
     (cell,) = planned(lti(duration="100.0", sampling_period="0.1"), tmp_path)
-    assert cell.cell.times.ticks == 100_000 < limits.TICKS
+    assert cell.cell.times.ticks == 100_000 < times.TICKS
 
 
 def test_a_riccati_equation_without_noise_is_refused_in_one_sentence(tmp_path):

@@ -7,9 +7,9 @@ import pytest
 import pcbench
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
-from pcbench.study import limits, parse, scenarios_of
+from pcbench.study import parse, scenarios_of, times
 from pcbench.study.grid import cells_of
-from pcbench.study.scenario_fit import SIZES
+from pcbench.study.validate import SIZES
 
 LTI = {
     "A": [[0, 1], [0, -1]],
@@ -105,10 +105,10 @@ def test_one_number_of_a_linear_plant_holds_for_all(key):
 
 
 def test_a_study_of_too_many_labels_or_scenarios_is_refused_at_once():
-    labels = [f"kfbo-{i}" for i in range(limits.LABELS + 1)]
+    labels = [f"kfbo-{i}" for i in range(times.LABELS + 1)]
     options = {label: {"R": 0.1} for label in labels}
     with pytest.raises(UserError, match="q: got 1,001 observers and options of observers, expected at most 1,000"):
         parse.parse({"name": "q", "scenarios": ["cart/white"], "observers": labels, "options": options}, "q")
-    tables = {f"a{i}": {"base": "cart/white"} for i in range(limits.SCENARIOS + 1)}
+    tables = {f"a{i}": {"base": "cart/white"} for i in range(times.SCENARIOS + 1)}
     with pytest.raises(UserError, match="scenarios, expected at most 500; divide the study"):
         parse.parse({"name": "q", "scenarios": tables}, "q")

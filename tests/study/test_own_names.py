@@ -10,7 +10,7 @@ import pytest
 
 import pcbench
 from pcbench.cli import catalogue
-from pcbench.controllers.parts.design_context import ControllerContext
+from pcbench.controllers.parts.common import ControllerContext
 from pcbench.dataset import serialize
 from pcbench.dynamics.linear import Model
 from pcbench.planning import plan

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.dataset import write_table
-from pcbench.recordings import writers
+from pcbench.recordings import tables
 from pcbench.recordings.log import Batch, Log
 
 MOTOR = {
@@ -38,7 +38,7 @@ def rows(folder, measured, inputs=None, kind="csv"):
 
 def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
     """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
-    for name, table in writers.as_tables(batch, channels, inputs, truth).items():
+    for name, table in tables.as_tables(batch, channels, inputs, truth).items():
         write_table.put(folder / f"{name}{kind}", table)
 
 

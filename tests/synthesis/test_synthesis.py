@@ -13,15 +13,7 @@ from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
 from pcbench.runtime import cache
-from pcbench.synthesis import (
-    common_lyapunov,
-    current_estimator,
-    current_gains,
-    error_bounds,
-    memo,
-    riccati,
-    solver_cache,
-)
+from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, riccati, solvers
 from pcbench.synthesis.certificate import Certificate, require_certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -164,14 +156,14 @@ def test_an_answer_is_given_again_for_equal_arrays_and_no_others():
             raise ValueError(name)
         return a / 2
 
-    once = memo.Again(half)
+    once = solvers.Again(half)
     for a in ([1.0, 2.0], [1.0, 2.0], [[1.0, 2.0]], [1.0, np.nextafter(2.0, 3)]):
         np.testing.assert_array_equal(once(np.array(a), "x"), np.array(a) / 2)
     for _ in range(2):
         with pytest.raises(ValueError, match="bad"):
             once(np.array([1.0]), "bad")
     assert asked == ["x"] * 3 + ["bad"] * 2
-    for i in range(memo.ROOM):
+    for i in range(solvers.ROOM):
         once(np.array([float(i)]), "y")
     once(np.array([1.0, 2.0]), "x")
     assert asked.count("x") == 4
@@ -182,7 +174,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        solver_cache.remembered(
+        solvers.remembered(
             current_estimator.CurrentGain, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
         ).L
         for Phi in (slow, 0.9 * slow, slow)
@@ -196,7 +188,7 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     kind, shapes = current_estimator.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
-        found = solver_cache.remembered(
+        found = solvers.remembered(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
         )
         assert found.L.shape == shape

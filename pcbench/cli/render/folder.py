@@ -1,10 +1,20 @@
-"""What stands in a study's folder, and what came of checking it."""
+"""What stands in a study's folder, and what came of checking it.
 
+What a closing table says besides its numbers, in a sentence each.
+
+What a person reads of a reproduction: claims with their verdicts, paper by paper, and how many of each.
+"""
+
+import pandas as pd
 from rich.console import Console
+from rich.text import Text
 
 from pcbench.cli.render.tables import titled
 from pcbench.dataset.validate_exact import KEY, Checked
 from pcbench.dataset.verify import Status, Verdict
+from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
+from pcbench.plants import settles_alone
+from pcbench.scenarios import Scenario
 from pcbench.statistics.number_format import UNPROVEN, marked
 
 MOST = 8  # lines of a kind
@@ -62,3 +72,52 @@ def against_exact(found: Checked, console: Console) -> None:
     if len(found.refused) > MOST:
         console.print(f"... and {len(found.refused) - MOST:,} more that have no exact value.", highlight=False)
     console.print(found.verdict, highlight=False, markup=False, soft_wrap=True)
+
+
+def carried(stats: pd.DataFrame, console: Console) -> None:
+    """Say which predictions to the present carry the unknown input that was found."""
+    said = stats[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
+    for carries, text in ((True, "carries"), (False, "does not carry")):
+        names = ", ".join(dict.fromkeys(said.observer[said.predicts_unknown_input == carries]))
+        if names:
+            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
+
+
+def settles(scenario: Scenario, axes: list[str], console: Console) -> None:
+    """Say where no observer is needed: on a plant that is known exactly and forgets its start."""
+    pushed = any(axis in ("parameter_drift", "process_std") or axis.startswith("plant.") for axis in axes)
+    if not pushed and settles_alone(scenario):
+        console.print(
+            f"{scenario.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
+            "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std).",
+            highlight=False,
+        )
+
+
+STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
+
+
+def claims(title: str, rows: list[Claim], console: Console) -> None:
+    """Print printed against reproduced, line by line."""
+    table = titled(title)
+    for head in ("claim", "printed", "reproduced", "verdict"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(row.claim, row.printed, row.reproduced, Text(row.verdict, STYLES[row.verdict]))
+    console.print(table)
+    console.print(summary(rows), highlight=False)
+
+
+def every(found: dict[str, list[Claim]], titles: dict[str, str], console: Console) -> None:
+    """Print the claims of all papers, and how many of each verdict over all."""
+    for name, rows in found.items():
+        claims(titles[name], rows, console)
+    whole = [row for rows in found.values() for row in rows]
+    console.print(f"All {len(found)} papers: {summary(whole)}", style="bold", highlight=False)
+
+
+def summary(rows: list[Claim]) -> str:
+    """Return how many of each verdict, in a sentence."""
+    many = counts(rows)
+    said = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
+    return f"{sum(many[name] for name in VERDICTS)} claims: {said}; {many[FINDING]} findings that stand in no paper."

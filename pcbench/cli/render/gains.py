@@ -9,7 +9,7 @@ import pyarrow as pa
 from rich.console import Console
 from rich.text import Text
 
-from pcbench.checking.result import Finding
+from pcbench.checking.targets import Finding
 from pcbench.cli.render.tables import Column, printed, titled
 from pcbench.statistics.number_format import UNPROVEN, estimate, marked
 from pcbench.synthesis.certificate import Design, is_certified

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from pcbench.cli.render import consistency, remarks
+from pcbench.cli.render import consistency, folder
 from pcbench.cli.render.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
@@ -78,11 +78,11 @@ def closing(
                 notes |= dict.fromkeys(_counted(shown, console))
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
-        remarks.carried(whole, console)
+        folder.carried(whole, console)
         notes |= dict.fromkeys(consistency.said(name, whole, console))
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
-        remarks.settles(known[name], list(result.study.axes), console)
+        folder.settles(known[name], list(result.study.axes), console)
     for note in [*notes, *([COSTS] if costs is not None else [])]:
         console.print(note, highlight=False, markup=False)
 

@@ -1,5 +1,10 @@
-"""How all tables of pcbench look: a number is never cut; where a terminal is narrow, columns are left out, the least first."""
+"""How all tables of pcbench look: a number is never cut; where a terminal is narrow, columns are left out, the least first.
 
+What a program reads: arrays, complex numbers and tuples as JSON.
+"""
+
+import json
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
@@ -95,3 +100,24 @@ def aligned(cells: list[str], at: str = " ± ") -> list[str]:
         a.rjust(left) + sign + c.ljust(right) if sign else a.rjust(left).ljust(room) if right and len(a) <= left else a
         for a, sign, c in parts
     ]
+
+
+def readable(content: Any) -> str:
+    """Return arrays, complex numbers and tuples as readable JSON."""
+
+    def plain(value: Any) -> Any:
+        if hasattr(value, "tolist"):
+            return plain(value.tolist())
+        if isinstance(value, complex):
+            return {"real": value.real, "imag": value.imag}
+        if isinstance(value, Mapping):
+            return {str(k): plain(v) for k, v in value.items()}
+        if isinstance(value, tuple | list):
+            return [plain(v) for v in value]
+        if isinstance(value, float) and value != value:
+            return None
+        if value in (float("inf"), float("-inf")):
+            return str(value)
+        return value
+
+    return json.dumps(plain(content), indent=2)

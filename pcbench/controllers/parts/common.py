@@ -1,10 +1,20 @@
-"""The options that all laws have, and the types of theirs."""
+"""The options that all laws have, and the types of theirs.
 
-from typing import Annotated
+What a control law's numbers are made from.
 
+Whether the numbers of a law's options fit a plant: one sentence where they do not.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from pcbench.controllers.parts.set_points import SetPoints
+from pcbench.dynamics.linear import Model, one_tick
+from pcbench.errors import UserError, shown, unknown
+from pcbench.protocols import Delay
 
 Number = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
@@ -27,3 +37,108 @@ class Options(BaseModel):
     set_point: SetPoints = Field({}, description="by state: a number, or a table with step, sine or table; default: 0")
     Q1: Weight | None = Field(None, description=COST)
     Q2: Weight | None = Field(None, description=COST)
+
+
+class ControllerContext(NamedTuple):
+    """What the designer of a law knows of a cell. n states, m inputs, q outputs."""
+
+    model: Model  # linear, as observers know it
+    dt: float  # [s]
+    ticks: int  # horizon N
+    rows: int  # commands that the loop keeps from before tick 0
+    ahead: int  # ticks past the horizon for which a set point may be asked
+    late: int  # [ticks] mean delay from command to plant
+    states: tuple[str, ...]  # [n] names
+    delay: Delay  # from command to plant, of the time
+    field: Any = None  # (now, x[n], unknowns) -> dx/dt, where observers are told a nonlinear model
+    inverse: Any = None  # (unknowns, path, rates, accelerations) -> u[m], where the plant has one
+
+    @property
+    def tick(self) -> Any:
+        """Return Phi [n, n] and Gamma [n, m] of one tick."""
+        return one_tick(self.model, self.dt)
+
+    def every(self, period: float | None) -> int:
+        """Return a controller's period in ticks; None is one tick."""
+        return 1 if period is None else round(period / self.dt)
+
+
+class Sizes(NamedTuple):
+    """A plant's states by name, its inputs and outputs by number, and what a sentence calls the place."""
+
+    states: tuple[str, ...]
+    m: int
+    q: int
+    dt: float  # [s]
+    where: str
+
+    @property
+    def n(self) -> int:
+        """Return the number of states."""
+        return len(self.states)
+
+
+def matrix(given: Any, shape: tuple[int, int], name: str, sizes: Sizes) -> NDArray[np.float64]:
+    """Return rows of numbers as a matrix; a number or a flat list are the diagonal of a square one."""
+    if not isinstance(given, list):
+        given = [given] * shape[0]
+    flat = not any(isinstance(row, list) for row in given)
+    if flat and shape[0] == shape[1] == len(given):
+        return np.diag(np.asarray(given, float))
+    lengths = [len(row) if isinstance(row, list) else 1 for row in given]
+    if flat or len(given) != shape[0] or set(lengths) != {shape[1]}:
+        got = (
+            f"a flat list of {len(given)}"
+            if flat
+            else f"{len(given)} rows of {', '.join(map(str, sorted(set(lengths))))}"
+        )
+        more = ", or the numbers of its diagonal" if shape[0] == shape[1] else ""
+        raise UserError(
+            f"{sizes.where}.{name}: got {got}, expected {shape[0]} x {shape[1]} ({sizes.n} states, {sizes.m} inputs, "
+            f"{sizes.q} outputs) as a list of rows{more}."
+        )
+    return np.asarray(given, float)
+
+
+def weight(given: Any, many: int, name: str, sizes: Sizes, definite: bool = False) -> NDArray[np.float64]:
+    """Return a symmetric weight [many, many] that is positive semidefinite, or `definite`."""
+    Q = matrix(given, (many, many), name, sizes)
+    least, kind = np.linalg.eigvalsh((Q + Q.T) / 2)[0], "positive definite" if definite else "positive semidefinite"
+    if not np.allclose(Q, Q.T, rtol=1e-9, atol=0) or (least <= 0 if definite else least < -1e-12 * abs(Q).max()):
+        raise UserError(
+            f"{sizes.where}.{name}: got {shown(given)}, whose least eigenvalue is {least:.3g}, expected a symmetric, {kind} "
+            "matrix; write larger numbers on its diagonal."
+        )
+    return Q
+
+
+def vector(given: Any, default: float, many: int, name: str, sizes: Sizes) -> NDArray[np.float64]:
+    """Return one number for all of `many` inputs, or one for each."""
+    each = [default if given is None else given] * many if not isinstance(given, list) else given
+    if len(each) != many:
+        raise UserError(
+            f"{sizes.where}.{name}: got {len(each)} numbers, expected one, or one for each of {many} inputs."
+        )
+    return np.asarray(each, float)
+
+
+def require_common(options: Any, sizes: Sizes, definite: bool = False) -> None:
+    """Raise UserError where what all laws have (period, limit, offset, set points, cost weights) does not fit."""
+    if options.period is not None:
+        ticks = options.period / sizes.dt
+        if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
+            raise UserError(
+                f"{sizes.where}.period: got {options.period:g} s, expected a whole number of ticks of {sizes.dt:g} s; write "
+                f"{max(round(ticks), 1) * sizes.dt:.12g}."
+            )
+    vector(options.limit, np.inf, sizes.m, "limit", sizes)
+    vector(options.offset, 0.0, sizes.m, "offset", sizes)
+    for name in options.set_point:
+        if name not in sizes.states:
+            raise unknown(f"{sizes.where}.set_point", "state", name, sizes.states)
+    if (options.Q1 is None) != (options.Q2 is None):
+        one, other = ("Q1", "Q2") if options.Q2 is None else ("Q2", "Q1")
+        raise UserError(f"{sizes.where}: got {one} without {other}, expected both, or neither: there is no cost then.")
+    if options.Q1 is not None:
+        weight(options.Q1, sizes.n, "Q1", sizes)
+        weight(options.Q2, sizes.m, "Q2", sizes, definite)

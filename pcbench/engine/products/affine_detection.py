@@ -4,18 +4,74 @@ Let z be the numbers of plant and memory that a tick moves, or that the error de
 its derivative along a direction does not depend on z. This is read from the derivative's own equations: so it is proven, and
 holds for a user's observer as for ours. Stepped is what is not affine, and what depends on a counter or a flag that a memory
 keeps (an observer with a schedule of its own). Whether an observer is stepped depends on itself and its plant, not on others.
+
+Which arguments each result of a function depends on, read from its jaxpr.
+
+An equation that applies a program is looked into; of any other every result depends on every operand. So what is found may be
+too much, never too little.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.engine import lane_array
-from pcbench.engine.products.jaxpr_dependence import reach
+from pcbench.engine import jaxpr_compat, lane_array
+from pcbench.engine.jaxpr_compat import CALLS, Jaxpr, Literal
 from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.simulation.types import GridPointParams, Layout, State, present, truth
+
+Found = frozenset[int]  # numbers of arguments, as flattened
+NONE: Found = frozenset()
+
+
+def reach(f: Callable[..., Any], *args: Any) -> tuple[Any, list[bool]]:
+    """Return by result, in the form of what f returns, the arguments it depends on; and of each, whether it is one as it is.
+
+    Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
+    """
+    closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
+    out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
+    given = {id(v) for v in closed.jaxpr.invars}
+    return jax.tree.unflatten(jax.tree.structure(shape), out), [id(v) in given for v in closed.jaxpr.outvars]
+
+
+def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
+    known: dict[Any, Found] = dict(zip(jaxpr.invars, args, strict=True))
+
+    def of(v: Any) -> Found:
+        return NONE if isinstance(v, Literal) else known.get(v, NONE)
+
+    for eqn in jaxpr.eqns:
+        known.update(zip(eqn.outvars, _applied(eqn, [of(v) for v in eqn.invars]), strict=True))
+    return [of(v) for v in jaxpr.outvars]
+
+
+def _applied(eqn: Any, args: list[Found]) -> list[Found]:
+    name = eqn.primitive.name
+    if name in CALLS:
+        return _through(jaxpr_compat.called(eqn.params).jaxpr, args)
+    if name == "cond":
+        each = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
+        return [args[0].union(*found) for found in zip(*each, strict=True)]
+    if name == "scan":
+        s = jaxpr_compat.scan(eqn.params)
+        fixed, carried, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
+        return _again(lambda c: _through(s.body.jaxpr, [*fixed, *c, *rows]), carried)
+    return [NONE.union(*args)] * len(eqn.outvars)
+
+
+def _again(body: Callable[[list[Found]], list[Found]], carried: list[Found]) -> list[Found]:
+    """The results of a body that is applied to its own first results until nothing is added."""
+    while True:
+        out = body(carried)
+        wider = [a | b for a, b in zip(carried, out, strict=False)]
+        if wider == carried:
+            return [*wider, *out[len(carried) :]]
+        carried = wider
+
 
 Leaves = list[Any]  # of (x, memory), or of x alone, in the order of jax.tree.leaves: x comes first
 Z = dict[int, Any]  # some of them, by number

@@ -19,7 +19,7 @@ from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.products.affine_detection import PLANT, Form, Z, forms, one_lane, slopes
-from pcbench.engine.products.blocks import TICKS, Chunks, chunks
+from pcbench.engine.products.matmul import TICKS, Chunks, chunks
 from pcbench.simulation.types import GridPointParams, Layout, State
 
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.engine import lane_array, steps
-from pcbench.engine.products import block_metrics, matmul, state_rows
+from pcbench.engine.products import block_metrics, matmul
 from pcbench.engine.products.affine_detection import PLANT, Form, forms, leaves_of, with_leaves
 from pcbench.engine.products.block_maps import Maps, Moving, every_map
-from pcbench.engine.products.blocks import BLOCK, TICKS, WRITTEN, Chunks, chunks
+from pcbench.engine.products.matmul import BLOCK, TICKS, WRITTEN, Chunks, chunks
 from pcbench.simulation.metrics import ErrorSums
 from pcbench.simulation.types import GridPointParams, Layout, State
 
@@ -44,15 +44,15 @@ def flow(
 
     def lifted(start: Array, stop: Array, state: State) -> State:
         over = partial(_over_chunks, every, (each.before[start], each.before[stop]))
-        z = {form.label: state_rows.taken(form, state) for form in found}
-        kept = {label: state_rows.sums_of(label, state) for label in quick}
+        z = {form.label: block_metrics.taken(form, state) for form in found}
+        kept = {label: block_metrics.sums_of(label, state) for label in quick}
         after, kept = over(partial(_scored, p, every, each), z, kept)
         kept = _bounded(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
         out = _beside(slow, stepped, start, stop, _counted(layout, p, found, start, stop, state))
         for form in found:
-            out = state_rows.put(form, out, after[form.label])
+            out = block_metrics.put(form, out, after[form.label])
         for label in quick:
-            out = state_rows.keep(label, out, kept[label])
+            out = block_metrics.keep(label, out, kept[label])
         return out
 
     return lifted
@@ -60,7 +60,7 @@ def flow(
 
 def _together(z: All) -> All:
     """By label, what an observer's errors depend on: its own numbers and the plant's."""
-    return {label: state_rows.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
+    return {label: block_metrics.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
 
 
 def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, kept: All) -> tuple[All, All]:

@@ -3,15 +3,32 @@
     K = P c (c'P c + r)^-1,   x <- x + K (y - c'x),   P <- (I - K c') P (I - K c')' + K r K'
 
 With independent noise one channel after the other is the joint update, and the sum of nu^2 / s over them nu' S^-1 nu.
+
+What z ~ N(m, P) is once a sample is known, channel by channel, and how far the sample was from what was expected of it.
+
+By a slope: y ~ yhat + H (z - about), in Joseph's form (`parts/kalman`), which keeps P >= 0 where R is far smaller than H P H'.
+By points: the joint covariance J of z and y is what points say, and c is the row that picks y_j:
+
+    K = J c (c'J c + r)^-1,   m <- m + K (y_j - c'm),   J likewise
+
+Where y = H z, both are Kalman's update.
+
+The certificate of a Kalman filter: its covariance recursion over the horizon, at the (mean) periods.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix
+from pcbench.observers.parts.nonlinear_model import Gains, value_of
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats
+from pcbench.synthesis import riccati
+from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 class Posterior(NamedTuple):
@@ -62,3 +79,50 @@ def judged(
         normalized_sum=so_far.normalized_sum + jnp.where(mask, z, 0.0),
         each=jnp.append(so_far.each, jnp.where(mask, z, jnp.nan)),
     )
+
+
+class Linear(NamedTuple):
+    """What a sensor says near a point."""
+
+    y: Float[Array, " q"]
+    H: Float[Array, "q N"]
+    about: Float[Array, " N"]
+
+
+def by_slope(
+    gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
+) -> tuple[Array, Array, InnovationStats]:
+    """Return mean and covariance of z once a sample is known, by a sensor's slope."""
+    value, total = value_of(gains, sample.value), unjudged()
+    for channel in range(gains.C.shape[0]):
+        r, mask, h = gains.R[channel], sample.mask[channel], sensor.H[channel]
+        nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
+        total = judged(total, nu, s, mask)
+        K = gain(P @ h, s, mask)
+        z, P = z + K * nu, covariance(P, K, h, r)
+    return z, P, total
+
+
+def by_points(
+    gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
+) -> tuple[Array, Array, InnovationStats]:
+    """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
+    value, N, total = value_of(gains, sample.value), gains.P0.shape[0], unjudged()
+    for channel in range(gains.C.shape[0]):
+        r, mask, c = gains.R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
+        nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
+        total = judged(total, nu, s, mask)
+        K = gain(J[:, N + channel], s, mask)
+        mean, J = mean + K * nu, covariance(J, K, c, r)
+    return mean[:N], J[:N, :N], total
+
+
+def certificate(gains: Any, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
+    """Return it; its margin is the least innovation variance over the horizon, relative to R, where P stays >= 0."""
+    bits = linear.bits_for(setting.ticks)
+    doubled = linear.doublings(model, setting.dt, bits)
+    noise = linear.noise_doublings(model, Q, setting.dt, bits)
+    run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
+    numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
+    margin = run.innovation if run.least > -1e-9 else float("nan")
+    return Certificate("c P c' + r > 0 and P >= 0 at every sample", margin, "recursion", "run", numbers)

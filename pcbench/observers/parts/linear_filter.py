@@ -21,14 +21,7 @@ from pydantic import Field
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import (
-    assumed_noise,
-    covariance_recursion,
-    kalman,
-    prediction,
-    reorder_buffer,
-    robust_update,
-)
+from pcbench.observers.parts import assumed_noise, kalman, prediction, reorder_buffer, robust_update
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
@@ -252,6 +245,6 @@ def design(
     if unproven:
         proof = no_certificate(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
         return Design(gains, proof, carries)
-    proof = covariance_recursion.certificate(gains, model, Q, setting)
+    proof = kalman.certificate(gains, model, Q, setting)
     proof = proof._replace(numbers={**proof.numbers, "q": q, **given})
     return Design(gains, require_certified(proof, where), carries)

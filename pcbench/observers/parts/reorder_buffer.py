@@ -4,7 +4,7 @@ An observer here is a recursion over samples, state -> update(state, sample), an
 newer one. So the newest K samples are kept, with the state before them: one that comes late is put in its place, and
 the recursion runs again from there. The estimate is then what it would have been, had the samples that have arrived come in
 order. K is the most that can overtake one sample on this schedule; where none can, K = 0 and nothing is kept.
-A sample older than all those kept is outside the room (`dynamics.room`); on the schedule that K was made for there is
+A sample older than all those kept is outside the room (`dynamics.linear`); on the schedule that K was made for there is
 none.
 """
 
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from pcbench.dynamics.room import within_room
+from pcbench.dynamics.linear import within_room
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.protocols import Arrival, Leaf, Now, Room, vmap_as_unit
 

@@ -23,8 +23,8 @@ from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.options import kept
 from pcbench.observers.parts.reorder_buffer import Measurement
-from pcbench.observers.parts.tree_where import kept
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 

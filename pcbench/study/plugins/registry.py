@@ -16,7 +16,7 @@ from pcbench.protocols import Controller, Observer
 from pcbench.signal_names import pair
 from pcbench.study.plugins import user_code, user_controllers, user_observers
 from pcbench.study.plugins.user_code import Own
-from pcbench.study.plugins.user_options import require_model
+from pcbench.study.plugins.user_observers import require_model
 
 ELSEWHERE = "bc1bc4dc4132"  # for a digest of what is never run here: no file of pcbench's decides a guest's numbers
 DICT = "a dict with the keys of a table [scenario]"

@@ -15,8 +15,7 @@ import numpy as np
 from pydantic import ConfigDict, create_model
 
 from pcbench.controllers import ControllerSpec
-from pcbench.controllers.parts.design_context import ControllerContext
-from pcbench.controllers.parts.validate import Sizes
+from pcbench.controllers.parts.common import ControllerContext, Sizes
 from pcbench.errors import UserError, raised
 from pcbench.protocols import Controller, Now
 from pcbench.runtime import config

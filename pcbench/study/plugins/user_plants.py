@@ -1,18 +1,32 @@
 """Plants of a user's own where their code is not asked for: a result is read by what it says of them.
 
 `study.toml` holds the facts of each: names, units, sizes, the linear model at the operating point. No run can be made of them.
+
+Scenarios of a user's own, made tables of a study: from files, from installed packages, from the study file itself.
+
+    scenarios = ["cart/white", "mine.py:late"]      [scenarios.late]
+                                                    use = "mine.py:late"
+                                                    loss = 0.1
+
+MODULE:NAME is a dict with the keys of a table `[scenario]`. Its plant and its controller may be objects of that module, or
+names; paths in it are relative to that file. Read, it is data: a dataset needs no code of it.
 """
 
 from collections import namedtuple
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pcbench.dynamics.linear import Model
-from pcbench.errors import UserError
+from pcbench.errors import UserError, short, shown
 from pcbench.plants import PlantSpec
 from pcbench.protocols import Plant
+from pcbench.scenarios import SCENARIOS
 from pcbench.signal_names import pair
+from pcbench.study import times
+from pcbench.study.plugins import registry, user_code
+from pcbench.study.plugins.references import SCENARIO, Gate, Named
 from pcbench.study.plugins.user_code import Code, Own
 from pcbench.study.plugins.user_observers import ABSENT
 
@@ -75,3 +89,85 @@ def absent(reference: str, code: Code, known: dict[str, Any]) -> Own:
         residual=None if rest is None else lambda numbers: rest,
     )
     return Own(there, code)
+
+
+def tabled(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
+    """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read.
+
+    `gate` is what the study may reach.
+    """
+    given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
+    names: list[Any] = []
+    if not isinstance(given, dict | list):  # the model says what is wrong
+        given = []
+    times.require_few_scenarios(len(given), where)
+    for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
+        here = f"{where}: scenarios.{short(str(name))}"
+        if isinstance(name, str) and name in tables and not table:  # it has been read
+            names.append(name)
+            continue
+        if not isinstance(table, dict):
+            raise UserError(f"{here}: got {shown(table)}, expected a table; write [scenarios.{name}].")
+        called, found = _one(name, table, here, folder, gate) if isinstance(name, str) else (name, None)
+        if found is not None and called in tables:
+            raise UserError(f"{here}: got two scenarios called '{called}', expected one; write [scenarios.ANOTHER].")
+        tables |= {} if found is None else {called: found}
+        names.append(called)
+    scenario = raw.get("scenario")
+    if isinstance(scenario, dict) and _names_one(scenario.get("base")):
+        raw = raw | {"scenario": _based(scenario, f"{where}: scenario", folder, gate)}
+    return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
+
+
+def _one(
+    name: str, table: dict[str, Any], where: str, folder: Path | None, gate: Gate
+) -> tuple[str, dict[str, Any] | None]:
+    """The name of one scenario with its table; no table where it is a published one."""
+    if isinstance(use := table.get("use"), str):
+        table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
+    if _names_one(name):
+        return name.rpartition(":")[2], _based({"base": name} | table, where, folder, gate)
+    if _names_one(table.get("base")):
+        return name, _based(table, where, folder, gate)
+    return name, table or None
+
+
+def _names_one(text: Any) -> bool:
+    """Whether a text names a scenario of a user's own."""
+    if not isinstance(text, str) or text in SCENARIOS:
+        return False
+    return user_code.is_reference(text) or text in registry.installed("scenario")
+
+
+def _based(table: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
+    """A table with what its `base`, of a user's own, says beneath it."""
+    found = registry.installed(SCENARIO).get(table["base"])
+    reference = found.reference if found else table["base"]
+    user_code.split(reference, where)
+    reference = reference if folder is None else user_code.beside(reference, folder)
+    below = _data(gate.code(Named(SCENARIO, reference, reference), where).entry, user_code.split(reference, where)[0])
+    return below | {k: v for k, v in table.items() if k != "base"}
+
+
+def _data(entry: dict[str, Any], module: str) -> dict[str, Any]:
+    """A table of a MODULE as data; what it names there, or in files beside it, is named as from here."""
+    here = Path(module).parent if user_code.is_file(module) else None
+    table = {key: value for key, value in entry.items() if key != "name"}
+    for key in ("plant", "controller"):
+        value = table.get(key)
+        if isinstance(value, registry.InModule):
+            table[key] = f"{module}:{value.name}"
+        elif isinstance(value, str) and here is not None:
+            table[key] = user_code.beside(value, here)
+    if isinstance(table.get("observers"), list | tuple) and here is not None:
+        table["observers"] = [user_code.beside(o, here) if isinstance(o, str) else o for o in table["observers"]]
+    return {key: plain(value) for key, value in table.items()}
+
+
+def plain(value: Any) -> Any:
+    """Return arrays, tuples and ranges as the lists that a study holds, and NumPy's numbers as Python's."""
+    if hasattr(value, "tolist"):  # of NumPy, JAX, pandas
+        return plain(value.tolist())
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, tuple | list | range) else value

@@ -1,6 +1,9 @@
-"""Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge."""
+"""Maps of many cells side by side: an image each, with labelled lines of equal value and marks; no words in cells.
 
-from collections.abc import Callable
+Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge.
+"""
+
+from collections.abc import Callable, Mapping
 from functools import partial
 from math import isfinite
 from types import MappingProxyType
@@ -8,18 +11,89 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_hex
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_hex, to_rgb
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import fine_maps, frames, scales, small_maps
-from pcbench.plots.canvas import PAPER, Paper
-from pcbench.plots.fine_maps import Marks
+from pcbench.plots import frames, layout, small_maps
 from pcbench.plots.labels import about, named, times, title_of, unit_of
-from pcbench.plots.layout import Key
-from pcbench.plots.palette import Style, pale, styles
-from pcbench.plots.small_maps import Cell, Map, Over
+from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet, width_of
+from pcbench.plots.palette import INK, Style, pale, styles
+from pcbench.plots.small_maps import Cell, Map, Over, grid_of, levels_of
+
+FINE = 24  # values of an axis beyond which a map is an image
+SIDE = 2.2  # inches of a map
+TICKS = 6  # words on an axis, about
+
+Marks = Mapping[str, tuple[Any, Any]]  # by what is said of it, a place: values of both axes, not only those of cells
+
+
+def is_fine(x: Over, y: Over) -> bool:
+    """Say whether a map over two axes is drawn as an image."""
+    numbers = all(isinstance(v, int | float) for v in (*x.values, *y.values))
+    return numbers and max(len(x.values), len(y.values)) > FINE
+
+
+def drawn(
+    maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool, marks: Marks
+) -> Figure:
+    """Draw maps side by side, as many as two columns of the paper hold."""
+    across, up = _thinned(x), _thinned(y)
+    room = max(width_of(w, paper.size - 1, paper.font) for w in up.words) + 2 * paper.em
+    columns = max(1, min(len(maps), int(2 * paper.width / (SIDE + room))))
+    panels = []
+    for i, each in enumerate(maps):
+        above = [each.title, f"↑ {y.title}" if i % columns == 0 else ""]
+        below = x.title if i + columns >= len(maps) else ""
+        panels.append(Panel(across, up, below, "\n".join(filter(None, above)) or " ", SIDE, grid=False))
+    figure, axes = sheet(paper, title, panels, keys, columns, columns * (SIDE + room))
+    with drawn_on(paper):
+        for ax, each in zip(axes, maps, strict=True):
+            _filled(ax, each, x, y, paper, log)
+            _marked(ax, x, y, marks, paper)
+    return figure
+
+
+def _thinned(over: Over) -> layout.Scale:
+    """An axis of cells with ticks at some of their values, the first and others as far apart."""
+    many = len(over.values)
+    kept = tuple(range(0, many, -(-many // TICKS)))
+    return layout.Scale(-0.5, many - 0.5, kept, tuple(layout.word(over.values[i]) for i in kept))
+
+
+def _filled(ax: Axes, each: Map, x: Over, y: Over, paper: Paper, log: bool) -> None:
+    image = np.ones((len(y.values), len(x.values), 3))
+    rows, columns = ({v: i for i, v in enumerate(over.values)} for over in (y, x))
+    for (a, b), cell in each.cells.items():
+        image[rows[b], columns[a]] = to_rgb(cell.colour)
+    ends = (-0.5, len(x.values) - 0.5, -0.5, len(y.values) - 0.5)
+    ax.imshow(image, origin="lower", aspect="auto", interpolation="nearest", extent=ends, zorder=0.5)
+    grid = grid_of(each, x, y)
+    if levels := levels_of(grid, log):
+        lines = ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=levels, colors=INK, linewidths=0.6)
+        ax.clabel(lines, fmt=dict(zip(levels, map(layout.number, levels), strict=True)), fontsize=paper.size - 2)
+
+
+def _marked(ax: Axes, x: Over, y: Over, marks: Marks, paper: Paper) -> None:
+    """Draw a cross at each mark and what is said of it beside, on the side that has room."""
+    for said, (a, b) in marks.items():
+        at, high = _place(a, x), _place(b, y)
+        left = at > 0.7 * len(x.values)
+        ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
+        ax.annotate(
+            said, (at, high), (-5 if left else 5, 4), textcoords="offset points",
+            ha="right" if left else "left", fontsize=paper.size - 1, color=INK,
+        )  # fmt: skip
+
+
+def _place(value: float, over: Over) -> float:
+    """Where a value of an axis stands among its cells."""
+    found: NDArray[np.float64] = np.asarray(over.values, float)
+    return float(np.interp(value, found, np.arange(len(found))))
+
 
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
 LOST = LinearSegmentedColormap.from_list("lost", ["#FFFFFF", "#F0C9A8", "#C77B3B", "#7A3E0C"])
@@ -149,13 +223,13 @@ def _maps(
         value, unit = row["value"], str(row.get("unit", ""))
         if not isfinite(value):
             return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
-        tip = f"{row['observer']}: {scales.number(float(f'{value:.4g}'))} {unit}"
-        return Cell(to_hex(colours(float(norm(value)))), (scales.short(value),), tip, value)
+        tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
+        return Cell(to_hex(colours(float(norm(value)))), (layout.short(value),), tip, value)
 
     maps = [Map(str(o), _cells(mine, x, y, painted)) for o, mine in part.groupby("observer", sort=False)]
     log = isinstance(norm, LogNorm)
     low, high = float(norm.vmin), float(norm.vmax)
-    scale = scales.of([low, high], log)
+    scale = layout.of([low, high], log)
     levels = [(v, said) for v, said in zip(scale.ticks, scale.words, strict=True) if low <= v <= high]
     keys = [Key(said, Style(to_hex(colours(float(norm(v)))), (), ""), "patch") for v, said in levels]
     said = f"{title}, {about(result, part, held)}"
@@ -166,8 +240,8 @@ def _drawn(
     maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool,
     marks: Marks = MappingProxyType({}),
 ) -> Figure:  # fmt: skip
-    if fine_maps.is_fine(x, y):
-        return fine_maps.drawn(maps, x, y, title, keys, paper, log, marks)
+    if is_fine(x, y):
+        return drawn(maps, x, y, title, keys, paper, log, marks)
     return small_maps.drawn(maps, x, y, title, keys, paper, log)
 
 
@@ -186,7 +260,7 @@ def _norm(values: pd.Series) -> Any:
     if not len(found):
         return Normalize(0, 1)
     low, high = float(found.min()), float(found.max())
-    if high - low <= scales.SAME * abs(high):
+    if high - low <= layout.SAME * abs(high):
         return Normalize(min(0.0, low), max(0.0, high) or 1.0)
     return (
         LogNorm(low, high)

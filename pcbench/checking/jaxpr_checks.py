@@ -1,13 +1,67 @@
-"""Are a user's functions pure, and do they keep float64? Read in the programs that jax makes of them."""
+"""The programs that jax makes of a user's functions, and the numbers written into them.
 
-from collections.abc import Sequence
-from typing import Any
+Are a user's functions pure, and do they keep float64? Read in the programs that jax makes of them.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
-from pcbench.checking.result import require
-from pcbench.checking.tracing import Asked, Program, alike, inside, program
+from pcbench.checking.targets import require
+from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner
 from pcbench.errors import UserError
+
+
+class Asked(NamedTuple):
+    """A function of a user's, as f(given), a pytree of all that it takes."""
+
+    name: str
+    f: Callable[[Any], Any]
+
+
+class Program(NamedTuple):
+    """A traced function: its text without addresses, and the numbers written into it."""
+
+    text: str
+    numbers: tuple[np.ndarray, ...]
+    jaxpr: Any
+
+
+def program(a: Asked, g: Any) -> Program:
+    """Trace a function anew."""
+    closed = jax.make_jaxpr(lambda g: a.f(g))(g)
+    numbers = tuple(np.asarray(x) for x in (*closed.consts, *_literals(closed.jaxpr)) if np.size(x))
+    return Program(re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), numbers, closed.jaxpr)
+
+
+def alike(a: Program, b: Program) -> bool:
+    """Say whether two programs are the same, numbers included."""
+    pairs = zip(a.numbers, b.numbers, strict=False)
+    return (
+        a.text == b.text
+        and len(a.numbers) == len(b.numbers)
+        and all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
+    )
+
+
+def inside(jaxpr: Any) -> Iterator[Any]:
+    """Yield a program and every program in it."""
+    yield jaxpr
+    for eqn in jaxpr.eqns:
+        for each in inner(eqn.params):
+            yield from inside(getattr(each, "jaxpr", each))
+
+
+def _literals(jaxpr: Any) -> Iterator[Any]:
+    for program in inside(jaxpr):
+        for eqn in program.eqns:
+            yield from (v.val for v in eqn.invars if isinstance(v, Literal))
+            for each in inner(eqn.params):
+                yield from each.consts if isinstance(each, ClosedJaxpr) else ()
+
 
 NARROW = ("float32", "float16", "bfloat16", "complex64")
 
@@ -31,7 +85,7 @@ def purity(every: Sequence[Asked], g: Any) -> str:
 def float64(every: Sequence[Asked], g: Any) -> str:
     """No number is rounded to fewer bits than it came with."""
     for a in every:
-        for eqn in (eqn for inner in inside(program(a, g).jaxpr) for eqn in inner.eqns):
+        for eqn in (eqn for part in inside(program(a, g).jaxpr) for eqn in part.eqns):
             narrow = [v.aval.dtype for v in eqn.outvars if str(getattr(v.aval, "dtype", "")) in NARROW]
             require(
                 not narrow,
