@@ -52,14 +52,14 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
     from pcbench.cli.render import folder
     from pcbench.cli.render.progress import bar
     from pcbench.dataset import storage
-    from pcbench.papers import PAPERS, claim
+    from pcbench.papers import PAPERS, every
     from pcbench.papers.claim import counts
-    from pcbench.papers.claim import page as written
+    from pcbench.papers.page import page as written
 
     if page is not None:
         storage.make(storage.target(page.parent))  # a folder that cannot be written is said before the work
     with bar(quiet or as_json) as progress:
-        found = claim.claims(stoppable(progress))
+        found = every.claims(stoppable(progress))
     if page is not None:
         storage.put(storage.target(page.parent), page.name, written(found).encode())
     if as_json:

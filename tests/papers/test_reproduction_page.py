@@ -8,7 +8,8 @@ import pytest
 from commands import call
 
 from pcbench.papers import PAPERS, arm_gains, cart_theorem, chain_design, pi_pco_equations
-from pcbench.papers.claim import FINDING, VERDICTS, Claim, _cell, counts, digits, page, rounds_to, statement
+from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
+from pcbench.papers.page import _cell, page
 from pcbench.runtime import config
 
 PAGE = Path(__file__).parents[2] / "REPRODUCTION.md"
