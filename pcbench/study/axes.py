@@ -146,7 +146,7 @@ def number(value: Any, where: str, least: float | None) -> float:
 def _profile(value: Any, base: Scenario, where: str) -> str | tuple[float, ...]:
     if isinstance(value, str):
         if value not in PROFILES:
-            raise unknown(where, "profile (or list of intervals)", value, PROFILES)
+            raise unknown(where, "sampling_pattern (or list of intervals)", value, PROFILES)
         return value
     if not isinstance(value, list | tuple) or not value:
         raise UserError(

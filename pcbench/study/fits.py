@@ -105,8 +105,8 @@ def _loop(s: Scenario, where: str) -> None:
     if any(clock.random for clock in clocks(s)):
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-            "offered with times of each run's own; leave jitter, delay_jitter, delay_values, delay_gamma_mean, "
-            "timestamp_jitter, loss and the profile 'uniform' out."
+            "offered with times of each run's own; leave sampling_jitter, delay_jitter, delay_values, delay_gamma_mean, "
+            "timestamp_jitter, loss and the sampling_pattern 'uniform' out."
         )
     if INTERVAL in measured.delay:
         raise UserError(
@@ -188,7 +188,7 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
         unsteady = [f"{what} {plain('delay_jitter', v)} s" for what, v in times.items() if v]
         unsteady += drawn
         unsteady += (
-            [f"the profile {plain('sampling_pattern', measured.sampling_pattern)}"]
+            [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
             if measured.sampling_pattern != "periodic"
             else []
         )

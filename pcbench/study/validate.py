@@ -140,7 +140,7 @@ def _in_turn(s: Scenario, where: str) -> None:
             f"{where}: got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them."
         )
     drawn = ("sampling_jitter", "delay_jitter", "delay_values", "delay_gamma_mean", "loss", "timestamp_jitter")
-    beside = [name for name in drawn if s.value(name)] + ["profile 'uniform'"] * (
+    beside = [name for name in drawn if s.value(name)] + ["sampling_pattern 'uniform'"] * (
         s.sampling.sampling_pattern == "uniform"
     )
     if turns and beside:
@@ -157,12 +157,12 @@ def _losses(s: Scenario, where: str) -> None:
         raise UserError(
             f"{where}: got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected a loss between 0 "
             f"and 1 to come "
-            "in bursts; give one, or leave burst out."
+            "in bursts; give one, or leave mean_burst_length out."
         )
     if burst and burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
         raise UserError(
             f"{where}: got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected gaps of at least "
-            f"{max(1, loss / (1 - loss)):g} samples in the mean, which so many losses leave at least; write a larger burst."
+            f"{max(1, loss / (1 - loss)):g} samples in the mean, which so many losses leave at least; write more."
         )
 
 
@@ -170,8 +170,8 @@ def _rounding(s: Scenario, where: str) -> None:
     """Raise UserError where there is dither and nothing is rounded."""
     if s.sampling.dither and not any(s.sampling.quantization_step):
         raise UserError(
-            f"{where}: got dither = 1 in {s.name}, where samples are not rounded, expected a resolution above 0; give one, or "
-            "leave it out."
+            f"{where}: got dither = 1 in {s.name}, where samples are not rounded, expected a quantization_step above 0; "
+            "give one, or leave it out."
         )
 
 

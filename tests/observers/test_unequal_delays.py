@@ -65,7 +65,7 @@ BAD = {
     "sampling_pattern": (
         PLANT | {"sampling_pattern": [1.0, 2.0]},
         {},
-        "got the profile 1, 2, expected regular samples",
+        "got the sampling_pattern 1, 2, expected regular samples",
     ),
     "no noise to filter": (
         PLANT | {"A": [[1.0, 0.0], [0.0, 0.5]]},

@@ -55,14 +55,14 @@ CASES = {
         "axes": FAULTS,
         "options": RANDOM["options"] | {"kf": {"gate": 0.999}},
     },
-    "random": {
+    "random": {  # and channels that differ
         "lti": LTI,
-        "observers": MANY,
-        "axes": {"loss": [0.2], "delay_jitter": [0.05], "sampling_jitter": [0.02]},
+        "observers": ["kf", "model-only", "kf-ignore-delay", "ekf"],
+        "axes": {"loss": [[0.2, 0.4]], "delay_jitter": [0.05], "sampling_jitter": [0.02]},
         **RANDOM,
     },
     "clones": {
-        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1], "duration": 1.2},
+        "lti": LTI | {"delay": [0.3, 0.3], "sampling_period": [0.1, 0.1], "duration": 1.0},
         "observers": ["kf-cloning", "kf-larsen"],
         "axes": {"loss": [0.2], "delay_jitter": [0.05]},
         "options": {"scenario": {"random_initial_state": True, "consistency": True}},

@@ -6,7 +6,7 @@ other draws alone. Where its delay is a Markov chain over m values, the first sa
 long run, and each next one is the same with a probability of its own, or any of the others alike. Where losses come in bursts
 the same number is held against another probability after a loss. How wrong a stamp is, is drawn under the tick at which its
 sample is taken, for all clocks alike.
-Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
+Everything is whole ticks. `ClockParams` is traced, so one compiled program serves every pattern, jitter, delay and loss.
 """
 
 import math
