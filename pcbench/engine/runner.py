@@ -1,8 +1,7 @@
 """Many runs at once: calls of one compiled width, several at a time.
 
-A *job* is one cell's `GridPointParams` with up to `width` seeds; short ones are padded, so that a run has the same bits alone
-and in any block. There is one program, compiled for one device and computing on one thread: on a processor it is called from as
-many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
+A *job* is one cell's `GridPointParams` with up to `width` seeds, padded to that: a run has the same bits alone and in any
+block. A program computes on one thread of one device, several calls at a time, so nothing beside it changes its bits.
 """
 
 import itertools
