@@ -52,7 +52,7 @@ def find_limit(
     Example: pcbench find-limit cart/white --threshold 0.1 --axis sampling_period
     """
     setup()
-    from pcbench.cli.render import listing
+    from pcbench.cli.render import limits
     from pcbench.cli.render.progress import bar
     from pcbench.cli.render.tables import readable
     from pcbench.limits import find_limit
@@ -88,9 +88,9 @@ def find_limit(
         print(into)
     elif len(axis) > 1:
         screen = console()
-        listing.frontier(table, screen)
+        limits.frontier(table, screen)
         screen.print(f"Each value has its own study in {into}", highlight=False, markup=False, soft_wrap=True)
     else:
         screen = console()
-        listing.answers(table, screen)
+        limits.answers(table, screen)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)

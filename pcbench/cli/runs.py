@@ -125,7 +125,7 @@ def run(
     elif quiet:
         print(into)
     else:
-        from pcbench.cli.render import listing, results
+        from pcbench.cli.render import results, timing
 
         screen = console()
         results.closing(result, screen, metric, where, api.operation_counts(result.study) if costs else None)
@@ -133,8 +133,8 @@ def run(
             from pcbench.cli.render import gains
 
             gains.fair(result.fair, screen)
-        screen.print(listing.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
-        for line in listing.timings(result, perf_counter() - began) if timings else []:
+        screen.print(timing.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
+        for line in timing.timings(result, perf_counter() - began) if timings else []:
             screen.print(line, highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
 
@@ -173,7 +173,7 @@ def simulate(
     """
     setup()
     from pcbench import api
-    from pcbench.dataset import write_table
+    from pcbench.dataset import trajectory_table, write_table
     from pcbench.planning import all_observers
     from pcbench.plants import signals_of
     from pcbench.study import parse
@@ -182,7 +182,7 @@ def simulate(
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     for sentence in all_observers.sentences(frame.attrs["excluded"]):
         say(sentence)
-    write_table.put(file, write_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
+    write_table.put(file, trajectory_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
 
 

@@ -17,9 +17,9 @@ import pyarrow as pa
 
 from pcbench.dataset import block_files, close, manifest, moments_tables, parquet_io, run_missing, storage, stored_code
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.compare import difference, of_one_run
 from pcbench.dataset.manifest import Owned
 from pcbench.dataset.seed_ranges import Seeds, common, counted, gaps
+from pcbench.dataset.table_diff import difference, of_one_run
 from pcbench.errors import UserError
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.serialize import to_toml

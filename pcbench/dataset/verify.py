@@ -28,10 +28,10 @@ from pcbench.dataset import (
     task,
 )
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.compare import ROUNDING, ZERO, difference
 from pcbench.dataset.manifest import Owned
 from pcbench.dataset.merge import agree
 from pcbench.dataset.seed_ranges import Seeds
+from pcbench.dataset.table_diff import ROUNDING, ZERO, difference
 from pcbench.planning import padding
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.grid import Cell, Grid, usable

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
-from pcbench.dynamics.linear import within_room
+from pcbench.dynamics.room import within_room
 
 Field = Callable[[Array, Any], Any]  # (t [s], x) -> dx/dt; x an array, or a pytree of arrays
 

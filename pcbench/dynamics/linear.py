@@ -2,18 +2,13 @@
 
 Doublings: entry b belongs to 2^b ticks. Noise over 2^b ticks follows by Q_2b = E_b Q_b E_b' + Q_b from one short tick,
 never by one matrix exponential over a long interval, which overflows silently (Van Loan's at 0.6 s on the cart).
-
-The room that an observer is designed with: ages in its tables, past inputs, measurements that newer ones may overtake.
 """
 
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
@@ -216,24 +211,3 @@ def with_input_bias(model: Model) -> Model:
     wider = np.vstack([model.B, np.zeros((m, m))])
     E = None if model.E is None else np.vstack([model.E, np.zeros((m, model.E.shape[1]))])
     return model._replace(A=A, B=wider, C=np.hstack([model.C, model.feedthrough]), E=E)
-
-
-ROOM = "pcbench_within_room"  # the name by which exports know the function
-
-
-def within_room(x: Array, within: Array) -> Array:
-    """Return x, which is meaningless where it is not `within` the room.
-
-    In a simulation there is room for the whole schedule, so this changes nothing. An exported `jump` returns 1 instead, and
-    leaves the memory as it is.
-    """
-    same: Array = _same(x, within)
-    return same
-
-
-def _whole(x: Array, within: Array) -> Array:
-    return jnp.where(within, x, x)
-
-
-_whole.__name__ = ROOM  # a user's own function may be called `within_room`
-_same = jax.jit(_whole)

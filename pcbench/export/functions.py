@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.dynamics.linear import within_room
+from pcbench.dynamics.room import within_room
 from pcbench.errors import UserError
 from pcbench.export import program, structs
 from pcbench.export.structs import Field

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.dynamics.linear import ROOM
+from pcbench.dynamics.room import ROOM
 from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places

@@ -12,10 +12,10 @@ shows is found in `frames`.
 
 from pcbench.plots.fault_tolerance import bearing
 from pcbench.plots.gains import fair, trade_off
-from pcbench.plots.heatmaps import divergence, heatmaps, winners
 from pcbench.plots.labels import save
 from pcbench.plots.layout import Paper
 from pcbench.plots.lines import convergence, cost, curves, distributions, quantiles
+from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.one_run import delays, nees
 from pcbench.plots.palette import styles
 from pcbench.plots.time_series import time

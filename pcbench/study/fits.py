@@ -9,7 +9,7 @@ from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import STAMPS
+from pcbench.scenarios.scenario import STAMPS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
 from pcbench.study import validate
 from pcbench.study.axes import plain
@@ -152,6 +152,10 @@ def _at_rest(label: str, s: Scenario, where: str) -> bool:
     return True
 
 
+def _each(value: PerChannel) -> str:
+    return ", ".join(f"{v:g}" for v in per_channel(value, 1))
+
+
 def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
     if nonlinear(s) and not entry.nonlinear and not _at_rest(label, s, where):
@@ -176,7 +180,7 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
     if takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
         spread = measured.delay_jitter
-        varies = f"a delay_jitter of {plain('delay_jitter', spread)} s" if spread else "a delay of one varying interval"
+        varies = f"a delay_jitter of {_each(spread)} s" if spread else "a delay of one varying interval"
         varies = ", ".join(drawn) if drawn and not spread else varies
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
@@ -185,7 +189,7 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     random = measured.delay_jitter or drawn or measured.sampling_jitter
     if takes == "constant delays" and (random or measured.sampling_pattern != "periodic"):
         times = {"a delay_jitter of": measured.delay_jitter, "a sampling_jitter of": measured.sampling_jitter}
-        unsteady = [f"{what} {plain('delay_jitter', v)} s" for what, v in times.items() if v]
+        unsteady = [f"{what} {_each(v)} s" for what, v in times.items() if v]
         unsteady += drawn
         unsteady += (
             [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
-from pcbench.cli.render import comparison, folder, gains, listing, results
+from pcbench.cli.render import comparison, folder, gains, results, timing
 from pcbench.cli.render.tables import Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.timing import Cost
@@ -164,7 +164,7 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
     about = {"wall_seconds": 3.0, "runs_added": 8} | spent
 
     def said(cost):
-        return listing.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
+        return timing.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
 
     assert said(Cost()) == []
     exact = said(Cost(exact_seconds=1.25))

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 import pcbench
-from pcbench.dataset import block_files, compare, manifest, merge, storage, verify
+from pcbench.dataset import block_files, compare, manifest, merge, storage, table_diff, verify
 from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.study import grid, parse
@@ -221,4 +221,4 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
 )
 def test_a_number_is_held_against_the_largest_of_its_column_an_error_against_its_peak(column, before, after, same):
     tables = [pa.table({"signal": ["x", "x"], "max_abs_error": [1e3, 1e3], column: each}) for each in (before, after)]
-    assert compare.of_one_run(*tables, within=1e-11) == same
+    assert table_diff.of_one_run(*tables, within=1e-11) == same

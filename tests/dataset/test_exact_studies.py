@@ -12,7 +12,7 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.render import folder, listing, results
+from pcbench.cli.render import folder, results, timing
 from pcbench.dataset import columns, compare, moments_tables, parquet_io, storage, verify
 from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
@@ -157,7 +157,7 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
     assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of kf, and of signed"
-    assert listing.sentence(done, "there") == "Exact numbers of one cell are in there."
+    assert timing.sentence(done, "there") == "Exact numbers of one cell are in there."
 
 
 @pytest.mark.ci
@@ -166,7 +166,7 @@ def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
     assert moments_tables.whole(storage.target(tmp_path / "out")) is not None
-    said = listing.sentence(result, "out")
+    said = timing.sentence(result, "out")
     assert said.startswith("The tables in out are of its runs")
     assert "pcbench verify out --exact" in said
 

@@ -91,7 +91,7 @@ def test_the_guide_is_listed_and_shown_in_the_terminal():
 
 
 def test_the_list_of_pages_imports_nothing_heavy():
-    code = "import sys; from pcbench.cli import guide; guide.guide(None); "
+    code = "import sys; from pcbench.cli import new; new.guide(None); "
     code += "print({'jax', 'rich.markdown', 'pandas'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.endswith(
         "set()\n"

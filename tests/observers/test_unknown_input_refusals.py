@@ -80,7 +80,7 @@ REFUSED = {
         own(delay=[0.02, 0.04]),
         r"got channels with delays \(20, 40\) \(ticks\), expected one for all.*take kf",
     ),
-    "late by chance": (own(delay_jitter=0.01), r"got a delay jitter of 0\.01 s, expected one constant delay"),
+    "late by chance": (own(delay_jitter=0.01), r"got a delay_jitter of 0\.01 s, expected one constant delay"),
     "on the cart": (
         published("cart/nominal", "smo"),
         r"smo in cart/nominal: the plant has no unknown input, expected .* take another",

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from pcbench.plots import heatmaps, small_maps
+from pcbench.plots import maps as fine
+from pcbench.plots import small_maps
 from pcbench.plots.layout import PAPER, Key
 from pcbench.plots.small_maps import Cell, Map, Over
 
@@ -23,14 +24,14 @@ def a_map(value, title="kf"):
 def figure():
     keys: list[Key] = []
     maps = [a_map(lambda a, b: a + b), a_map(lambda a, b: a - b + 1, "kfbo"), a_map(lambda a, b: 1.0 + 1e-6 * a)]
-    return heatmaps.drawn(maps, X, Y, "error [m]", keys, PAPER, False, {"Table 2": (0.2, 0.21)})
+    return fine.drawn(maps, X, Y, "error [m]", keys, PAPER, False, {"Table 2": (0.2, 0.21)})
 
 
 def test_what_is_fine_has_many_values_on_an_axis_of_numbers():
     few = Over("x", X.values[:24])
-    assert heatmaps.is_fine(X, few)
-    assert not heatmaps.is_fine(few, few)
-    assert not heatmaps.is_fine(X, Over("y", ["none", "uniform"]))
+    assert fine.is_fine(X, few)
+    assert not fine.is_fine(few, few)
+    assert not fine.is_fine(X, Over("y", ["none", "uniform"]))
 
 
 def test_every_cell_has_its_colour_at_its_place(figure):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from pcbench.dynamics.linear import within_room
+from pcbench.dynamics.room import within_room
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.protocols import Arrival, Leaf, Now, Room, vmap_as_unit
 
