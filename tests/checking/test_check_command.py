@@ -81,6 +81,7 @@ BAD_MODULES = {
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BAD_MODULES)
 def test_a_module_that_cannot_be_used_is_one_sentence(folder, name):
     text, *says = BAD_MODULES[name]

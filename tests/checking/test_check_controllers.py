@@ -117,6 +117,7 @@ def test_options_that_do_not_fit_are_the_first_finding_and_the_last():
         assert {f.why for f in others} == {"not asked before options passes"}
 
 
+@pytest.mark.ci
 def test_its_eigenvalue_is_that_of_the_loop_written_out():
     """Plant and integrator over one period, by hand: x+ = Phi x + Gamma u, s+ = s + T x1 / 2, u = -K x - s+."""
     t = trial(own(), period=0.05)

@@ -155,6 +155,7 @@ def test_what_is_no_mistake_is_a_note(check):
         asked(check, make())
 
 
+@pytest.mark.ci
 def test_a_smooth_slope_between_two_is_a_kink():
     """Of |rate| at rest jax says the slope 1 or 0, differences from both sides 0: those from one side tell."""
     ramp = swing(output=lambda p, now, x: x[:1] + jnp.where(x[1:] > 0, 2 * x[1:], 0.0) - x[1:])

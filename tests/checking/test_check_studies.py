@@ -66,6 +66,7 @@ def test_a_loop_that_does_not_settle_is_named_with_its_eigenvalue():
         asked("settles", study(bad, **SHORT))
 
 
+@pytest.mark.ci
 def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = Path(mine.__file__).read_text().replace("now.u,\n", "now.past_u(1),\n")
@@ -89,6 +90,7 @@ def in_lqr(entry, **changes):
     return closed_loop.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
 
 
+@pytest.mark.ci
 def test_an_observer_that_slips_in_a_loop_has_an_error_or_says_so_and_stays_within_the_bound():
     slipped = ENTRY._replace(observer=SLIP)
     with pytest.raises(UserError, match=r"closed loop: got, in lti under lqr, an error of .* at tick 1, expected none"):
@@ -129,6 +131,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.ci
 def test_what_a_name_stands_for_is_found_out(folder):
     for name, kind in (("watch", "observer"), ("law", "controller"), ("fall", "plant"), ("late", "scenario")):
         assert targets.kind_of(f"four.py:{name}") == kind
@@ -180,6 +183,7 @@ def test_each_kind_is_asked_what_it_should_be(folder):
     assert {f.verdict for f in found.findings} == {"passes"}
 
 
+@pytest.mark.ci
 def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(monkeypatch):
     monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
     with pytest.raises(Noted, match=r"an error remains of kf in lti \(.* of the largest state\).*take a shorter tick"):

@@ -174,6 +174,7 @@ def test_an_input_that_is_not_yet_there_is_peeking():
     assert "no peeking" in failing(verdicts(broken({"flow": ahead})))
 
 
+@pytest.mark.ci
 def test_a_memory_changed_in_place_is_no_pure_function():
     def jump(gains, memory, now, arrival):
         memory["x"] = own.corrected(gains, memory["x"], arrival)
@@ -199,6 +200,7 @@ def test_an_age_of_zero_is_no_divisor():
     assert "not finite" in failing(verdicts(broken({"jump": jump})))["delay 0"]
 
 
+@pytest.mark.ci
 def test_an_observer_that_declares_not_to_know_the_schedule_is_not_asked_for_a_perfect_start():
     flow = {"flow": lambda gains, memory, now: gains.Phi @ memory}
     found = verdicts(broken(flow)._replace(knows_schedule=False))
@@ -206,6 +208,7 @@ def test_an_observer_that_declares_not_to_know_the_schedule_is_not_asked_for_a_p
     assert found["perfect start"].verdict == "skipped"
 
 
+@pytest.mark.ci
 def test_a_design_may_refuse_a_schedule_but_not_all():
     def picky(setting, options):
         if setting.delay[0] < late:

@@ -80,6 +80,7 @@ BAD = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BAD)
 def test_a_mistake_is_one_sentence_and_writes_nothing(name, tmp_path):
     words, got, expected = BAD[name]
@@ -134,6 +135,7 @@ def test_a_mistake_in_a_file_names_the_file(name, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.ci
 def test_an_unwritable_folder_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     sentence = refused(call("run", "quick", "--seeds", "1", "--out", tmp_path / "file" / "below"))
@@ -263,6 +265,7 @@ def test_a_trace_is_of_the_kind_that_its_name_says(tmp_path):
         assert said in refused(call("simulate", "cart/slow", "--observer", "model-only", "--out", tmp_path / name))
 
 
+@pytest.mark.ci
 def test_trace_writes_every_tick(tmp_path):
     done = call("simulate", "cart/white", "--observer", "kfbo", "--seed", "3", "--out", tmp_path / "t.parquet")
     assert done.returncode == 0, done.stderr

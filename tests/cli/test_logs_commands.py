@@ -39,6 +39,7 @@ def here(tmp_path):
     return tmp_path
 
 
+@pytest.mark.ci
 def test_log_says_what_is_in_a_log_and_draws_it(here):
     done = call("info", "flight", "--out", "late.svg", cwd=here)
     assert done.returncode == 0, done.stderr
@@ -60,6 +61,7 @@ def test_a_drift_stands_with_its_interval(tmp_path):
     assert float(half) == pytest.approx(1.96 * row["drift_ppm_se"], rel=0.05)
 
 
+@pytest.mark.ci
 def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
     words = ["replay", "flight", "--plant", "motor.toml", "--observers", "kf", "--out", "out"]
     done = call(*words, "--json", cwd=here)

@@ -69,6 +69,7 @@ def test_no_number_is_cut_at_any_width(many, width):
     assert ("delay = 0.2, noise_std = 0.1, assumed_delay_error = 0.0" in flat) == (width < 100), "axes stand above then"
 
 
+@pytest.mark.ci
 def test_an_axis_column_stands_where_there_is_room(many):
     text = shown(many, 200)
     assert re.search(r"delay +noise_std +assumed_delay_error +observer +steady_rmse +less the best", text)
@@ -102,6 +103,7 @@ def test_a_head_is_the_name_of_one_metric(whole, metric):
         assert number(row).split(" ± ")[0] in text
 
 
+@pytest.mark.ci
 def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whole):
     result = pcbench.open_result(whole)
     for metric in ("steady_rmse", "max_abs_error"):
@@ -262,6 +264,7 @@ def test_everything_there_is_can_be_told_whole(kind):
             assert told["description"].split()[0] in text
 
 
+@pytest.mark.ci
 def test_options_have_type_default_and_range():
     import json
 

@@ -40,6 +40,7 @@ def test_every_observer_of_every_cell_reaches_the_goal_or_the_budget(done):
     assert 64 < n[0.1] < n[0.5]
 
 
+@pytest.mark.ci
 def test_no_more_seeds_are_added_than_were_needed(done):
     """The prediction from the first 64 seeds is at most a third off, with its margin of 5 %."""
     rows = done.stats[
@@ -50,6 +51,7 @@ def test_no_more_seeds_are_added_than_were_needed(done):
     assert needed <= worst.n < 1.5 * needed
 
 
+@pytest.mark.ci
 def test_the_same_command_again_adds_nothing(done):
     before = {p: p.stat().st_mtime_ns for p in done.out.rglob("*.parquet")}
     pcbench.run(STUDY, out=done.out, until_se="steady_rmse=0.002", max_seeds=3000)

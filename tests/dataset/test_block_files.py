@@ -90,6 +90,7 @@ def test_a_file_cut_short_is_damaged(dataset, tmp_path, keep):
     assert damaged(dataset, tmp_path, lambda content: content[:keep])
 
 
+@pytest.mark.ci
 @settings(max_examples=60)
 @given(st.floats(0, 1, exclude_max=True), st.integers(0, 7))
 def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, where, bit):

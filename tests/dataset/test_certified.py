@@ -60,6 +60,7 @@ def test_the_tables_say_whether_gains_are_certified(out):
         assert (row.certified_a, row.certified_b) == (PROVEN[row.observer_a], PROVEN[row.observer_b])
 
 
+@pytest.mark.ci
 def test_every_table_for_a_person_marks_what_nothing_proves(out):
     result = pcbench.open_result(out)
     closing = shown(lambda console: results.closing(result, console, "steady_rmse"))

@@ -45,6 +45,7 @@ def test_chunks_of_seeds_that_begin_elsewhere_end_at_the_same_seeds(tmp_path, mo
     assert [len(chunk["kfbo"]["diverged"]) for chunk in parts(tmp_path / "out")] == [3, 8, 8, 1]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("before", [0, 20])
 def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkeypatch, before):
     """And with the tables that blocks give; those that stood before are read."""
@@ -61,6 +62,7 @@ def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkey
     assert storage.get(place, "pairs.parquet") == pairs
 
 
+@pytest.mark.ci
 def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monkeypatch):
     """With a cell whose runs diverge, which is taken by itself, and one that has fewer seeds."""
     study = {

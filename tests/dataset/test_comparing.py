@@ -50,6 +50,7 @@ def change(out, column, factor, rows):
     sealed_again(out)
 
 
+@pytest.mark.ci
 def test_a_result_equals_itself_bit_for_bit(whole, copy):
     found = compare.compare(whole, copy)
     assert len(found.rows) == len(pd.read_parquet(whole / "stats.parquet"))

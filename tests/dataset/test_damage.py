@@ -189,6 +189,7 @@ def test_a_pipe_is_no_study(tmp_path):
     assert "cannot be read (it is no file)" in told(call("run", tmp_path / "pipe.toml"))
 
 
+@pytest.mark.ci
 def test_a_mark_of_the_byte_order_is_no_mistake(tmp_path):
     (tmp_path / "marked.toml").write_bytes(b'\xef\xbb\xbfscenarios = ["cart/slow"]\nseeds = 2\n')
     done = call("run", tmp_path / "marked.toml", "--observers", "model-only", "--quiet", "--out", tmp_path / "out")

@@ -75,6 +75,7 @@ def test_an_engine_that_is_none_is_refused():
         parse.grid_of(STUDY | {"engine": "plain"}, {}, [])
 
 
+@pytest.mark.ci
 def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
     pcbench.run(STUDY, out=tmp_path / "out")
     path = tmp_path / "out" / "study.toml"
@@ -166,6 +167,7 @@ def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
         assert merge.merge(outs, tmp_path / engines[0] / "both").missing == 0
 
 
+@pytest.mark.ci
 def test_rows_of_two_engines_that_differ_by_more_are_not_merged(tmp_path, monkeypatch):
     for engine in ("definition", "steps"):
         pcbench.run(STUDY | {"engine": engine}, out=tmp_path / engine)

@@ -62,6 +62,7 @@ def test_the_tables_are_those_of_runs_with_a_method_and_a_reason(out):
         _ = found.runs
 
 
+@pytest.mark.ci
 def test_differences_of_exact_numbers_are_sure(out):
     pairs = open_result(out).pairs
     row = pairs[(pairs.metric == "mse") & (pairs.signal == "x1") & (pairs.cell == 0)].iloc[0]
@@ -106,6 +107,7 @@ def test_verify_status_and_compare_take_them(out, tmp_path):
     (tmp_path / "kept").rename(out / "exact.parquet")
 
 
+@pytest.mark.ci
 def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     """One mean is 1e-6 of itself off, in a file that is whole."""
     copy = shutil.copytree(out, tmp_path / "copy")
@@ -184,6 +186,7 @@ def test_a_sealed_table_with_lists_is_known_again():
     )
 
 
+@pytest.mark.ci
 def test_of_a_plant_that_is_not_affine_it_is_said_who_and_by_how_much_in_every_row(tmp_path):
     """Nothing is computed of it: its rows had been left out, the sentence too, and the closing table ended in a traceback."""
     (tmp_path / "s.toml").write_text(BENT)

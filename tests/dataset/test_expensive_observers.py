@@ -48,6 +48,7 @@ def test_observers_of_one_cell_do_not_wait_for_an_expensive_one(done):
     assert both.equals(alone.runs[columns].reset_index(drop=True))
 
 
+@pytest.mark.ci
 def test_long_calls_are_announced(done, monkeypatch):
     monkeypatch.setattr("pcbench.dataset.timing.seconds", lambda made, job: 3 * 3600.0)
     said = []

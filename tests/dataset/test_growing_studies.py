@@ -13,6 +13,7 @@ from pcbench.dataset.manifest import changes
 from pcbench.errors import UserError
 
 
+@pytest.mark.ci
 def test_more_seeds_extend_a_study(copy, tmp_path):
     pcbench.run(STUDY, out=copy, seeds=61)
     pcbench.run(STUDY, out=tmp_path / "at-once", seeds=61)

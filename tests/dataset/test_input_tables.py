@@ -54,6 +54,7 @@ def test_every_table_says_whether_a_prediction_carries_the_input(done):
     assert (row.predicts_unknown_input_a, row.predicts_unknown_input_b) == (False, True)
 
 
+@pytest.mark.ci
 def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
     console = Console(file=io.StringIO(), width=160)
     results.closing(done, console, "mae")

@@ -106,6 +106,7 @@ def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
     assert not moments_tables.made(storage.target(tmp_path / "both"), owned, pytest.fail)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("factor", "refused"), [(1 + 1e-12, False), (1 + 1e-6, True)])
 def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
     b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))

@@ -95,6 +95,7 @@ def test_tasks_done_twice_and_in_any_order_leave_each_row_once(whole, tmp_path, 
     assert tables(tmp_path / "out") == tables(whole)
 
 
+@pytest.mark.ci
 def test_a_damaged_block_does_not_stand_when_a_study_grows_over_it(copy, tmp_path):
     """The gap is cut anew, under another name."""
     path = max((copy / "runs").rglob("*.parquet"))

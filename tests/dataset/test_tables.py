@@ -67,6 +67,7 @@ def test_runs_read_in_one_line_by_three_libraries(done):
         )
 
 
+@pytest.mark.ci
 def test_columns_are_the_contracts(done):
     assert list(done.runs.columns) == ["study", "scenario", "observer", "cell", *AXES, *RUNS.split()]
     assert list(done.stats.columns) == ["study", "scenario", "plant", "observer", "cell", *AXES, *STATS.split()]
@@ -169,6 +170,7 @@ def test_provenance_says_what_made_the_numbers(done):
     assert found["precision"] == "float64"
 
 
+@pytest.mark.ci
 def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     """sampled-innovation at te = d = 3 s and R = 0.004 grows past a bound of 20 m: every lane, at the same tick as a trace."""
     from pcbench import planning

@@ -78,6 +78,7 @@ def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
     assert "position [m], velocity [m/s]" in text
 
 
+@pytest.mark.ci
 def test_gains_and_model_are_the_designs_in_json_and_mat():
     found = exports.of("kf", True)
     told, mat = (
@@ -144,6 +145,7 @@ def _with_own_slope(x):
 _with_own_slope.defvjp(lambda x: (_with_own_slope(x), x), lambda x, g: (2 * x * g,))
 
 
+@pytest.mark.ci
 def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
     monkeypatch.setitem(program.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
     with pytest.raises(UserError, match=r"^kf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):

@@ -147,6 +147,7 @@ def test_c_of_recording_equals_its_replay(name, tmp_path):
     assert found.about.oldest >= 70
 
 
+@pytest.mark.ci
 def test_c_without_room_for_recording_is_not_silent(tmp_path):
     """The C of the plant file alone, run on the recording: it says how many measurements it refused, and is finite."""
     log = _recording(tmp_path / "flight")

@@ -85,6 +85,7 @@ def study(tmp_path_factory):
     return folder / "out", keys.assign(scenario="away", position=0.0, velocity=0.0)
 
 
+@pytest.mark.ci
 def test_samples_that_arrive_are_those_of_the_simulation(study):
     folder, _ = study
     samples = pd.read_parquet(folder / "draws" / "samples.parquet")
@@ -102,6 +103,7 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
     assert not {"position", "x"} & set(samples.columns), "what is true is not told"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "wrong", [{"timestamp_offset": 0.05, "clock_skew": 2e4}, {"timestamp_jitter": 0.02}, {"assumed_delay_error": 0.1}]
 )
@@ -157,6 +159,7 @@ REFUSALS = {
 }  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", REFUSALS)
 def test_estimates_that_are_not_whole_are_refused(study, tmp_path, what):
     folder, found = study
@@ -202,6 +205,7 @@ def _estimated(tmp_path, text):
     return found[["position", "velocity"]].to_numpy(), run[["kf.position", "kf.velocity"]].to_numpy()[:-1]
 
 
+@pytest.mark.ci
 def test_a_kalman_filter_of_ten_lines_is_kf_where_nothing_is_late(tmp_path):
     theirs, ours = _estimated(tmp_path, KALMAN)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
@@ -213,6 +217,7 @@ def test_filterpys_filter_is_kf_where_nothing_is_late(tmp_path):
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
     """A Kalman filter that reads only the CSV files and cells.json equals kf, process noise and assumed values included."""
     scenario = PROMPT | {"process_std": [0.01, 0.1], "assumed_noise_scale": 3.0}

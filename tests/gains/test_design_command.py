@@ -80,6 +80,7 @@ WAYS = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("observer", "scenario", "method", "options"), WAYS)
 def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, scenario, method, options):
     changes = [f"options.{observer}.{name}={value}" for name, value in options.items()]
@@ -114,6 +115,7 @@ def test_a_trade_off_shows_gains_and_noise_and_not_what_proves_them():
         assert [row["L[0]"], row["L[1]"]] == found.gains.L[:, 0].tolist()
 
 
+@pytest.mark.ci
 def test_the_command_writes_a_study_that_runs_and_says_what_is_promised(tmp_path):
     out = tmp_path / "folder" / "h2.toml"
     words = [

@@ -125,6 +125,7 @@ def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
     assert changed == "options tuned at noise_std = 0.1.kf-tuned.R: 10.0 there, 11.0 here"
 
 
+@pytest.mark.ci
 def test_a_cell_that_cannot_be_tuned_keeps_its_start_and_says_so(monkeypatch):
     found_by_noise(monkeypatch, without=[0.1])
     made = prepared(**EVERY_CELL, observers=["kf"], tuning="tuned")

@@ -35,6 +35,7 @@ def test_a_terminal_without_our_letters_has_the_table_in_its_own(tmp_path):
     assert "?" not in done.stdout.decode("ascii")
 
 
+@pytest.mark.ci
 def test_a_name_that_a_process_cannot_write_is_one_sentence(tmp_path):
     done = command(*RUN, "--out", "résultats", cwd=tmp_path, **ASCII)
     assert done.returncode == 2
@@ -42,6 +43,7 @@ def test_a_name_that_a_process_cannot_write_is_one_sentence(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.ci
 def test_a_platform_that_jax_does_not_have_is_one_sentence(tmp_path):
     done = command(*RUN, cwd=tmp_path, JAX_PLATFORMS="abacus")
     assert done.returncode == 2

@@ -110,6 +110,7 @@ def test_scenarios_name_what_exists(name):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("drift", [0.0, 1.0])
 def test_the_carts_field_is_its_step_in_the_limit(drift):
     """Plant.field and Plant.step describe one plant: a tick is the integral of the field (RK4 to 1e-6)."""

@@ -4,6 +4,7 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
 from documents import PAGES
 
 import pcbench
@@ -39,6 +40,7 @@ def calls(path):
             yield f"{node.func.attr} of {'pickle' if pickled else 'tomllib'}" if pickled or tables else node.func.attr
 
 
+@pytest.mark.ci
 def test_code_of_others_is_run_in_one_place_and_pickles_are_read_in_one():
     found = [(name, str(p.relative_to(PACKAGE))) for p in PACKAGE.rglob("*.py") for name in calls(p) if name in RUNS]
     assert [each for each in found if not each[1].startswith(RUNS[each[0]])] == []

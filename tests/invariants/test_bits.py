@@ -79,6 +79,7 @@ def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
     same(alone, results(np.concatenate([np.arange(100, 99 + runner.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
 
 
+@pytest.mark.ci
 def test_one_device_equals_two(some):
     observers, engine, alone = some
     same(alone, results(SEVEN, observers, devices=1, engine=engine)["cart/gaussian-fast0"], 0, observers)
@@ -188,6 +189,7 @@ def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_
         )
 
 
+@pytest.mark.ci
 def test_other_seeds_and_root_seeds_draw_other_noise():
     a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
     assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
@@ -206,6 +208,7 @@ def test_a_run_uses_the_studys_root_seed():
     assert (trace["position"] - trace["pccebo.position"]).abs()[:-1].mean() == pytest.approx(one, rel=1e-12)
 
 
+@pytest.mark.ci
 def test_streams_are_not_each_other():
     seeds = jnp.arange(4096)
     a, b = (normals(run_keys(jnp.asarray(0), seeds, s, 1), jnp.zeros(1, int))[0] for s in ("initial", "measurement"))

@@ -78,6 +78,7 @@ def test_the_loop_carries_lanes_minor(loops):
             assert order[0] == str(len(dims) - 1), f"lanes are not minor in {dims} {order}"
 
 
+@pytest.mark.ci
 def test_the_loop_transposes_nothing(loops):
     for body in loops:
         assert not re.search(rf"f64\[[\d,]*{runner.WIDTH}[\d,]*\]\S* transpose\(", body)

@@ -71,6 +71,7 @@ def at_every_tick(*given):
     return each
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("te", "d"), [([60, 60], [60, 60]), ([40, 25], [130, 40]), ([50, 50], [0, 20])])
 def test_the_bound_with_process_noise_equals_the_reference_recursion(te, d):
     """Noise that is added between samples, on the way to the present, and before the first; two sensors of their own times."""
@@ -116,6 +117,7 @@ def test_the_bound_has_the_same_bits_whatever_was_found_before():
     assert len(steps.chains) == 2  # the first two cells share one; samples of the others but the third overtake
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("prior", [1e3, 1e5, 1e7])
 def test_the_bound_keeps_its_digits_where_the_prior_is_far_larger_than_the_noise(prior):
     """Beside 80 digits; a recursion of P itself is off by 1e-4 of a prior 1e8 times the noise, and efficiency exceeds 1."""

@@ -10,6 +10,7 @@ from pcbench.dynamics import linear
 from pcbench.observers import DELAYS, LATE, NONLINEAR, OBSERVERS
 
 
+@pytest.mark.ci
 @settings(max_examples=10)
 @given(te=st.integers(1, 200), d=st.integers(0, 300), seed=st.integers(0, 2**31 - 1))
 def test_pccebo_error_does_not_depend_on_the_input(te, d, seed):
@@ -26,6 +27,7 @@ def test_kfbo_error_depends_on_the_input():
     assert np.abs(errors[0] - errors[1]).max() > 0.01
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("model", [CART, ODD], ids=["cart", "odd"])
 def test_delay_zero_equals_no_delay(model):
     """Without a network: the current estimator, corrected at the sampling tick itself, written out here."""
@@ -42,6 +44,7 @@ def test_delay_zero_equals_no_delay(model):
     np.testing.assert_allclose(got.estimates["pccebo"], out, rtol=0, atol=1e-10 * np.abs(got.x).max())
 
 
+@pytest.mark.ci
 def test_a_later_delay_shifts_what_is_known_and_nothing_else():
     """kf at delay d knows at tick k what kf at delay 0 knew at k - d, carried forward by the model."""
     now = Case(ODD, 20, 0, ticks=300, h=0.01, noise_std=0.2)

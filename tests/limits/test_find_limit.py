@@ -72,6 +72,7 @@ def test_the_answer_is_what_the_tables_say(asked):
     assert table.attrs["unit"] == "m"
 
 
+@pytest.mark.ci
 def test_what_is_left_is_a_study_like_any_other(asked):
     _, out = asked
     found = verify.verify(out, 1, 0)
@@ -106,6 +107,7 @@ def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
     assert done.equals(table)
 
 
+@pytest.mark.ci
 def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, monkeypatch):
     real = memo.designed
 

@@ -123,6 +123,7 @@ def test_a_loop_with_everything_random_is_the_covariance_recursion(found):
     np.testing.assert_allclose(found.input[..., 0], expected["u"], rtol=1e-10)
 
 
+@pytest.mark.ci
 def test_runs_with_noise_are_where_the_directions_say(found):
     assert (found.apart / found.size).max() < 1e-12
 

@@ -33,6 +33,7 @@ def test_expected_squares_are_the_printed_ones(stats, observer, place):
         assert row["mean"] == pytest.approx(known[observer, place], rel=6e-8 if known[observer, place] > 0.1 else 6e-7)
 
 
+@pytest.mark.ci
 def test_efficiency_is_the_bound_over_what_is_reached(stats):
     """pccebo takes every position as it comes: its rms is the noise, whatever else."""
     rows = stats.xs(("position", "rms_efficiency"), level=("signal", "metric"))["mean"]

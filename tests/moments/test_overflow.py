@@ -45,6 +45,7 @@ def test_an_observer_that_overflows_leaves_the_others_as_they_are():
         np.testing.assert_allclose(both[name], alone[name], rtol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("run", "said"), [(3.0, "is not affine in the noise: a is off by more than"), (np.inf, "may leave")]
 )

@@ -38,6 +38,7 @@ def test_a_sample_taken_for_older_puts_the_estimate_ahead_by_the_way_made_meanwh
     assert e == pytest.approx(-v * wrong, rel=0, abs=slow.get(observer, 1e-9))
 
 
+@pytest.mark.ci
 def test_kfbo_follows_its_believed_delay_too(traces):
     ends = [traces[w]["kfbo-aware.position"].iloc[-1] for w in WRONG]
     steps = np.diff(ends)

@@ -126,6 +126,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
         np.testing.assert_allclose(got[1:][between], moved[between], atol=1e-11, err_msg=label)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("older", [1, 3])
 def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     """Samples are believed older than they are: the first ones from before the first. The compiled program of all the tests."""

@@ -58,6 +58,7 @@ def test_a_sensor_that_is_taken_by_its_slope_is_guarded_alike(options, schedule)
     np.testing.assert_allclose(xhat, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
+@pytest.mark.ci
 def test_what_nothing_exceeds_changes_nothing():
     np.testing.assert_allclose(found("kf", "wild", gate=1e9, huber=1e9), found("kf", "wild"), rtol=1e-12)
 

@@ -56,6 +56,7 @@ def test_every_sample_is_compared_with_all_that_arrived_before(name, schedule):
     assert expected[:, 1].sum() == len(plant(schedule)[1])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_who_corrects_all_copies_expects_rightly_of_those_out_of_order_too(schedule):
     expected = want(plant(schedule)[1], every=True)
@@ -78,6 +79,7 @@ def test_retrodiction_compares_every_sample_that_it_uses(name):
     assert (got[:, 1] >= in_order[:, 1]).all()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["oosm-a1", "oosm-lag"])
 def test_retrodiction_over_one_step_expects_what_all_before_say(name):
     same(found(name, "one step")[2], want(plant("one step")[1], every=True))

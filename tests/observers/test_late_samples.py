@@ -111,6 +111,7 @@ def test_taking_late_for_now_equals_the_reference(name, schedule):
     assert apart(want[0], optimum(schedule))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_discarding_is_the_optimum_of_what_is_kept(schedule):
     kept = [s for s in plant(schedule)[1] if s.arrival - s.taken <= 12]
@@ -131,6 +132,7 @@ def test_between_the_samples_that_it_keeps_discarding_believes_what_the_model_al
     same(P[alone], F @ P[np.array(alone) - 1] @ F.T + Q)
 
 
+@pytest.mark.ci
 def test_taking_late_for_now_is_biased_by_the_motion_over_the_delay():
     """Of what moves evenly: behind by speed times delay, once it has forgotten its start."""
     moving = linear.Model(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
@@ -153,6 +155,7 @@ ON_TIME = [
 ]  # these two use a sample at another time than its own
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ON_TIME)
 def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name):
     x, samples = plant("wild", noise=False)
@@ -253,6 +256,7 @@ def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule
     same(driven.run("kf-shifted-innovation", known, {}, there, inputs(case), starts(case)[1])[0], want)
 
 
+@pytest.mark.ci
 def test_rewinding_loses_what_is_older_than_it_keeps_and_says_so():
     assert apart(found("kf-reprocess", "wild", keep=1)[0], optimum("wild"))
     short = OBSERVERS["kf-reprocess"].design(KNOWN, OBSERVERS["kf-reprocess"].options(keep=1)).certificate

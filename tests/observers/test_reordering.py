@@ -52,6 +52,7 @@ def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case):
     assert replayed(arrivals, places) == sorted_all(arrivals)
 
 
+@pytest.mark.ci
 def test_more_room_than_is_needed_changes_nothing():
     arrivals, places = CASES["three late ones"]
     assert replayed(arrivals, places) == replayed(arrivals, places + 3)

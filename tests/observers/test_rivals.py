@@ -96,6 +96,7 @@ def test_the_worked_trajectories_come_out(label, k, printed):
     np.testing.assert_allclose(recorded()[2, 5, 7][1][label][k], printed, rtol=1e-10)
 
 
+@pytest.mark.ci
 def test_aligned_starts_perfectly_until_rounding_has_grown():
     start = list(START["tank"])
     s = SCENARIOS["csth/10s"]

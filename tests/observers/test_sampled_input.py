@@ -123,6 +123,7 @@ def test_smo_and_pio_equal_the_reference(i, variant):
     finders_agree(got, VARIANTS[variant], 0.0, CASES, i)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("case", [(1, 40, 3e-3, 5), (20, 0, 0.0, 0), (7, 13, 1e-3, 1), (30, 400, 0.1, 2)], ids=str)
 def test_kf_with_the_input_as_a_random_walk_equals_the_reference(case):
     te, d, std, seed = case
@@ -176,6 +177,7 @@ def error(got, name):
     return np.abs(got.x - got.estimates[name]).max()
 
 
+@pytest.mark.ci
 @example(te=1, d=123, x0=(0.0, -1.507, 1.539, 0.279), signal="sawtooth", carry=False)
 @settings(max_examples=8, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(

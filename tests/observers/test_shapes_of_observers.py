@@ -58,6 +58,7 @@ def test_as_they_should_be_all_are_taken(calls):
         c.observer.field(c.gains, c.memory, c.now, c.y)
 
 
+@pytest.mark.ci
 def test_a_start_of_another_rank_is_refused(calls):
     refused(calls.observer.init, calls.gains, calls.xhat0[None])
 
@@ -78,6 +79,7 @@ def test_an_arrival_with_a_channel_more_in_one_place_is_refused(calls, field):
     refused(calls.observer.jump, calls.gains, calls.memory, calls.now, calls.arrival._replace(**{field: more}))
 
 
+@pytest.mark.ci
 def test_a_memory_of_another_rank_is_no_estimate(calls):
     refused(calls.observer.estimate, calls.gains, taller(calls.memory))
 

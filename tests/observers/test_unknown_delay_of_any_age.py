@@ -58,6 +58,7 @@ def test_the_delay_as_a_state_is_what_the_loops_make_of_samples_of_any_age(sched
     same(found("ekf-delay", schedule, options)[0], want[:, :-1])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 @pytest.mark.parametrize("name", RIGHT)
 def test_from_a_perfect_start_at_the_right_delay_there_is_no_error(name, schedule):
@@ -86,6 +87,7 @@ def test_in_a_run_with_jitter_and_losses_the_right_mean_delay_makes_it_the_filte
     np.testing.assert_allclose(bank[["mmae-delay.a", "mmae-delay.b"]], told[["kf.a", "kf.b"]], rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_a_delay_that_is_constant_is_looked_for_alike_whatever_all_ages_are_told_wrong_by():
     """Also where the first samples would be of before t = 0, which no stamp says."""
     given = STUDY | {"observers": ["mmae-delay"]}

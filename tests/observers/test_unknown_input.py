@@ -112,6 +112,7 @@ def short():
     return planned("arm/sawtooth", FINDERS, 2e-3, 1100)
 
 
+@pytest.mark.ci
 def test_the_sawtooth_equals_the_reference_tick_by_tick_past_its_fall():
     """d falls at the end of a tick, and the fourth stage of that tick takes the value after the fall."""
     got = recorded(short())
@@ -128,6 +129,7 @@ def digits(values, texts):
         assert abs(value - float(text)) <= 0.5001 * unit + 1e-12, (value, text)
 
 
+@pytest.mark.ci
 def test_the_worked_digits_come_out(second):
     e = {name: second.x - second.estimates[name] for name in FINDERS}
     digits(e["smo"][10_000, :4], "-.30934764616 .062219271073 .0048433197700 .034746338006")
@@ -224,6 +226,7 @@ def test_all_smo_entries_of_table_2_come_out(table):
         np.testing.assert_allclose(got, want, rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_the_smooth_pio_entries_of_table_2_come_out_and_the_rest_is_chatter(table):
     for metric, got, want in rows(table, "pio"):
         smooth, near = np.isfinite(want), np.array(ROUNDING[metric])

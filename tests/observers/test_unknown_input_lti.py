@@ -61,6 +61,7 @@ def known_input(ticks=TICKS):
     return np.stack([np.sin(4 * t), np.where(t < 1, 1.0, -1.0)], 1)
 
 
+@pytest.mark.ci
 def test_the_plant_moves_as_a_loop_of_exact_ticks_with_the_unknown_input_held():
     Phi, Gamma = linear.discretise(PUSHED.A, PUSHED.B, TICK)
     push = linear.discretise(PUSHED.A, PUSHED.E, TICK)[1]
@@ -127,6 +128,7 @@ def measured(got, d):
     return np.concatenate([got.arrived[d:], np.full((d, got.arrived.shape[1]), np.nan)])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("variant", "times"), [*product(["predict"], TIMES), *product([*VARIANTS][1:], TIMES[3:])], ids=str
 )

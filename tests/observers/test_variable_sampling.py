@@ -45,6 +45,7 @@ def quiet():
     return pcbench.simulate("cart/variable", ["pco", "pi-pco"], overrides=["axes.noise_std=0"])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("tick", PAGE)
 def test_the_worked_positions_come_out(quiet, tick):
     got = [quiet[name][tick] for name in ("position", "pco.position", "pi-pco.position")]

@@ -73,6 +73,7 @@ def test_errors_in_the_tables(stats, place):
         assert stats.loc[(*place, "position", "rmse"), "mean"] == pytest.approx(rmse, abs=tolerance)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", ["pccebo", "kfbo", "kf"])
 def test_velocity_is_the_same_for_every_observer(stats, observer):
     place = ("cart/nominal", observer, "velocity")
@@ -80,6 +81,7 @@ def test_velocity_is_the_same_for_every_observer(stats, observer):
     assert stats.loc[(*place, "rmse"), "mean"] == pytest.approx(0.2149110012, abs=1e-9)
 
 
+@pytest.mark.ci
 def test_pccebo_error_between_the_first_arrivals_and_after_two_periods(traces):
     e = traces["cart/nominal"]["position"] - traces["cart/nominal"]["pccebo.position"]
     np.testing.assert_allclose(e[200:400], 10 / 122, rtol=0, atol=1e-9)

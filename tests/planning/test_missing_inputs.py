@@ -62,5 +62,6 @@ def test_run_names_observer_and_age_if_a_loop_no_longer_stores_an_input(sentence
     ]
 
 
+@pytest.mark.ci
 def test_run_names_nothing_in_an_model_only(sentences):
     assert sentences(["far"]) == []

@@ -41,6 +41,7 @@ def test_products_are_those_counted_by_hand(f, many):
     assert counted(f, A, X) == many
 
 
+@pytest.mark.ci
 def test_costs_of_observers_of_two_states_and_one_output():
     """A tick of the model alone is Phi x + Gamma u: 4 + 2 products; `kf` moves g too, by the same push: 4 + 4 + 2."""
     found = pcbench.operation_counts(

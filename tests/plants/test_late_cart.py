@@ -46,6 +46,7 @@ def test_its_run_is_scipys_and_its_delay_is_that_of_its_samples_in_the_mean():
         np.testing.assert_allclose(traced(mean, mean)["delay"], mean, rtol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mean", MEANS)
 @pytest.mark.parametrize("name", ["mmae-delay", "ekf-delay", "kf"])
 def test_where_the_delay_is_known_from_a_perfect_start_there_is_no_error(name, mean):

@@ -53,6 +53,7 @@ def test_its_linearisation_is_the_one_by_hand():
         assert (model.D, model.E, model.discrete) == (None, None, False)
 
 
+@pytest.mark.ci
 def test_its_run_is_scipys(own):
     """One Runge-Kutta step a tick of 1 ms against an adaptive integrator: 1e-8 over 0.9 s of falling."""
     frame = pcbench.simulate(own({"x0": [0.1, 0.4, -0.2, 0.3]}), ["model-only"])

@@ -17,6 +17,7 @@ def rate(t, x):
     return [-2 * r, r]
 
 
+@pytest.mark.ci
 def test_its_run_is_scipys():
     """One Runge-Kutta step a tick of 0.1 s: to 2e-6 atm over 30 s; what reacts is kept, pA + 2 pB."""
     frame = pcbench.simulate(

@@ -51,6 +51,7 @@ def test_a_smoother_is_left_out_before_memory_runs_out(replayed, monkeypatch):
     assert said.endswith("it needs a linear model without unknown inputs, and memory for all ticks.")
 
 
+@pytest.mark.ci
 def test_what_a_filter_expects_is_what_the_book_says(replayed):
     folder, found = replayed
     nu, s = books(folder)
@@ -126,6 +127,7 @@ def linear_of(model, x0, P0, R, W):
     return smoother.Linear(Phi, Gamma, Q, model.C, np.zeros((2, 2)), R=R, x0=x0, P0=P0)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("noise", [1.0, 0.0])
 def test_the_smoother_is_the_conditional_mean_of_all_samples(noise):
     model, u, y, samples, x0, P0, R, W = case()

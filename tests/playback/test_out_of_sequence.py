@@ -82,6 +82,7 @@ def test_every_sample_counts_by_channel_in_the_order_of_arrival(replayed):
         assert row.nis == pytest.approx(np.mean(z[channel == i] ** 2), rel=1e-10)
 
 
+@pytest.mark.ci
 def test_what_is_not_judged_is_counted_and_named(replayed):
     _, samples, found = replayed
     late = sum(s.channel for s in samples)

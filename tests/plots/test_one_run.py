@@ -33,6 +33,7 @@ def test_it_is_thinned_evenly_from_the_start_to_the_end(shown):
         np.testing.assert_allclose(np.diff(t), t[1], rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
     frame, traces = shown
     columns = {

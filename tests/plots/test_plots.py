@@ -53,6 +53,7 @@ def test_a_distribution_is_the_runs_in_order(result):
     np.testing.assert_array_equal(drawn["kfbo"][1:], part[part.observer == "kfbo"].value)
 
 
+@pytest.mark.ci
 def test_a_curve_has_the_means_and_their_intervals(result):
     figure = plots.curves(result, "noise_std", metric="mae", at={"delay": 0.4})
     (ax,) = figure.axes

@@ -353,6 +353,7 @@ def test_with_the_exact_model_the_plain_filter_is_better_than_the_one_with_a_bia
     np.testing.assert_allclose(steady_rmse("kf, bias")[0], 0.01338, atol=5e-6)
 
 
+@pytest.mark.ci
 def test_under_gain_error_and_with_the_exact_model_pi_pco_loses_to_pco():
     """By 16 % with the exact model, by 15 % where the plant's gain is 10 % higher."""
     for gain, expected in [(1.0, 1.165), (1.1, 1.147)]:

@@ -60,6 +60,7 @@ def test_pccebo_error_follows_its_recursion(te, d):
     np.testing.assert_allclose(e, expected, rtol=0, atol=1e-13 * np.abs(e).max())
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("intensity", [0.0, 0.5])
 @pytest.mark.parametrize(("te", "d"), [([6, 6], [6, 6]), ([4, 4], [9, 9]), ([4, 8], [5, 5])])
 def test_kf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensity):

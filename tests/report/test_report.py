@@ -81,6 +81,7 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
     )
 
 
+@pytest.mark.ci
 def test_every_option_that_is_not_a_default_is_in_the_report(folder, text):
     section = re.search(r'<section id="options">.*?</section>', text, re.S).group(0)
     assert len(re.findall(r"<tr><td>", section)) == len(experiment.rows(pcbench.open_result(folder)))

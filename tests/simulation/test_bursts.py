@@ -45,6 +45,7 @@ def test_as_many_are_lost_as_without_and_so_many_in_a_row(loss, burst):
     assert abs(lost.mean() - loss) < 4 * np.sqrt(loss * (1 - loss) * 2 * burst / lost.size)
 
 
+@pytest.mark.ci
 def test_the_burst_that_losses_of_their_own_leave_is_those_losses():
     alone, told = (arrivals(Clock((0,), 1, 3, loss=0.3, burst=burst))[1] for burst in (0.0, 1 / 0.7))
     np.testing.assert_array_equal(alone, told)

@@ -32,6 +32,7 @@ def samples(seed, **given):
     return [[(s.number, s.taken, s.arrives) for s in found if s.channel == j] for j in range(2)]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("seed", [0, 5])
 def test_each_channel_loses_samples_by_its_own_probability(seed):
     for j, (found, loss) in enumerate(zip(samples(seed, loss=[0.2, 0.6]), (0.2, 0.6), strict=True)):
@@ -56,6 +57,7 @@ def test_a_gamma_distribution_of_one_channel_leaves_the_other_its_delay():
     assert len({arrives - taken for _, taken, arrives in both}) > 2
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("given", [{}, {"loss": [0.0, 0.5]}])
 def test_outliers_are_those_of_the_channel(given):
     ticks = np.arange(3, 61, 5)

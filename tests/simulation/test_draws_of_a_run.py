@@ -46,6 +46,7 @@ def test_the_start_is_its_mean_and_a_root_of_its_covariance_times_the_draws(run)
     np.testing.assert_allclose(got.x[0], p.x0 + ROOT @ v, rtol=1e-14)
 
 
+@pytest.mark.ci
 def test_what_is_believed_of_the_start_lies_in_a_box_about_it(run):
     got, p = run
     u = drawn(jax.random.uniform, INITIAL, 0, 0, 3)

@@ -315,6 +315,7 @@ def test_a_perfect_start_is_zero_for_every_observer_that_knows_its_schedule(cloc
     assert max(found.values()) < 1e-12
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("error", [-1, 1])
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_tick_of_slip_in_what_is_believed_is_caught(clock, error):

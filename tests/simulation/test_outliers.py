@@ -75,6 +75,7 @@ def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
         pcbench.run("arm/sine", axes={"outlier_probability": [0.1]}, seeds=1)
 
 
+@pytest.mark.ci
 def test_as_an_axis_it_has_a_column_and_else_none():
     axes = {"outlier_probability": [0.0, 0.1]}
     stats = pcbench.run(PLAIN, seeds=2, axes=axes).stats

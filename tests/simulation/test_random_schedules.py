@@ -463,6 +463,7 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
 PAIR = [Clock((0, 2), 9, None, "uniform", 1, 12, 0.3), Clock((1,), 7, 5, "sine", 1, 20, 0.5)]
 
 
+@pytest.mark.ci
 def test_a_runs_agenda_does_not_depend_on_the_other_runs():
     together = agenda_of(PAIR, np.arange(SEEDS))
     alone, backwards = agenda_of(PAIR, np.full(SEEDS, 3)), agenda_of(PAIR, np.arange(SEEDS)[::-1])
@@ -545,6 +546,7 @@ def test_the_room_for_samples_changes_nothing(clocks):
         assert realised(clocks, 63, seed, times=TIMES) == realised(clocks, 63, seed)
 
 
+@pytest.mark.ci
 def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_are_jittered():
     clock = Clock((0,), 5, 0, "uniform", 1)
     for seed in range(60):

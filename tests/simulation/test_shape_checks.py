@@ -69,6 +69,7 @@ def test_a_design_that_returns_no_certificate_is_named():
         del OBSERVERS["mine"]
 
 
+@pytest.mark.ci
 def test_an_empty_note_cut_from_what_differs_between_lanes_is_legal():
     spare = model_only.OBSERVER._replace(
         snapshot=lambda gains, memory, now: memory[:0],

@@ -128,6 +128,7 @@ def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_tic
     np.testing.assert_allclose(outcome.final["o"][:, run], e[-1], rtol=0, atol=1e-13)
 
 
+@pytest.mark.ci
 def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, runs):
     lost = [when for _, _, when in runs]
     assert sum(when >= 0 for when in lost) == 1

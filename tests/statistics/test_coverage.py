@@ -75,6 +75,7 @@ def test_it_fails_for_few_runs_of_heavy_tails_and_students_own_more(name, n, cov
     assert np.mean([inside(e.ci_low, truth, e.ci_high) for e in plain]) == pytest.approx(students, abs=0.007)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", DRAW)
 @pytest.mark.parametrize("n", [24, 64, 256, 1024])
 def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):

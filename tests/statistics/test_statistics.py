@@ -257,6 +257,7 @@ def assert_rows_agree(got, want):
                 assert g[name] == value, name
 
 
+@pytest.mark.ci
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -103,6 +103,7 @@ path_of_keys = st.lists(keys, max_size=4).map(".".join)
 changes = st.builds("{}={}".format, path_of_keys, values | st.text(max_size=12)) | st.text(max_size=12)
 
 
+@pytest.mark.ci
 @settings(max_examples=40, **FEW)
 @given(change=changes, study=st.sampled_from(OWN))
 def test_a_change_by_set_is_made_or_refused_in_one_sentence(folder, change, study):

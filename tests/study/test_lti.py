@@ -86,6 +86,7 @@ def names(plant):
     return [text.split(" ")[0] for text in PLANTS[plant].get("states", ["x1", "x2", "x3"])]
 
 
+@pytest.mark.ci
 def test_measurements_are_those_of_their_own_ticks_and_hold_the_input_of_that_tick(traced):
     plant, _, d = traced
     _, G, C, D, dt = discretised(plant)

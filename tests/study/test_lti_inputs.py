@@ -76,6 +76,7 @@ def test_a_file_stands_beside_the_study_and_its_rows_in_what_is_left(tmp_path, m
     np.testing.assert_array_equal(driven("here.csv"), np.full((101, 2), 3.0))
 
 
+@pytest.mark.ci
 def test_a_changed_file_is_another_study(tmp_path):
     file = tmp_path / "volts.csv"
     file.write_text("t,u1\n0,3\n")

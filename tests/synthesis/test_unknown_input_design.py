@@ -250,6 +250,7 @@ def test_the_pi_loop_is_the_error_with_its_integral():
     np.testing.assert_allclose(got, want, atol=1e-8)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("size", [(2, 1, 1), (3, 2, 1), (1, 1, 2)], ids=str)
 def test_every_plant_has_gains_whose_proof_holds(size, seed):
