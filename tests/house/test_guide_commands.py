@@ -5,6 +5,7 @@ import re
 import pytest
 from documents import RUN, fenced
 from walked import walked
+from whole_studies import require_whole, run_by
 
 LANGUAGES = ("sh", "python", "toml", "text")
 NOT_RUN = [  # every block that no test runs, with the reason that its page gives
@@ -56,3 +57,5 @@ def runs(name):
 def test_every_block_runs(name, tmp_path):
     for done in walked(name, tmp_path):
         assert done.code == 0, (done.what, done.out[-300:], done.err[-900:])
+    for study in run_by(name):
+        require_whole(study, tmp_path / "results" / study)
