@@ -100,6 +100,7 @@ BAD_WORDS = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BAD_WORDS)
 def test_a_mistake_is_one_sentence_with_the_nearest_name(folder, name):
     words, says = BAD_WORDS[name]

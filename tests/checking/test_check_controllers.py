@@ -130,6 +130,7 @@ def test_its_eigenvalue_is_that_of_the_loop_written_out():
     assert (found.late, found.period) == (0.0, pytest.approx(0.05))
 
 
+@pytest.mark.ci
 def test_a_law_that_looks_at_what_is_on_its_way_is_not_linearised():
     def ahead(params, now, estimate, coming, kept):
         return command(params, now, estimate + 0.0 * coming(jnp.asarray(0)), coming, kept)

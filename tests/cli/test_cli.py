@@ -124,6 +124,7 @@ TOML = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", TOML)
 def test_a_mistake_in_a_file_names_the_file(name, tmp_path):
     text, expected = TOML[name]
@@ -290,6 +291,7 @@ def test_the_trace_is_the_run_of_the_tables(tmp_path):
     assert row.mae == pytest.approx(mae, rel=1e-12)
 
 
+@pytest.mark.ci
 def test_design_shows_gain_and_certificate():
     done = call("design", "cart/nominal", "pccebo", "--json")
     found = json.loads(done.stdout)

@@ -122,6 +122,7 @@ def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whol
         assert said.split(" ± ")[0] in shown(result, 160, metric)
 
 
+@pytest.mark.ci
 def test_signals_can_be_chosen(whole):
     result = pcbench.open_result(whole)
     assert shown(result).count("error of ") == 1
@@ -157,6 +158,7 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
     assert "--signal: 'speed' is no signal of the study" in done.stderr
 
 
+@pytest.mark.ci
 def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 8)
     text = shown(many)

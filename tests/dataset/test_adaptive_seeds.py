@@ -104,6 +104,7 @@ def test_a_goal_that_is_none_is_one_sentence(tmp_path, text, said):
     assert not (tmp_path / "out").exists(), "nothing is written"
 
 
+@pytest.mark.ci
 def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
     with pytest.raises(UserError, match="tracking_rmse of position, which until does not have"):
         pcbench.run(STUDY, out=done.out, until_se="tracking_rmse=0.1")

@@ -192,6 +192,7 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     assert flows == ["stepped", "defined"]
 
 
+@pytest.mark.ci
 def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another(tmp_path):
     for name, engine in (("a", "definition"), ("b", "steps")):
         pcbench.run(STUDY | {"engine": engine}, out=tmp_path / name)

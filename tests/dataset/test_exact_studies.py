@@ -71,6 +71,7 @@ def test_differences_of_exact_numbers_are_sure(out):
     assert (row.n, row.se, row.method) == (0, 0.0, "exact")
 
 
+@pytest.mark.ci
 def test_moments_over_time_stand_beside(out):
     moments = open_result(out).moments
     mine = moments[(moments.cell == 1) & (moments.observer == "kf") & (moments.signal == "x2")]

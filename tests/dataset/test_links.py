@@ -57,6 +57,7 @@ def test_no_link_is_followed_below_a_dataset(ds, victim, name, overwrite):
     assert content(victim) == before
 
 
+@pytest.mark.ci
 def test_a_table_that_is_a_link_is_not_read(ds, tmp_path):
     (ds / "stats.parquet").rename(tmp_path / "private.parquet")
     (ds / "stats.parquet").symlink_to(tmp_path / "private.parquet")

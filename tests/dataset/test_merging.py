@@ -122,6 +122,7 @@ def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
         merge.merge([exact_parts[0], b.root], tmp_path / "both")
 
 
+@pytest.mark.ci
 def test_a_damaged_part_and_another_method_are_refused(exact_parts, tmp_path):
     pcbench.run(SURE, out=tmp_path / "c", seeds=4, evaluation="both")
     with pytest.raises(UserError, match="evaluation: exact there, both here"):

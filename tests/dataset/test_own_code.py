@@ -87,6 +87,7 @@ def test_exact_values_with_a_sample_of_none_are_refused_and_run_no_code(here, ou
     assert not (here / "mark").exists()
 
 
+@pytest.mark.ci
 def test_it_comes_out_again_by_the_copy(here, out):
     (here / "mine.py").unlink()
     forget(here)

@@ -74,6 +74,7 @@ def test_columns_are_the_contracts(done):
     assert list(done.pairs.columns) == ["study", "scenario", "plant", "cell", *AXES, *PAIRS.split()]
 
 
+@pytest.mark.ci
 def test_every_column_says_what_it_means_and_the_schema_its_version(done):
     for path in [done.out / "stats.parquet", done.out / "pairs.parquet", next((done.out / "runs").rglob("*.parquet"))]:
         schema = pq.read_schema(path)

@@ -172,6 +172,7 @@ def test_estimates_that_are_not_whole_are_refused(study, tmp_path, what):
     assert sorted(p for p in folder.rglob("*") if p.is_file()) == before, "nothing is written"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("name", "words"), [("kf-2", "no name that begins as one of pcbench's own"), ("a b", "expected letters")]
 )
@@ -211,6 +212,7 @@ def test_a_kalman_filter_of_ten_lines_is_kf_where_nothing_is_late(tmp_path):
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_filterpys_filter_is_kf_where_nothing_is_late(tmp_path):
     pytest.importorskip("filterpy", reason="filterpy is not installed: pip install filterpy")
     theirs, ours = _estimated(tmp_path, FILTERPY)

@@ -188,6 +188,7 @@ def test_mistakes_are_one_sentence_and_write_nothing(changes, sentence, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.ci
 def test_only_what_is_named_is_tuned_of_each_observer_that_has_it(monkeypatch):
     """Of kf R, of pccebo nothing: it has no R, so there is no tuned version of it."""
     asked = []

@@ -126,6 +126,7 @@ def test_the_carts_field_is_its_step_in_the_limit(drift):
 OWN = {"A": [[0.0, 1.0], [-2.0, -0.3]], "B": [[0.0], [1.5]], "C": [[1.0, 0.0]], "D": [[0.4]]}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("name", "off", "gain", "bias"),
     [("cart", {}, 1.0, 0.2), ("cart", {"drift": 1.0}, 1.0, 0.2), ("lti", OWN, 1.1, -0.3)],

@@ -9,7 +9,7 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.render import listing
+from pcbench.cli.render import limits
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
 from pcbench.limits import seed_growth
@@ -160,7 +160,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
     second = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
     assert second.attrs["between"] == [(0.5, 1.0), (0.05, 0.4)]
     screen = Console(file=io.StringIO(), width=100)
-    listing.frontier(table, screen)
+    limits.frontier(table, screen)
     assert re.search(r"0\.5 +0\.59\b.*\n +1 +0\.29\b", screen.file.getvalue()), screen.file.getvalue()
 
 
@@ -263,6 +263,7 @@ BAD = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BAD)
 def test_a_question_without_an_answer_is_one_sentence(name, tmp_path):
     changes, said = BAD[name]
@@ -281,6 +282,7 @@ def test_where_a_plant_decays_by_itself_it_is_said(tmp_path):
     assert len(notes(asked_of(path, "delay[0]"))) == 1
 
 
+@pytest.mark.ci
 def test_the_command_shows_a_row_for_each_observer_and_where_it_stands(asked, tmp_path):
     table, out = asked
     words = ["--axis", "noise_std", "--threshold", 0.2, "--seeds", 16, "--observers", "kf,model-only"]

@@ -128,6 +128,7 @@ def test_runs_with_noise_are_where_the_directions_say(found):
     assert (found.apart / found.size).max() < 1e-12
 
 
+@pytest.mark.ci
 def test_a_command_that_saturates_is_found_out():
     """At eight times the noise it does, at the noise's own size it does not."""
     s = solved(limit=2.0)

@@ -43,6 +43,7 @@ def test_efficiency_is_the_bound_over_what_is_reached(stats):
     assert (rows <= 1 + 1e-9).all()
 
 
+@pytest.mark.ci
 def test_what_only_runs_know_is_missing_and_says_why(stats):
     rows = stats.xs(("position", "rmse"), level=("signal", "metric"))
     assert rows["mean"].isna().all()

@@ -147,6 +147,7 @@ def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     np.testing.assert_array_less(np.abs(run.estimates["chain"] - want).max(0), 1e-11 * np.abs(want).max(0))
 
 
+@pytest.mark.ci
 @settings(max_examples=15)
 @given(
     delays=st.lists(st.integers(0, 9), min_size=3, max_size=3).filter(any),

@@ -120,6 +120,7 @@ def test_discarding_is_the_optimum_of_what_is_kept(schedule):
     assert 0 < len(kept) < len(plant(schedule)[1])
 
 
+@pytest.mark.ci
 def test_between_the_samples_that_it_keeps_discarding_believes_what_the_model_alone_would():
     """P+ = F P F' + Q from tick to tick, but where one that is kept arrives; and there it is kf of those alone."""
     P = found("kf-drop-delayed", "wild", max_age=12 * H)[1]
@@ -220,6 +221,7 @@ RETRODICTED = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("schedule", ["one step", "late", "wild"])
 @pytest.mark.parametrize("name", RETRODICTED)
 def test_retrodiction_equals_the_reference(name, schedule):

@@ -130,6 +130,7 @@ def test_kf_with_the_input_as_a_random_walk_equals_the_reference(case):
     filter_agrees(recorded(planned(te, d, noise_std=(std,) * 2), seed), arm(), te, d, std, seed)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed):
     """One factor on k/J, M g l/J and F/J; its pace and phase are of the run's own."""

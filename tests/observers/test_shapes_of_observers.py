@@ -68,6 +68,7 @@ def test_a_note_of_a_memory_of_another_rank_is_refused(calls):
     refused(calls.observer.snapshot, calls.gains, taller(calls.memory), calls.now)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("function", ["snapshot", "flow"])
 def test_an_input_of_another_rank_is_refused(calls, function):
     refused(getattr(calls.observer, function), calls.gains, calls.memory, calls.now._replace(u=calls.now.u[None]))

@@ -100,6 +100,7 @@ def test_a_delay_that_is_constant_is_looked_for_alike_whatever_all_ages_are_told
     np.testing.assert_allclose(wrong, told, rtol=0, atol=1e-12)
 
 
+@pytest.mark.ci
 def test_without_stamps_ages_are_not_read_so_a_sample_is_as_late_as_all():
     """An age that is told wrong by anything changes nothing; and channels of different delays are refused."""
     some = STUDY["options"]["mmae-delay"] | {"stamps": False}

@@ -137,6 +137,7 @@ def test_the_worked_digits_come_out(second):
     digits(e["pio"][5000, :4], "-.080768389829 .011462509784 .048295092679 1.2070130178")
 
 
+@pytest.mark.ci
 def test_the_model_alone_stays_where_it_starts_and_finds_no_input(second):
     assert second.estimates["model-only"].shape == (10_002, 4)
     assert not second.estimates["model-only"].any()
@@ -169,6 +170,7 @@ def with_gains(p, L1, rho, eps):
     return out
 
 
+@pytest.mark.ci
 @settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(
     signal=st.sampled_from(sorted(name for name in SIGNALS if not name.startswith("heater"))),
@@ -198,6 +200,7 @@ def test_what_is_not_measured_decays_freely_whatever_the_input_does(signal, size
         np.testing.assert_allclose(ebar[[1, 77, 1000, 1100]], want, rtol=0, atol=1e-9 * scale, err_msg=name)
 
 
+@pytest.mark.ci
 def test_the_printed_gain_leaves_the_exponential_of_the_page(second):
     A11b = A11 - ui.L1_PAPER @ A211
     digits(expm(6 * A11b).ravel(), "7.78287149e-4 -3.32787941e-4 1.531608714e-3 -2.38925673e-4")
@@ -239,6 +242,7 @@ def test_the_smooth_pio_entries_of_table_2_come_out_and_the_rest_is_chatter(tabl
     assert 6e-4 < d.steady_mae < 7.3e-4
 
 
+@pytest.mark.ci
 def test_recovery_is_from_the_fall_until_the_input_is_found_again(table):
     """10.5 ms is the reference's 0.0106 (the tick after the last beyond 0.1), its 42 ms the reference's 0.0421."""
     late = table.recovery_time
@@ -247,6 +251,7 @@ def test_recovery_is_from_the_fall_until_the_input_is_found_again(table):
     assert late["arm/sine"].isna().all()
 
 
+@pytest.mark.ci
 def test_the_largest_error_under_the_sawtooth_is_the_fall_itself(table):
     for name in FINDERS:
         assert 0.33 < table.loc[("arm/sawtooth", name, "input")].steady_max_abs_error < 0.36

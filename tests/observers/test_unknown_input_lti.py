@@ -174,6 +174,7 @@ def errors(got):
     return {name: np.abs(got.x - got.estimates[name]).max() / np.abs(got.x).max() for name in got.estimates}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("times", TIMES, ids=str)
 def test_perfect_start_is_zero_but_for_what_a_runge_kutta_step_leaves_out(times):
     p = planned("carry", **PERFECT)[times]

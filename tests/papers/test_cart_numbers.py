@@ -88,6 +88,7 @@ def test_pccebo_error_between_the_first_arrivals_and_after_two_periods(traces):
     assert e[400:].abs().max() < 3e-12
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("R", "P", "K"),
     [
@@ -101,11 +102,13 @@ def test_kfbo_gains(R, P, K):
     np.testing.assert_allclose(found["K"][:, 0], K, rtol=1e-11)
 
 
+@pytest.mark.ci
 def test_pccebo_gain():
     L = pcbench.design("cart/nominal", "pccebo").gains.L[:, 0]
     np.testing.assert_allclose(L, [1.0, 2.07408e-13], rtol=3e-6, atol=1e-15)
 
 
+@pytest.mark.ci
 def test_lag_aware_kfbo_loses_most_of_its_bias():
     result = pcbench.run("cart/nominal", observers=["kfbo"], seeds=1, options={"kfbo": {"lag_aware": True}})
     position = result.stats.query("signal == 'position'").set_index("metric")["mean"]
@@ -113,6 +116,7 @@ def test_lag_aware_kfbo_loses_most_of_its_bias():
     assert position["steady_rmse"] == pytest.approx(0.0933, abs=5e-5)
 
 
+@pytest.mark.ci
 def test_sampled_innovation_is_unstable_at_one_second():
     options = {"kfbo": {"sampled-innovation": True, "R": 0.004}}
     result = pcbench.run("cart/slow", observers=["kfbo"], seeds=1, options=options)
@@ -133,6 +137,7 @@ EXPECTED = {  # exact expectations over noise: E[MAE], sqrt E[MSE]; by hand, and
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("place", EXPECTED, ids=str)
 def test_expectations_over_noise_within_four_standard_errors(stats, place):
     for metric, value in zip(("mae", "pooled_rmse"), EXPECTED[place], strict=True):
@@ -140,6 +145,7 @@ def test_expectations_over_noise_within_four_standard_errors(stats, place):
         assert abs(row["mean"] - value) < 4 * row["se"], metric
 
 
+@pytest.mark.ci
 def test_tail_rms_under_gaussian_noise(stats):
     for observer, value in (("pccebo", 1.0000), ("kf", 0.330801)):
         row = stats.loc[("cart/gaussian", observer, "position", "steady_pooled_rmse")]
@@ -162,6 +168,7 @@ def test_efficiency_against_the_bound():
             assert abs(row["mean"] - 1 / value) < 4 * row["se"] + 1e-4 / value, (scenario, observer)
 
 
+@pytest.mark.ci
 def test_pccebo_beats_kfbo_in_position_in_every_scenario_on_every_seed(folder):
     pairs = pd.read_parquet(folder / "pairs.parquet")
     rows = pairs.query(
@@ -171,6 +178,7 @@ def test_pccebo_beats_kfbo_in_position_in_every_scenario_on_every_seed(folder):
     assert (rows.prob_a_better == 1).all()
 
 
+@pytest.mark.ci
 def test_every_observer_beats_the_model_alone_in_position(stats):
     for scenario in ("cart/nominal", "cart/gaussian", "cart/white", "cart/slow"):
         floor = stats.loc[(scenario, "model-only", "position", "mae"), "mean"]
@@ -178,6 +186,7 @@ def test_every_observer_beats_the_model_alone_in_position(stats):
             assert stats.loc[(scenario, observer, "position", "mae"), "mean"] < floor
 
 
+@pytest.mark.ci
 def test_velocity_says_nothing(stats):
     """Finding 4: a pole at -122 makes velocity an open-loop quantity."""
     mae = stats.xs(("velocity", "mae"), level=("signal", "metric"))["mean"].unstack()

@@ -136,6 +136,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_samples(noise):
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
+@pytest.mark.ci
 def test_the_distance_is_that_to_the_smoother(replayed):
     folder, found = replayed
     a = asked(folder, MOTOR, ["kf"])

@@ -89,6 +89,7 @@ def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
     assert all("kf" in sentence and "position" in sentence and "1e+12 m" in sentence for sentence in lost)
 
 
+@pytest.mark.ci
 def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     study, frame, folder = traced["plain"]
     log = tables.opened(folder)

@@ -32,6 +32,7 @@ def test_over_time_it_is_the_mean_of_the_runs_and_the_band_of_so_many(result, ru
     assert ("model-only", "nees") not in last.index
 
 
+@pytest.mark.ci
 def test_the_standard_deviation_is_that_of_the_trace(run):
     trace = pcbench.simulate(STUDY, ["kf-bold"])
     mine = run[(run.series == "kf-bold") & (run.kind == "sigma")].set_index("signal").value
@@ -39,6 +40,7 @@ def test_the_standard_deviation_is_that_of_the_trace(run):
         np.testing.assert_allclose(mine[signal], trace[f"kf-bold.{signal}.sigma"], rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_the_picture_has_a_line_for_each_that_says_so_and_the_band(result, run):
     (ax,) = plots.nees(result).axes
     lines = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
@@ -52,6 +54,7 @@ def test_the_picture_has_a_line_for_each_that_says_so_and_the_band(result, run):
     assert (low, high) == pytest.approx((ends.min()["nees_low"], ends.max()["nees_high"]))
 
 
+@pytest.mark.ci
 def test_errors_in_time_stand_between_three_standard_deviations(result, run):
     below = plots.time(result, signal="a").axes[1]
     sigma = run[(run.series == "kf") & (run.kind == "sigma") & (run.signal == "a")].value.to_numpy()
@@ -61,6 +64,7 @@ def test_errors_in_time_stand_between_three_standard_deviations(result, run):
     assert "three standard deviations" in captions.time(run[run.signal == "a"], "")[1]
 
 
+@pytest.mark.ci
 def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result, run):
     here = figures.Place(result, "lti", 0, run, None, figures.SHOWN)
     found = {p.name: p for p in figures.of_all_signals(here)}
@@ -69,6 +73,7 @@ def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result, run):
     assert "lti-nees" not in {p.name for p in figures.of_all_signals(silent)}
 
 
+@pytest.mark.ci
 def test_where_nobody_says_so_there_is_no_picture_but_a_sentence(result, run, monkeypatch):
     monkeypatch.setattr(one_run, "of", lambda *_: run[~run.kind.str.startswith("nees")])
     with pytest.raises(UserError, match="expected consistency = true") as caught:

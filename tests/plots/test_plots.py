@@ -68,6 +68,7 @@ def test_a_curve_has_the_means_and_their_intervals(result):
     np.testing.assert_allclose(bar, rows[["ci_low", "ci_high"]])
 
 
+@pytest.mark.ci
 def test_an_interval_never_leaves_its_axis(result):
     """Also on a logarithmic one, which ends where the intervals end and not where the means do."""
     for metric in ("mae", "max_abs_error", "steady_rmse"):

@@ -151,6 +151,7 @@ def test_prediction_is_the_plant_under_the_commands_which_are_on_their_way():
 # ---------------------------------------------------------------- the table worked out beforehand
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("setup", "tick"), ROWS)
 def test_page_table(setup, tick):
     trace = run(setup, max(tick, 1000))

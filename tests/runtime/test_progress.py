@@ -22,6 +22,7 @@ def listener():
     return Progress(*(lambda *said, kind=kind: heard.append((kind, *said)) for kind in kinds)), heard
 
 
+@pytest.mark.ci
 def test_a_study_says_how_many_runs_there_are_and_steps_over_all_of_them():
     progress, heard = listener()
     pcbench.run(SMALL, progress=progress)

@@ -41,6 +41,7 @@ def test_each_channel_loses_samples_by_its_own_probability(seed):
         assert 0 < sum(lost) < len(lost)
 
 
+@pytest.mark.ci
 def test_each_channel_is_late_and_early_by_its_own_jitter():
     for j, found in enumerate(samples(3, delay_jitter=[0.4, 0.1], sampling_jitter=[0.0, 0.2])):
         for i, taken, arrives in found:

@@ -53,6 +53,7 @@ def test_what_is_believed_of_the_start_lies_in_a_box_about_it(run):
     np.testing.assert_allclose(got.estimates["model-only"][0], p.xhat0 + SCATTER * (2 * u - 1), rtol=1e-14)
 
 
+@pytest.mark.ci
 def test_every_tick_adds_its_own_process_noise(run):
     got, p = run
     joint = expm(np.block([[ODD.A, ODD.B], [np.zeros((2, 5))]]) * CASE.h)

@@ -136,6 +136,7 @@ def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, ru
     np.testing.assert_array_equal(outcome.watches["o"].first_bad, lost)
 
 
+@pytest.mark.ci
 def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
     out = metrics.read(
         outcome.streams["o"], outcome.watches["o"], outcome.final["o"], N, TAIL, DT, tracking=outcome.tracking

@@ -23,6 +23,7 @@ def test_the_bands_worked_out_beforehand(n, runs, low, high):
     assert band(n * runs) == pytest.approx((low, high), abs=6e-4)
 
 
+@pytest.mark.ci
 def test_normalised_squares_are_those_of_the_inverse_and_leave_out_what_is_known():
     e = DRAWS[0, 0]
     found = normalised(jnp.asarray(e), jnp.asarray(P), jnp.ones(3))
@@ -77,6 +78,7 @@ STUDY = {
 }
 
 
+@pytest.mark.ci
 def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_over_confident():
     options = STUDY["options"] | {"kf-bold": {"R": 0.25}}
     axes = {"noise_std": [1.0], "delay": [0.3]}
@@ -143,6 +145,7 @@ def check_over_all(row, squares, degrees):
     assert (row.ci_low, row.ci_high) == pytest.approx(tuple(ends), rel=1e-10)
 
 
+@pytest.mark.ci
 def test_a_run_without_a_judged_sample_adds_nothing_to_the_mean_nis():
     """Nearly all samples are lost: some runs have none, and their own nis is unknown."""
     lossy = {"lti": HONEST["lti"] | {"loss": 0.93}}
@@ -161,6 +164,7 @@ def test_consistency_needs_starts_that_are_drawn():
         pcbench.run(STUDY | {"observers": ["kf"], "options": {"scenario": {"consistency": True}}})
 
 
+@pytest.mark.ci
 def test_a_trace_has_the_standard_deviation_that_is_believed():
     """Before anything has arrived no less than the prior's, then less."""
     study = {"name": "t", "scenarios": ["cart/gaussian"], "options": STUDY["options"]}

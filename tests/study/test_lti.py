@@ -102,6 +102,7 @@ def test_measurements_are_those_of_their_own_ticks_and_hold_the_input_of_that_ti
                 assert y[k, j] == pytest.approx(C[j] @ x[taken] + D[j] @ u[taken], rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.ci
 def test_perfect_start_is_zero(traced):
     plant, observers, d = traced
     x = columns(d, "", names(plant))

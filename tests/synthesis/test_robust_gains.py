@@ -157,6 +157,7 @@ def test_a_second_solver_agrees_on_one_lyapunov_matrix_for_a_range(H):
         assert proof.rate > 0.2
 
 
+@pytest.mark.ci
 def test_certificates_refuse_what_is_wrong():
     found = robust_lmi.solve(task("odd"), "h2", 1.0, "test")
     wrong = {
