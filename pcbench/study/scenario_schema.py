@@ -49,6 +49,7 @@ def takes_axes(required: Sequence[str] = (), without: Sequence[str] = ()) -> Cal
         made: type[M] = create_model(
             table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys
         )
+        made.__annotations__ = {}  # the API reference looks for fields in the text of the class
         return made
 
     return with_keys
