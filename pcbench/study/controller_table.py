@@ -71,6 +71,11 @@ def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own
         )
     if entry.check:
         entry.check(options, sizes(s, where))
+    if s.loop.actuator_delay is not None and not s.loop.controller:
+        raise UserError(
+            f"{where}: got an actuator_delay of {s.loop.actuator_delay:g} s in {s.name}, whose loop this table closes, "
+            "expected none there; write actuator_delay in [controller]."
+        )
     network = {name: getattr(way, name) for name in ("actuator_delay", *axes.COMMANDS)}
     for name, value in network.items():
         axes.point(name, value, s, f"{where}.{name}")

@@ -13,7 +13,7 @@ from pcbench.scenarios.scenario import STAMPS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
 from pcbench.study import validate
 from pcbench.study.axes import plain
-from pcbench.study.times import clocks, require_few_samples, whole
+from pcbench.study.times import OF_A_SENSOR, clocks, require_few_samples, whole
 
 # what makes delays differ from sample to sample, besides a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
@@ -207,7 +207,9 @@ def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
             f"taken, whatever its stamp says; leave {label} out, or take kf."
         )
     if takes == "one clock" and len(found) > 1:
+        each = {name: s.value(name) for name in OF_A_SENSOR}
+        several = "; ".join(f"{k} = {plain(k, v)}" for k, v in each.items() if isinstance(v, tuple) and len(set(v)) > 1)
         raise UserError(
-            f"{where}: {label} in {s.name} got channels with periods {measured.sampling_period} and delays {measured.delay} s, "
-            f"expected one period and one delay for all; give equal ones, or take kf."
+            f"{where}: {label} in {s.name} got channels that differ ({several}), expected one period, one delay and one "
+            "network for all; give equal ones, or take kf."
         )

@@ -107,8 +107,10 @@ def _entering(rows: list[list[float]], n: int, where: str) -> NDArray[np.float64
     return np.array(rows, float)
 
 
-# `plant` says what drifts, and a [controller] what commands are
-@takes_axes(required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", *axes.COMMANDS))
+# `plant` says what drifts, a [controller] when commands come and what is wrong with them
+@takes_axes(
+    required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", "actuator_delay", *axes.COMMANDS)
+)
 class Lti(BaseModel):
     """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
 

@@ -21,6 +21,8 @@ from pcbench.scenarios.scenario import LOST, OUTLIERS, PerChannel, per_channel
 from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
+OF_A_SENSOR = ("sampling_period", "delay", *(name for name in fields.names(per="sensor") if name not in OUTLIERS))
+
 
 class Timing(NamedTuple):
     """The times of a cell in ticks."""
@@ -53,13 +55,11 @@ def whole(seconds: float, s: Scenario) -> int:
 
 def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels whose samples are taken, delayed and lost alike are one."""
-    names, many = [name for name in fields.names(per="sensor") if name not in OUTLIERS], len(s.sampling.delay)
-    groups = dict[Sampling, list[int]]()
+    many, groups = len(s.sampling.delay), dict[Sampling, list[int]]()
     for j in range(many):
-        alone: dict[str, Any] = {name: per_channel(s.value(name), many)[j] for name in names}
-        period, delay = s.sampling.sampling_period[j], s.sampling.delay[j]
-        one = s.sampling._replace(sampling_period=(period,), delay=(delay,), **alone)
-        groups.setdefault(one, []).append(j)
+        alone: dict[str, Any] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
+        alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
+        groups.setdefault(s.sampling._replace(**alone), []).append(j)
     return [
         Clock(
             channels=tuple(channels),

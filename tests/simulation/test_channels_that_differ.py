@@ -20,8 +20,8 @@ STUDY = {
 }  # fmt: skip
 
 
-def having(**given):
-    return STUDY | {"lti": STUDY["lti"] | given}
+def having(observers=("kf",), **given):
+    return STUDY | {"lti": STUDY["lti"] | given, "observers": list(observers)}
 
 
 def samples(seed, **given):
@@ -75,6 +75,19 @@ def test_outliers_are_those_of_the_channel(given):
     assert (u[came] < chance).any()
 
 
+@pytest.mark.parametrize("engine", ["steps", "definition"])
+def test_a_perfect_start_is_zero_whatever_becomes_of_each_channel(engine):
+    network = {
+        "loss": [0.1, 0.5],
+        "delay_jitter": [0.4, 0.0],
+        "sampling_jitter": [0.0, 0.2],
+        "delay_gamma_mean": [0.0, 0.3],
+    }
+    study = having(["kf", "ekf"], **network, noise_std=0.0, x0=[1.0, -0.5], xhat0=[1.0, -0.5], prior_std=1.0)
+    runs = pcbench.run(study | {"engine": engine, "seeds": 4}).runs
+    assert runs.max_abs_error.max() < 1e-12
+
+
 def test_a_list_of_equal_numbers_is_the_number():
     name = ("sampling_jitter", "delay_jitter", "loss", "outlier_probability")
     one, each = (
@@ -94,6 +107,10 @@ def test_a_list_of_equal_numbers_is_the_number():
         ({"sampling_jitter": [0.0, 0.3]}, "got a sampling_jitter of 0.3 s with intervals down to 0.5 s"),
         ({"loss": [0.0, 0.4], "mean_burst_length": 0.5}, "mean_burst_length = 0.5 in lti with a loss of 0.4"),
         ({"delay_gamma_mean": [0.1, 90.0]}, "got delay_gamma_mean = 90 s"),
+        (
+            {"observers": ["pccebo"], "loss": [0.0, 0.3], "delay_jitter": [0.1, 0.1]},
+            r"pccebo in lti got channels that differ \(loss = \[0.0, 0.3\]\), expected one period",
+        ),
         ({"outlier_scale": [3.0, 4.0]}, "got outlier_scale = .3.0, 4.0. in lti with an outlier_probability of 0"),
     ],
 )

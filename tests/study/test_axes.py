@@ -107,7 +107,7 @@ def test_a_nonlinear_plant_is_given_to_observers_that_need_no_linear_model():
 
 def test_one_clock_is_one_period_and_one_delay():
     for changes in ({}, {"delay": (20.0,) * 3, "sampling_period": (10.0, 20.0, 10.0)}):
-        with pytest.raises(UserError, match="pccebo in csth/10s got channels with periods"):
+        with pytest.raises(UserError, match="pccebo in csth/10s got channels that differ"):
             works_on("pccebo", TANK.having(**changes), "test")
     works_on("pccebo", TANK.having(delay=(20.0,) * 3), "test")
     works_on("kf", TANK, "test")

@@ -208,7 +208,7 @@ def test_a_plant_that_cannot_be_observed_is_refused_with_its_mode(C, observer, s
 
 
 def test_two_clocks_are_refused_for_an_observer_that_takes_one():
-    with pytest.raises(UserError, match="pccebo in lti got channels with periods"):
+    with pytest.raises(UserError, match="pccebo in lti got channels that differ"):
         pcbench.run(study("motor", ["pccebo"]), seeds=1)
 
 
