@@ -260,6 +260,7 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
         "student_t_dof": (2.1, 30.0),
         "dither": (0.0, 1.0),
         "mean_burst_length": (2.0, 20.0),
+        "outage_duration": (0.0, long),
         "delay_gamma_mean": (0.0, long),
         "delay_gamma_shape": (0.5, 10.0),
         "timestamp_offset": (-period, period),

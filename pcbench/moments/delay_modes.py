@@ -83,7 +83,7 @@ def delays_alone(p: Plan) -> bool:
     clocks = p.cell.times.clocks
     if len(clocks) > 1 or not clocks[0].random or p.layout.drifting or p.problem.network:
         return False
-    return not (_sure(clocks[0]).random or clocks[0].early)
+    return not (_sure(clocks[0]).random or clocks[0].early or any(clocks[0].outage))
 
 
 def _sure(clock: Clock) -> Clock:

@@ -79,6 +79,8 @@ class Sampling(NamedTuple):
     mean_burst_length: PerChannel = (
         0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
     )
+    outage_start: PerChannel = 0.0  # s, of a sample taken from then on for outage_duration, which never arrives
+    outage_duration: PerChannel = 0.0  # s
     timestamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
     clock_skew: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
     timestamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way

@@ -76,6 +76,7 @@ def clocks(s: Scenario) -> list[Clock]:
             turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
             loss=number(measured.loss),
             burst=number(measured.mean_burst_length) if measured.loss else 0.0,
+            outage=outage(measured, s),
             stamp=stamp(s),
             early=measured.prefilled,
             swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
@@ -95,6 +96,12 @@ def number(value: PerChannel) -> float:
     """Return what one channel has, where `sensors` has chosen it."""
     (one,) = per_channel(value, 1)
     return one
+
+
+def outage(measured: Sampling, s: Scenario) -> tuple[int, int]:
+    """Return the first tick of a channel's outage and the first after it."""
+    start, length = number(measured.outage_start), number(measured.outage_duration)
+    return (whole(start, s), whole(start + length, s)) if length else (0, 0)
 
 
 def stamp(s: Scenario) -> Stamp:

@@ -70,6 +70,8 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
                 if taken == last:  # as late as the time that has passed: nothing new comes
                     continue
                 last = taken
+            if clock.outage[0] <= taken < clock.outage[1]:
+                arrives = NEVER
             ahead = clock.stamp.ahead(taken)
             out += [Sample(channel, i, taken, arrives, ahead) for channel in clock.channels]
     return out

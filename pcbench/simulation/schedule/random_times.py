@@ -38,6 +38,7 @@ class ClockParams(NamedTuple):
     share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; m = 0: they are a chain
     loss: Leaf  # [C] probability
     bursts: Leaf  # [C, 2] probability after a sample that was not lost, and after one that was; [C, 0]: the same
+    outages: Leaf  # [C, 2] a sample taken from the first tick on, but before the second, is lost; [C, 0]: none
     channel: Leaf  # [C] the first channel: the address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
     error: Leaf  # the observers believe samples to be so much older than they are
@@ -71,6 +72,7 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
         share=np.array([np.cumsum(c.share) for c in clocks], float),
         loss=np.array([c.loss for c in clocks], float),
         bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
+        outages=np.array([c.outage if any(any(c.outage) for c in clocks) else () for c in clocks], int),
         channel=np.array([c.channels[0] for c in clocks]),
         clock_of=np.array(clock_of),
         error=np.asarray(error),
@@ -110,7 +112,10 @@ def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple
     if t.steps.shape[1]:
         late = late + t.steps[c][_which_step(t, c, root_seed, seeds)]
     arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
-    return taken[:-1], jnp.where(_lost(t, c, losing[:-1, 0]), NEVER, jnp.minimum(arrives, NEVER))
+    lost = _lost(t, c, losing[:-1, 0])
+    if t.outages.shape[1]:
+        lost |= (taken[:-1] >= t.outages[c, 0]) & (taken[:-1] < t.outages[c, 1])
+    return taken[:-1], jnp.where(lost, NEVER, jnp.minimum(arrives, NEVER))
 
 
 def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
@@ -193,7 +198,8 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
     interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
     loss = max(sampling.breaks(c)[1] for c in clocks)
     lost = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
-    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + lost) * interval
+    longest = max(c.outage[1] - c.outage[0] for c in clocks)
+    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + lost) * interval + longest
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:

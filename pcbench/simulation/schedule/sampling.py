@@ -41,6 +41,7 @@ class Clock(NamedTuple):
     share: tuple[float, ...] = ()  # of each: how often it is, drawn for each sample by itself; empty: they are a chain
     turns: tuple[int, ...] = ()  # samples arrive later by these in turn, or never (LOST); then nothing of it is random
     burst: float = 0.0  # mean number of samples lost in a row; 0: each is lost by itself
+    outage: tuple[int, int] = (0, 0)  # a sample taken from the first tick on, but before the second, never arrives
     stamp: Stamp = Stamp()  # of all clocks of a scenario the same: one recorder stamps them all
 
     @property
