@@ -172,6 +172,13 @@ FIELDS = (
         "mean number of samples in a row that losses take (Gilbert and Elliott); 0: each is lost by itself",
         per="sensor",
     ),
+    Field(
+        "sampling_phase",
+        "s",
+        "time of the first sample; sensors whose phases differ alternate",
+        per="sensor",
+        ticks=True,
+    ),
     Field("outage_start", "s", "start of the time in which no sample that is taken arrives", per="sensor", ticks=True),
     Field("outage_duration", "s", "length of that time; 0: there is none", per="sensor", ticks=True),
     Field(

@@ -131,6 +131,7 @@ def _facts(s: Scenario) -> list[Field]:
         Field("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
         Field("loss", "lost samples", _channels(lambda v: f"{number(100 * v)} %"), 0.0),
         Field("mean_burst_length", "lost in a row, mean", _channels(lambda v: f"{number(v)} samples"), 0.0),
+        Field("sampling_phase", "first sample at", _channels(lambda v: f"{number(v)} s"), 0.0),
         Field("outage_start", "no sample arrives that is taken from", _channels(lambda v: f"{number(v)} s"), 0.0),
         Field("outage_duration", "for", _channels(lambda v: f"{number(v)} s"), 0.0),
         Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, seen), ()),

@@ -79,6 +79,7 @@ class Sampling(NamedTuple):
     mean_burst_length: PerChannel = (
         0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
     )
+    sampling_phase: PerChannel = 0.0  # s, time of the first sample
     outage_start: PerChannel = 0.0  # s, of a sample taken from then on for outage_duration, which never arrives
     outage_duration: PerChannel = 0.0  # s
     timestamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was

@@ -76,6 +76,7 @@ def clocks(s: Scenario) -> list[Clock]:
             turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
             loss=number(measured.loss),
             burst=number(measured.mean_burst_length) if measured.loss else 0.0,
+            phase=whole(number(measured.sampling_phase), s),
             outage=outage(measured, s),
             stamp=stamp(s),
             early=measured.prefilled,

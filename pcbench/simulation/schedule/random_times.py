@@ -104,7 +104,7 @@ def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple
         rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
     )
     step = t.low[c] + _whole(timing[:, 0], t.high[c] - t.low[c] + 1)
-    random = jnp.cumsum(jnp.concatenate([jnp.zeros_like(step[:1]), step[1:]]), 0)
+    random = jnp.cumsum(jnp.concatenate([jnp.full_like(step[:1], t.due[c, 0]), step[1:]]), 0)
     due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
     moved = _whole(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
     taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)

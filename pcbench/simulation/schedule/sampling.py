@@ -41,6 +41,7 @@ class Clock(NamedTuple):
     share: tuple[float, ...] = ()  # of each: how often it is, drawn for each sample by itself; empty: they are a chain
     turns: tuple[int, ...] = ()  # samples arrive later by these in turn, or never (LOST); then nothing of it is random
     burst: float = 0.0  # mean number of samples lost in a row; 0: each is lost by itself
+    phase: int = 0  # tick of the first sample
     outage: tuple[int, int] = (0, 0)  # a sample taken from the first tick on, but before the second, never arrives
     stamp: Stamp = Stamp()  # of all clocks of a scenario the same: one recorder stamps them all
 
@@ -141,8 +142,8 @@ def uniform_range(period: int) -> tuple[int, int]:
 
 
 def instants(clock: Clock, ticks: int) -> list[int]:
-    """Return when samples are due, from tick 0 to the first beyond `ticks`; the mean where they are random."""
-    out = [0]
+    """Return when samples are due, from the first to the first beyond `ticks`; the mean where they are random."""
+    out = [clock.phase]
     while out[-1] <= ticks:
         out.append(out[-1] + (clock.period if clock.profile == "uniform" else interval(clock, len(out))))
     return out
