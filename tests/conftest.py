@@ -7,7 +7,8 @@ from contextlib import nullcontext
 from pathlib import Path
 
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
-os.environ["PCBENCH_CACHE"] = str(Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}")
+OF_THIS_RUN = Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}"
+os.environ["PCBENCH_CACHE"] = os.environ.get("PCBENCH_TESTS_CACHE") or str(OF_THIS_RUN)  # the first: of several runs
 
 import jax
 import pytest
