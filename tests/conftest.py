@@ -7,8 +7,9 @@ from contextlib import nullcontext
 from pathlib import Path
 
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
-OF_THIS_RUN = Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}"
-os.environ["PCBENCH_CACHE"] = os.environ.get("PCBENCH_TESTS_CACHE") or str(OF_THIS_RUN)  # the first: of several runs
+os.environ["PCBENCH_CACHE"] = os.environ.get("PCBENCH_TESTS_CACHE") or str(  # the first: shared with other runs
+    Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}"
+)
 
 import jax
 import pytest

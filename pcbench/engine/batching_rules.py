@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import PyTree
 
 from pcbench.engine import jaxpr_compat
+from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
 WAYS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
@@ -16,7 +18,7 @@ FOLDS = dict(zip(jaxpr_compat.FOLDS, WAYS, strict=True))
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 
-def entries_of(x: Any, shape: tuple[int, ...]) -> np.ndarray:
+def entries_of(x: PyTree, shape: tuple[int, ...]) -> np.ndarray:
     """The entries of an operand, an ordinary array's taken out one by one, broadcast to `shape`."""
     if not is_lanes(x):
         flat = jax.lax.reshape(jnp.asarray(x), (np.size(x),))
@@ -24,7 +26,7 @@ def entries_of(x: Any, shape: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(x.parts, shape)
 
 
-def elementwise(eqn: Any, args: list[Any]) -> LaneArray:
+def elementwise(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Apply a primitive to each number."""
     shape = eqn.outvars[0].aval.shape
     parts = [entries_of(a, shape) for a in args]
@@ -38,7 +40,7 @@ def elementwise(eqn: Any, args: list[Any]) -> LaneArray:
     return LaneArray(out)
 
 
-def structural(eqn: Any, args: list[Any]) -> list[Any]:
+def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply a primitive that moves numbers about, to their places."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
@@ -53,7 +55,7 @@ def structural(eqn: Any, args: list[Any]) -> list[Any]:
 
 @cache
 def places(
-    primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]
+    primitive: PyTree, params: tuple[tuple[str, PyTree], ...], shapes: tuple[tuple[int, ...], ...]
 ) -> list[np.ndarray]:
     """Return where each entry of each result comes from: the primitive applied to the entries' numbers."""
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
@@ -65,7 +67,7 @@ def places(
     return [np.asarray(each) for each in (found if primitive.multiple_results else [found])]
 
 
-def fold(eqn: Any, args: list[Any]) -> LaneArray:
+def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Fold numbers over axes."""
     parts, axes = args[0].parts, jaxpr_compat.fold_axes(eqn.params)
     rest = tuple(i for i in range(parts.ndim) if i not in axes)
@@ -74,13 +76,13 @@ def fold(eqn: Any, args: list[Any]) -> LaneArray:
     return lanes_of(shape, [reduce(FOLDS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
 
 
-def products(eqn: Any) -> int:
+def products(eqn: Eqn) -> int:
     """Return how many products a dot_general takes."""
     (contract, _), _ = jaxpr_compat.products_of(eqn.params)
     return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
-def dot(eqn: Any, args: list[Any]) -> LaneArray:
+def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Write a product of matrices out."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
@@ -88,7 +90,7 @@ def dot(eqn: Any, args: list[Any]) -> LaneArray:
     inner = int(np.prod([shapes[0][i] for i in ca]))
     lhs, rhs = (entries_of(a, s) for a, s in zip(args, shapes, strict=True))
 
-    def arranged(p: np.ndarray, batch: Any, contract: Any) -> np.ndarray:  # -> [batch, free, contract], flattened
+    def arranged(p: np.ndarray, batch: PyTree, contract: PyTree) -> np.ndarray:  # -> [batch, free, contract], flattened
         free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
         sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
         return p.transpose(*batch, *free, *contract).reshape(sizes)
@@ -103,13 +105,13 @@ def dot(eqn: Any, args: list[Any]) -> LaneArray:
     return lanes_of(out, sums)
 
 
-def _both(apply: Any, a: Any, b: Any) -> Any:
+def _both(apply: Any, a: PyTree, b: PyTree) -> PyTree:
     """Apply a primitive to two entries, one of them perhaps the same in all lanes."""
     width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
     return apply(jnp.broadcast_to(a, width), jnp.broadcast_to(b, width))
 
 
-def rows_of_table(eqn: Any, args: list[Any]) -> LaneArray:
+def rows_of_table(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
     table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
@@ -119,7 +121,7 @@ def rows_of_table(eqn: Any, args: list[Any]) -> LaneArray:
     return lanes_of(shape, [found[e, r] for r in range(own.size) for e in range(columns.shape[0])])
 
 
-def takes_rows(eqn: Any, args: list[Any]) -> bool:
+def takes_rows(eqn: Eqn, args: list[PyTree]) -> bool:
     """Return whether a gather takes whole rows of one table."""
     if is_lanes(args[0]) or not is_lanes(args[1]):
         return False

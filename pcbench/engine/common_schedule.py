@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
@@ -34,7 +35,7 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
     one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
-    def put(rings: Any, packet: tuple[Array, Array]) -> tuple[Any, None]:
+    def put(rings: PyTree, packet: tuple[Array, Array]) -> tuple[PyTree, None]:
         place, numbers = packet
         drawn = lane_array.split(noise(channels, numbers))
         y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, drawn), one, layout.width)
@@ -53,7 +54,7 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     """
     plan, channels = p.schedule, list(range(p.noise_std.shape[0]))
 
-    def put(rings: Any, number: Array, make: Any) -> Any:
+    def put(rings: PyTree, number: Array, make: Any) -> PyTree:
         last = jax.tree.map(lambda ring: ring[layout.ring], rings)
         new = lax.cond(number >= 0, lambda: lane_array.match_form(make(), last, layout.width), lambda: last)
         place = jnp.where(number >= 0, number % layout.ring, layout.ring)
@@ -70,18 +71,18 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     for more in range(plan.also.shape[1]):
         flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
 
-    def tell() -> Any:
+    def tell() -> PyTree:
         return lane_array.match_form(
             notify_sampled(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width
         )
 
-    def deliver(slot: Array, memories: Any) -> Any:
+    def deliver(slot: Array, memories: PyTree) -> PyTree:
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
         mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.believed[k, slot])
         row = ArrivalInfo(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
 
-        def jumped(memories: Any) -> Any:
+        def jumped(memories: PyTree) -> PyTree:
             after = jump(layout, p, k, state._replace(memories=memories), row, packet)
             return lane_array.match_form(after, memories, layout.width)
 

@@ -7,11 +7,12 @@ all lanes; the events are shared by all, or each lane has its own.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import common_schedule, lane_array, random_schedules, steps
 from pcbench.engine.initial_state import drawing
@@ -27,11 +28,13 @@ class Events(NamedTuple):
 
     happen: steps.Happen
     following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
-    whole: Callable[[Any], Memories] = lambda kept: kept  # packed -> the observers' memories
-    moved: Callable[[Memories, Any], Any] = lambda after, kept: after  # (after a flow, packed before it) -> packed
+    whole: Callable[[PyTree], Memories] = lambda kept: kept  # packed -> the observers' memories
+    moved: Callable[[Memories, PyTree], PyTree] = lambda after, kept: (
+        after
+    )  # (after a flow, packed before it) -> packed
 
 
-def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: Any = None) -> RunSums:
+def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: PyTree = None) -> RunSums:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
 
     `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
@@ -57,7 +60,7 @@ def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array,
         stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
         return jnp.where(k < end, stop, k + 1), flows(k, stop, state)
 
-    def window(state: State, edges: Array) -> tuple[State, Any]:
+    def window(state: State, edges: Array) -> tuple[State, PyTree]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))
         return state._replace(**empty), (state.streams, state.tracking, state.effort)
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array, steps
 from pcbench.engine.interpreter import vmap_entrywise
@@ -76,7 +76,7 @@ def _plant(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -
     return vmap_entrywise(lambda v: p.x0 + p.spread0 @ v)(lane_array.split(normal))
 
 
-def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> Any:
+def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> PyTree:
     """Return the uniform numbers that each run draws for its plant; (): none."""
     if not layout.drifting:
         return ()
@@ -91,7 +91,7 @@ def first_estimate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: 
     return vmap_entrywise(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
 
 
-def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Any:
+def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PyTree:
     """The observers' memories of xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
     begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
@@ -100,7 +100,7 @@ def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
         return begun
     words = lane_array.split(rng.words(root_seed, seeds))
 
-    def own(memories: Any, words: Array, xhat0: Array) -> Any:
+    def own(memories: PyTree, words: Array, xhat0: Array) -> PyTree:
         return memories | {
             label: init_random(p.gains[label], memories[label], words, xhat0) for label, init_random in drawing
         }
@@ -113,7 +113,7 @@ def _everything(layout: Layout, p: GridPointParams) -> steps.Happen:
     q = p.noise_std.shape[0]
     noise = lane_array.split(jnp.zeros((q, layout.width)))
     random = isinstance(p.schedule, ClockParams)
-    row: Any = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
+    row: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
     row = jax.tree.map(lambda a: lane_array.broadcast(a, layout.width), row) if random else row
 
     def happen(k: Array, state: State) -> State:

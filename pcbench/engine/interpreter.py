@@ -8,14 +8,15 @@ Large products and unusual primitives fall back on vmap, lanes last; results are
 """
 
 import itertools
-from typing import Any
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from pcbench.engine import batching_rules, jaxpr_compat
-from pcbench.engine.jaxpr_compat import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Literal, jaxpr_as_fun
+from pcbench.engine.jaxpr_compat import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Eqn, Jaxpr, Literal, jaxpr_as_fun
 from pcbench.engine.lane_array import (
     FORMS_ONLY,
     LaneArray,
@@ -36,10 +37,10 @@ from pcbench.protocols import TOGETHER
 MANY = 32  # rows, from which on they are kept together
 
 
-def vmap_entrywise(f: Any) -> Any:
+def vmap_entrywise(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Return `f` with any array in its arguments' pytrees allowed to be a LaneArray; what depends on one comes out as one."""
 
-    def mapped(*args: Any) -> Any:
+    def mapped(*args: PyTree) -> PyTree:
         flat, tree = jax.tree.flatten(args, is_leaf=is_lanes)
         one = [jax.ShapeDtypeStruct(x.shape, x.dtype) if is_lanes(x) else x for x in flat]
         jaxpr, shape = jax.make_jaxpr(lambda *a: f(*jax.tree.unflatten(tree, a)), return_shape=True)(*one)
@@ -48,10 +49,10 @@ def vmap_entrywise(f: Any) -> Any:
     return mapped
 
 
-def _evaluate(jaxpr: Any, consts: Any, args: Any) -> list[Any]:
+def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[PyTree]:
     env = dict(zip(itertools.chain(jaxpr.constvars, jaxpr.invars), itertools.chain(consts, args), strict=True))
 
-    def read(v: Any) -> Any:
+    def read(v: PyTree) -> PyTree:
         return v.val if isinstance(v, Literal) else env[v]
 
     for eqn in jaxpr.eqns:
@@ -60,7 +61,7 @@ def _evaluate(jaxpr: Any, consts: Any, args: Any) -> list[Any]:
     return [read(v) for v in jaxpr.outvars]
 
 
-def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
+def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     name, differs = eqn.primitive.name, any(map(is_lanes, args))
     if differs and name in CALLS and jaxpr_compat.named(eqn.params) == TOGETHER:
         return _together(eqn, args)
@@ -89,11 +90,11 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     return _fallback(jaxpr, eqn, args)
 
 
-def _together(eqn: Any, args: list[Any]) -> list[Any]:
+def _together(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
     closed = jaxpr_compat.called(eqn.params)
 
-    def alone(*args: Any) -> list[Any]:
+    def alone(*args: PyTree) -> list[PyTree]:
         return _evaluate(closed.jaxpr, closed.consts, list(args))
 
     differs = [is_lanes(x) for x in forms_of(alone, *args)]
@@ -107,7 +108,7 @@ def _together(eqn: Any, args: list[Any]) -> list[Any]:
     return [_parted(x) if d else x for x, d in zip(found, differs, strict=True)]
 
 
-def _long(x: Any) -> Any:
+def _long(x: PyTree) -> PyTree:
     """A form, as a table where it has many rows."""
     if not is_lanes(x) or not x.shape or x.shape[0] < MANY:
         return x
@@ -115,14 +116,14 @@ def _long(x: Any) -> Any:
     return lanes_of(x.shape[1:], [np.zeros((rows, *jnp.shape(a)), a.dtype) for a in x.parts.reshape(rows, -1)[0]], rows)
 
 
-def _parted(x: jax.Array) -> Any:
+def _parted(x: jax.Array) -> PyTree:
     """A LaneArray from an array [*shape, L], a table where it has many rows."""
     if x.ndim < 2 or x.shape[0] < MANY:
         return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)
     return lanes_of(x.shape[1:-1], [x[:, *i] for i in np.ndindex(x.shape[1:-1])], x.shape[0])
 
 
-def _form(aval: Any, args: list[Any], name: str) -> Any:
+def _form(aval: PyTree, args: list[PyTree], name: str) -> PyTree:
     """What a primitive makes of LaneArrays, without its numbers."""
     size = int(np.prod(aval.shape))
     if not size and name in STRUCTURAL:
@@ -131,13 +132,13 @@ def _form(aval: Any, args: list[Any], name: str) -> Any:
     return lanes_of(aval.shape, [np.zeros(width, aval.dtype)] * size)
 
 
-def _scan(eqn: Any, args: list[Any]) -> list[Any]:
+def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply a scan by a scan over the same rows, its body evaluated entry by entry."""
     body, consts, carry, length, how = jaxpr_compat.scan(eqn.params)
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
     rows = [_without_rows(table(a)) for a in args[consts + carry :]]
 
-    def step(state: list[Any], row: list[Any]) -> tuple[list[Any], list[Any]]:
+    def step(state: list[PyTree], row: list[PyTree]) -> tuple[list[PyTree], list[PyTree]]:
         out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
         return match_form(out[:carry], state, width), out[carry:]
 
@@ -148,16 +149,16 @@ def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     return [*end, *(LaneArray(a.parts, length) if is_lanes(a) else a for a in out)]
 
 
-def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
+def _while(eqn: Eqn, args: list[PyTree]) -> list[PyTree] | None:
     """Apply a while loop that ends for all lanes at once by one loop, its body evaluated entry by entry; else None."""
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, given, state = args[:first], args[first : first + second], args[first + second :]
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
 
-    def step(state: list[Any]) -> list[Any]:
+    def step(state: list[PyTree]) -> list[PyTree]:
         return match_form(_evaluate(body.jaxpr, body.consts, [*given, *state]), state, width)
 
-    def goes_on(state: list[Any]) -> Any:
+    def goes_on(state: list[PyTree]) -> PyTree:
         return _evaluate(cond.jaxpr, cond.consts, [*asked, *state])[0]
 
     start = [entries(a) if is_lanes(a) else jnp.asarray(a) for a in state]
@@ -167,12 +168,12 @@ def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
     return jax.lax.while_loop(goes_on, step, start)
 
 
-def _without_rows(x: Any) -> Any:
+def _without_rows(x: PyTree) -> PyTree:
     """A table as a scan goes over it: what it takes of it is one row, an array for each entry."""
     return LaneArray(x.parts) if is_lanes(x) else x
 
 
-def _one_row(eqn: Any, args: list[Any]) -> bool:
+def _one_row(eqn: Eqn, args: list[PyTree]) -> bool:
     """Whether a slice is one whole row at an index that all lanes share."""
     update = eqn.primitive.name == "dynamic_update_slice"
     shape = eqn.invars[0].aval.shape
@@ -180,12 +181,12 @@ def _one_row(eqn: Any, args: list[Any]) -> bool:
     return size == (1, *shape[1:]) and not any(map(is_lanes, args[1 + update :]))
 
 
-def _read_row(eqn: Any, args: list[Any]) -> LaneArray:
+def _read_row(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     x, row = table(args[0]), args[1]
     return lanes_of((1, *x.parts.shape), [jax.lax.dynamic_index_in_dim(a, row, 0, False) for a in x.parts.flat])
 
 
-def _write_row(eqn: Any, args: list[Any]) -> LaneArray:
+def _write_row(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     new, row = entries(args[1]), args[2]
     width = next(jnp.shape(a)[-1] for x in args[:2] if is_lanes(x) for a in x.parts.flat)
     old = table(args[0]) if is_lanes(args[0]) else broadcast_table(jnp.asarray(args[0]), width)
@@ -200,7 +201,7 @@ def _write_row(eqn: Any, args: list[Any]) -> LaneArray:
 ROWS = {"dynamic_slice": _read_row, "dynamic_update_slice": _write_row}
 
 
-def _fallback(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
+def _fallback(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply any primitive: as it is where nothing differs between lanes, else by vmap over the joined arrays."""
     if eqn.primitive.name in _RULES.keys() | STRUCTURAL and not any(map(is_lanes, args)):
         found = eqn.primitive.bind(*args, **eqn.params)

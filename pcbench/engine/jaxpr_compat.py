@@ -7,7 +7,7 @@ constants, carries, rows). A release in which the tests of this file pass is fin
 sentence, and not with other numbers.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 from jax.extend import random as generators
@@ -16,32 +16,10 @@ from jax.lax import GatherScatterMode
 
 from pcbench.errors import UserError
 
-__all__ = [
-    "CALLS",
-    "ELEMENTWISE",
-    "FOLDS",
-    "STRUCTURAL",
-    "ClosedJaxpr",
-    "Jaxpr",
-    "Literal",
-    "branches",
-    "called",
-    "expansion",
-    "fold_axes",
-    "generators",
-    "inner",
-    "is_known",
-    "jaxpr_as_fun",
-    "named",
-    "param",
-    "products_of",
-    "said",
-    "scan",
-    "slice_sizes",
-    "takes_rows",
-    "while_",
-]
+__all__ = ["ClosedJaxpr", "Jaxpr", "Literal", "generators", "jaxpr_as_fun"]  # of jax, for other modules
 
+Eqn: TypeAlias = Any  # a JaxprEqn, of which jax's types do not know that its variables have shapes
+EqnParams = dict[str, Any]
 NEWEST = (0, 12)  # release of jax that this file was read against
 
 
@@ -65,34 +43,34 @@ CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoi
 class Scan(NamedTuple):
     """A scan's equation: its operands are `consts` constants, `carry` carries, and rows."""
 
-    body: Any  # ClosedJaxpr
+    body: ClosedJaxpr
     consts: int
     carry: int
     length: int
-    how: dict[str, Any]  # what jax.lax.scan takes besides
+    how: EqnParams  # what jax.lax.scan takes besides
 
 
 class While(NamedTuple):
     """A while loop's equation: operands are constants of the condition, of the body, and the state."""
 
-    cond: Any  # ClosedJaxpr
-    body: Any
+    cond: ClosedJaxpr
+    body: ClosedJaxpr
     cond_consts: int
     body_consts: int
 
 
-def called(params: dict[str, Any]) -> Any:
+def called(params: EqnParams) -> ClosedJaxpr:
     """Return the program that one of CALLS applies, closed."""
     found = params.get("jaxpr") or params["call_jaxpr"]
     return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
 
 
-def named(params: dict[str, Any]) -> str:
+def named(params: EqnParams) -> str:
     """Return the name of the function that one of CALLS applies; empty where it has none."""
     return str(params.get("name", ""))
 
 
-def scan(params: dict[str, Any]) -> Scan:
+def scan(params: EqnParams) -> Scan:
     """Return what a scan's parameters say, in either form; raise UserError where they are of neither."""
     if "num_consts" in params:
         consts, carry = params["num_consts"], params["num_carry"]
@@ -107,33 +85,33 @@ def scan(params: dict[str, Any]) -> Scan:
     return Scan(params["jaxpr"], consts, carry, params["length"], how)
 
 
-def while_(params: dict[str, Any]) -> While:
+def while_(params: EqnParams) -> While:
     """Return what a while loop's parameters say."""
     return While(params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"], params["body_nconsts"])
 
 
-def branches(params: dict[str, Any]) -> tuple[Any, ...]:
+def branches(params: EqnParams) -> tuple[ClosedJaxpr, ...]:
     """Return the programs that a cond chooses from by index, closed."""
     return tuple(params["branches"])
 
 
-def slice_sizes(params: dict[str, Any]) -> tuple[int, ...]:
+def slice_sizes(params: EqnParams) -> tuple[int, ...]:
     """Return the shape of what a dynamic_slice takes."""
     return tuple(params["slice_sizes"])
 
 
-def fold_axes(params: dict[str, Any]) -> tuple[int, ...]:
+def fold_axes(params: EqnParams) -> tuple[int, ...]:
     """Return the axes that one of FOLDS reduces."""
     return tuple(params["axes"])
 
 
-def products_of(params: dict[str, Any]) -> tuple[Any, Any]:
+def products_of(params: EqnParams) -> tuple[Any, Any]:
     """Return a dot_general's axes: ((contracted of a, of b), (batch of a, of b))."""
     contract, batch = params["dimension_numbers"]
     return contract, batch
 
 
-def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> bool:
+def takes_rows(params: EqnParams, operand: tuple[int, ...], rank: int) -> bool:
     """Say whether a gather takes whole rows of an `operand` of that shape, clipped, by indices of that `rank`."""
     if params["mode"] != GatherScatterMode.CLIP:
         return False
@@ -143,7 +121,7 @@ def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> b
     return first_axis and whole and sizes == (1, *operand[1:])
 
 
-def param(eqn: Any, name: str) -> Any:
+def param(eqn: Eqn, name: str) -> Any:
     """Return one of an equation's parameters; raise UserError, naming the primitive, if this release of jax has none such."""
     if name not in eqn.params:
         raise UserError(
@@ -153,7 +131,7 @@ def param(eqn: Any, name: str) -> Any:
     return eqn.params[name]
 
 
-def expansion(eqn: Any) -> Any:
+def expansion(eqn: Eqn) -> Any:
     """Return the only program among an equation's parameters, closed, if it takes and returns what the equation does."""
     programs = [p if hasattr(p, "consts") else ClosedJaxpr(p, ()) for p in inner(eqn.params)]
     if len(programs) != 1:
@@ -167,12 +145,12 @@ def _types(x: Any) -> list[list[Any]]:
     return [[(v.aval.shape, v.aval.dtype) for v in vs] for vs in (x.invars, x.outvars)]
 
 
-def said(eqn: Any) -> tuple[tuple[str, Any], ...]:
+def said(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
     """Return what an equation's parameters are, name by name."""
     return tuple(eqn.params.items())
 
 
-def inner(params: dict[str, Any]) -> list[Any]:
+def inner(params: EqnParams) -> list[Any]:
     """Return every program among an equation's parameters, closed or not."""
     each = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
     return [v for v in each if isinstance(v, ClosedJaxpr | Jaxpr)]

@@ -5,13 +5,14 @@ all lanes stays an ordinary array and is computed once. A long table that is rea
 together instead: one array [rows, L] for each entry of a row. `interpreter` evaluates one-lane functions on all of this.
 """
 
+from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import PyTree
 
 FORMS_ONLY = ContextVar("FORMS_ONLY", default=False)  # whether it matters only what is a LaneArray, and of which shape
 
@@ -26,12 +27,12 @@ class LaneArray:
     def __init__(self, parts: np.ndarray, rows: int | None = None) -> None:
         self.parts, self.rows = parts, rows
 
-    def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[tuple[int, ...], int | None]]:
+    def tree_flatten(self) -> tuple[tuple[PyTree, ...], tuple[tuple[int, ...], int | None]]:
         """Return the entries in row-major order, and the shape."""
         return tuple(self.parts.flat), (self.parts.shape, self.rows)
 
     @classmethod
-    def tree_unflatten(cls, form: tuple[tuple[int, ...], int | None], leaves: Any) -> "LaneArray":
+    def tree_unflatten(cls, form: tuple[tuple[int, ...], int | None], leaves: PyTree) -> "LaneArray":
         """Return a LaneArray of this shape from its entries in row-major order."""
         return lanes_of(form[0], leaves, form[1])
 
@@ -41,12 +42,12 @@ class LaneArray:
         return self.parts.shape if self.rows is None else (self.rows, *self.parts.shape)
 
     @property
-    def dtype(self) -> Any:
+    def dtype(self) -> PyTree:
         """The type of every entry."""
         return self.parts.flat[0].dtype
 
 
-def lanes_of(shape: tuple[int, ...], entries: Any, rows: int | None = None) -> LaneArray:
+def lanes_of(shape: tuple[int, ...], entries: PyTree, rows: int | None = None) -> LaneArray:
     """A LaneArray of a shape from its entries in row-major order."""
     parts = np.empty(shape, object)
     for i, entry in zip(np.ndindex(shape), entries, strict=True):
@@ -54,7 +55,7 @@ def lanes_of(shape: tuple[int, ...], entries: Any, rows: int | None = None) -> L
     return LaneArray(parts, rows)
 
 
-def is_lanes(x: Any) -> bool:
+def is_lanes(x: PyTree) -> bool:
     """Say whether x differs between lanes (a leaf test for tree functions)."""
     return isinstance(x, LaneArray)
 
@@ -78,7 +79,7 @@ def joined(x: LaneArray) -> jax.Array:
     return jnp.stack(list(x.parts.flat), 1).reshape(*x.shape, *jnp.shape(x.parts.flat[0])[1:])
 
 
-def table(x: Any) -> Any:
+def table(x: PyTree) -> PyTree:
     """A LaneArray [rows, *shape] with its rows together; an ordinary array as it is."""
     if not is_lanes(x) or x.rows is not None:
         return x
@@ -86,14 +87,14 @@ def table(x: Any) -> Any:
     return lanes_of(shape, [jnp.stack(list(x.parts[:, *i])) for i in np.ndindex(shape)], len(x.parts))
 
 
-def entries(x: Any) -> Any:
+def entries(x: PyTree) -> PyTree:
     """A LaneArray with every entry by itself; an ordinary array as it is."""
     if not is_lanes(x) or x.rows is None:
         return x
     return lanes_of(x.shape, [part[k] for k in range(x.rows) for part in x.parts.flat])
 
 
-def to_array(x: Any, width: int) -> jax.Array:
+def to_array(x: PyTree, width: int) -> jax.Array:
     """One array with lanes last: an array is repeated for each lane; of LaneArrays that a scan left its axis is the first."""
     if not is_lanes(x):
         return jnp.broadcast_to(x[..., None], (*x.shape, width))
@@ -113,10 +114,10 @@ def broadcast_table(x: jax.Array, width: int) -> LaneArray:
     return lanes_of(shape, [jnp.broadcast_to(x[:, *i, None], (rows, width)) for i in np.ndindex(shape)], rows)
 
 
-def match_form(tree: Any, template: Any, width: int) -> Any:
+def match_form(tree: PyTree, template: PyTree, width: int) -> PyTree:
     """Spread what the template has as a LaneArray and the tree as an ordinary array; a table where the template has one."""
 
-    def one(t: Any, x: Any) -> Any:
+    def one(t: PyTree, x: PyTree) -> PyTree:
         if not is_lanes(t):
             return x
         if t.rows is not None:
@@ -126,39 +127,39 @@ def match_form(tree: Any, template: Any, width: int) -> Any:
     return jax.tree.map(one, template, tree, is_leaf=is_lanes)
 
 
-def everywhere(tree: Any, width: int) -> Any:
+def everywhere(tree: PyTree, width: int) -> PyTree:
     """Spread every array that has a size."""
     return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else broadcast(x, width), tree, is_leaf=is_lanes)
 
 
-def unless_same(new: Any, old: Any, width: int) -> Any:
+def unless_same(new: PyTree, old: PyTree, width: int) -> PyTree:
     """Return `new` with every array spread that is not the very one in `old`."""
 
-    def one(a: Any, b: Any) -> Any:
+    def one(a: PyTree, b: PyTree) -> PyTree:
         return a if a is b or is_lanes(a) or not jnp.size(a) else broadcast(a, width)
 
     return jax.tree.map(one, new, old, is_leaf=is_lanes)
 
 
-def pick(tree: Any, lane: jax.Array) -> Any:
+def pick(tree: PyTree, lane: jax.Array) -> PyTree:
     """Take some lanes out: `lane` holds their numbers; what is the same in all stays."""
 
-    def one(x: Any) -> Any:
+    def one(x: PyTree) -> PyTree:
         return jax.tree.map(lambda a: a.at[..., lane].get(mode="clip"), x) if is_lanes(x) else x
 
     return jax.tree.map(one, tree, is_leaf=is_lanes)
 
 
-def put_back(tree: Any, some: Any, lane: jax.Array) -> Any:
+def put_back(tree: PyTree, some: PyTree, lane: jax.Array) -> PyTree:
     """Put lanes taken out back in their places; a number beyond the last lane is of none."""
 
-    def one(x: Any, new: Any) -> Any:
+    def one(x: PyTree, new: PyTree) -> PyTree:
         return jax.tree.map(lambda a, b: a.at[..., lane].set(b, mode="drop"), x, new) if is_lanes(x) else x
 
     return jax.tree.map(one, tree, some, is_leaf=is_lanes)
 
 
-def forms_of(f: Any, *args: Any) -> Any:
+def forms_of(f: Callable[..., PyTree], *args: PyTree) -> PyTree:
     """Return what f returns without its numbers: meanwhile `interpreter` asks for forms only."""
     before = FORMS_ONLY.set(True)
     try:
@@ -167,7 +168,7 @@ def forms_of(f: Any, *args: Any) -> Any:
         FORMS_ONLY.reset(before)
 
 
-def infer_batched(step: Any, tree: Any, width: int) -> Any:
+def infer_batched(step: Callable[[PyTree], PyTree], tree: PyTree, width: int) -> PyTree:
     """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
     while True:
         out = forms_of(step, tree)
@@ -177,11 +178,11 @@ def infer_batched(step: Any, tree: Any, width: int) -> Any:
         tree = wider
 
 
-def _the_wider(old: Any, new: Any) -> Any:
+def _the_wider(old: PyTree, new: PyTree) -> PyTree:
     """Which of two forms a leaf takes in the end: once a table, or once different between lanes, it stays so."""
     rank = [2 if is_lanes(x) and x.rows is not None else int(is_lanes(x)) for x in (old, new)]
     return old if rank[0] >= rank[1] else new
 
 
-def _forms(tree: Any) -> list[Any]:
+def _forms(tree: PyTree) -> list[PyTree]:
     return [x.rows if is_lanes(x) else "same" for x in jax.tree.leaves(tree, is_leaf=is_lanes)]

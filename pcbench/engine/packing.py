@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
 from pcbench.engine.lane_array import LaneArray
@@ -20,7 +21,7 @@ from pcbench.engine.lane_array import LaneArray
 class Kept(NamedTuple):
     """The leaves of a memory: those that flow moves, as they are, and the others packed."""
 
-    moving: list[Any]
+    moving: list[PyTree]
     still: Array  # [M, L]
 
 
@@ -36,38 +37,38 @@ class Place(NamedTuple):
 class Packing(NamedTuple):
     """How memories are packed: leaves that `flow` changes stay arrays (place None), all others are rows of one array [M, L]."""
 
-    tree: Any
+    tree: PyTree
     places: list[Place | None]
 
-    def whole(self, kept: Kept) -> Any:
+    def whole(self, kept: Kept) -> PyTree:
         """Unpack: return the memories."""
         moving = iter(kept.moving)
         leaves = [next(moving) if place is None else _taken(kept.still, place) for place in self.places]
         return jax.tree.unflatten(self.tree, leaves)
 
-    def moved(self, memories: Any, kept: Kept) -> Kept:
+    def moved(self, memories: PyTree, kept: Kept) -> Kept:
         """Return what is packed, with the leaves that a flow has changed."""
         return kept._replace(moving=self._moving(self._leaves(memories)))
 
-    def pack(self, memories: Any) -> Kept:
+    def pack(self, memories: PyTree) -> Kept:
         """Pack memories."""
         leaves = self._leaves(memories)
         packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
         rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]
         return Kept(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
 
-    def _leaves(self, memories: Any) -> list[Any]:
+    def _leaves(self, memories: PyTree) -> list[PyTree]:
         return jax.tree.leaves(memories, is_leaf=lane_array.is_lanes)
 
-    def _moving(self, leaves: list[Any]) -> list[Any]:
+    def _moving(self, leaves: list[PyTree]) -> list[PyTree]:
         return [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is None]
 
 
-def packing(flow: Callable[[Any], Any], memories: Any) -> Packing:
+def packing(flow: Callable[[PyTree], PyTree], memories: PyTree) -> Packing:
     """Return how to keep memories that `flow` (memories -> memories) moves: it is traced to see what it leaves alone."""
     alone: list[bool] = []
 
-    def probe(before: Any) -> int:
+    def probe(before: PyTree) -> int:
         pairs = zip(
             *(jax.tree.leaves(tree, is_leaf=lane_array.is_lanes) for tree in (flow(before), before)), strict=True
         )

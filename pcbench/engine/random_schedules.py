@@ -5,11 +5,12 @@ tick the lanes that have one are taken out, at most `CHUNK` at a time, and put b
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
@@ -86,7 +87,7 @@ class Events(NamedTuple):
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
-    times: Any = p.schedule
+    times: PyTree = p.schedule
     plan, zero, state = agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
     taken = _queue(plan.taken * rows)
@@ -115,10 +116,10 @@ def _take(events: Events, k: Array, state: State) -> State:
     """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
     taken, noting, now, telling = events.taken, events.noting, k * events.rows, any_is_notified(events.layout)
 
-    def due(c: tuple[Flight, Any]) -> Array:
+    def due(c: tuple[Flight, PyTree]) -> Array:
         return (taken.when[c[0].done.sensed] == now) | (noting.when[c[0].done.noted] == now)
 
-    def some(c: tuple[Flight, Any]) -> tuple[Flight, Any]:
+    def some(c: tuple[Flight, PyTree]) -> tuple[Flight, PyTree]:
         (flight, memories), done = c, c[0].done
         sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
@@ -132,7 +133,7 @@ def _take(events: Events, k: Array, state: State) -> State:
     return state._replace(flight=flight, memories=memories if telling else state.memories)
 
 
-def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
+def _measured(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
     number = _of_channels(events, events.agenda.number, c.row, c.lane)
     noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
     x, drawn = lane_array.pick((state.x, state.drawn), c.lane)
@@ -228,29 +229,29 @@ def _at(table: Array, row: Array, lane: Array) -> Array:
     return table.at[row, lane].get(mode="clip")
 
 
-def _flat(packet: Any, width: int) -> Array:
+def _flat(packet: PyTree, width: int) -> Array:
     """Every number of a packet, [numbers, L]."""
     parts = map(lane_array.entries, jax.tree.leaves(lane_array.everywhere(packet, width), is_leaf=lane_array.is_lanes))
     entries = [entry for part in parts if lane_array.is_lanes(part) for entry in part.parts.flat]
     return jnp.stack(entries) if entries else jnp.zeros((0, width))
 
 
-def _unflat(numbers: Array, like: Any) -> Any:
+def _unflat(numbers: Array, like: PyTree) -> PyTree:
     """Undo `_flat`, in the shape of `like`."""
     rest = iter(numbers)
 
-    def one(leaf: Any) -> Any:
+    def one(leaf: PyTree) -> PyTree:
         size = math.prod(leaf.shape)
         return lane_array.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
 
     return jax.tree.map(one, like, is_leaf=lane_array.is_lanes)
 
 
-def _rings(layout: Layout, packet: Any) -> Array:
+def _rings(layout: Layout, packet: PyTree) -> Array:
     numbers = _flat(packet, layout.width)
     return jnp.broadcast_to(numbers[:, None], (len(numbers), layout.ring, layout.width))
 
 
-def _write(rings: Array, c: Chunk, packet: Any) -> Array:
+def _write(rings: Array, c: Chunk, packet: PyTree) -> Array:
     """Write packets to their places in rings [numbers, R, L]."""
     return rings.at[:, c.row % rings.shape[1], c.lane].set(_flat(packet, CHUNK), mode="drop")

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.engine import event_loop
 from pcbench.engine.products.block_maps import Maps, every_map
@@ -40,7 +42,7 @@ class Job(NamedTuple):
     problem: GridPointParams
     root_seed: int
     seeds: np.ndarray  # at most `width`
-    schedules: Any = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
+    schedules: PyTree = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
 
 
 class MapsOfCell:
@@ -67,7 +69,7 @@ class Program(NamedTuple):
 
     layout: Layout
     call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
-    device: Any
+    device: jax.Device
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
@@ -77,7 +79,7 @@ class Program(NamedTuple):
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
-def devices(count: int | None = None) -> list[Any]:
+def devices(count: int | None = None) -> list[PyTree]:
     """Return the device that each of the calls at a time runs on: one a core, or one an accelerator; `count` of them."""
     found = jax.devices()
     if found[0].platform == "cpu":
@@ -90,7 +92,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def program(layout: Layout, job: Job, device: Any = None) -> Program:
+def program(layout: Layout, job: Job, device: jax.Device | None = None) -> Program:
     """Compile the call for jobs shaped like `job` on a device (default the first); once for each shape.
 
     Raises UserError where jax would compute in float32.
@@ -110,12 +112,12 @@ _PROGRAMS = program_cache.Programs()
 _NUMBERS = itertools.count(1)
 
 
-def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
+def _compiled(layout: Layout, device: jax.Device, tree: PyTree, shapes: tuple[PyTree, ...]) -> Program:
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
 
-    def simulate(p: GridPointParams, root_seed: Any, seeds: Any, schedules: Any, maps: Any) -> RunSums:
+    def simulate(p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree, maps: PyTree) -> RunSums:
         if layout.defined:
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds, maps)
@@ -157,7 +159,7 @@ def compilations() -> int:
     return _PROGRAMS.made
 
 
-def arguments(job: Job, width: int) -> tuple[GridPointParams, Any, Any, Any]:
+def arguments(job: Job, width: int) -> tuple[GridPointParams, PyTree, PyTree, PyTree]:
     """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
     which = np.resize(np.arange(len(job.seeds)), width)
     schedules = jax.tree.map(lambda a: a[which], job.schedules)
@@ -169,7 +171,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
 
     The next call is handed to the device before the last one's results are read.
     """
-    waiting: list[tuple[Job, Any]] = []
+    waiting: list[tuple[Job, PyTree]] = []
     for job in jobs:
         given = arguments(job, made.width)
         if job.schedules is not None:  # they have other shapes, where more arrives at a tick
@@ -196,7 +198,7 @@ def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[t
             yield future.result()
 
 
-def in_float64(function: Any, *arguments: Any) -> Any:
+def in_float64(function: Any, *arguments: PyTree) -> PyTree:
     """Call a function with float64 on: jax keeps that switch for each thread."""
     with config.float64():
         return function(*arguments)

@@ -6,9 +6,10 @@ watch one plant. A closed loop simulates a single observer, which drives a plant
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.protocols import Arrival
@@ -36,16 +37,16 @@ class Drawn(NamedTuple):
     """What every run draws at a tick, whatever happens."""
 
     process: PerLane  # [n] noise of the state before scaling; [0]: none
-    command: Any = ()  # network.Drawn, of a loop with a network
+    command: PyTree = ()  # network.Drawn, of a loop with a network
 
 
 class Lane(NamedTuple):
     """What steps read of a state; of one lane, a part of a `Run`."""
 
-    x: Any = ()
-    memories: Any = ()
-    commands: Any = ()
-    watches: Any = ()  # of a closed loop, which is frozen once it has diverged
+    x: PyTree = ()
+    memories: PyTree = ()
+    commands: PyTree = ()
+    watches: PyTree = ()  # of a closed loop, which is frozen once it has diverged
 
     @property
     def run(self) -> Run:
@@ -71,7 +72,7 @@ def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Draw
 def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: PerLane) -> PerLane:
     """Return what every channel measures at tick k, [q]."""
 
-    def one_lane(k: Array, x: Array, drawn: Any, v: Array) -> Array:
+    def one_lane(k: Array, x: Array, drawn: PyTree, v: Array) -> Array:
         return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
 
     return vmap_entrywise(one_lane)(k, state.x, state.drawn, noise)
@@ -128,7 +129,7 @@ def estimates(layout: Layout, p: GridPointParams, state: State) -> dict[str, Per
 def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLane:
     """Return what observers estimate, as it is at tick k: [n + s]."""
 
-    def one_lane(k: Array, x: Array, drawn: Any) -> Array:
+    def one_lane(k: Array, x: Array, drawn: PyTree) -> Array:
         return truth(layout, params_of(layout, p, drawn), present(p, k, True), x)
 
     return vmap_entrywise(one_lane)(k, state.x, state.drawn)
@@ -137,7 +138,7 @@ def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLan
 def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[str, PerLane]:
     """Return e of every observer at tick k, of all that it estimates."""
 
-    def one_lane(k: Array, lane: Lane, drawn: Any) -> dict[str, Array]:
+    def one_lane(k: Array, lane: Lane, drawn: PyTree) -> dict[str, Array]:
         return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
 
     return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories), state.drawn)
@@ -146,7 +147,7 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
     """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
-    def one_lane(k: Array, e: dict[str, Array], streams: Any, watches: Any, tracking: Any, x: Array) -> Any:
+    def one_lane(k: Array, e: dict[str, Array], streams: PyTree, watches: PyTree, tracking: PyTree, x: Array) -> PyTree:
         if layout.controller and state.tracking:
             tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
         updated = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
@@ -158,10 +159,10 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, Any]:
+def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, PyTree]:
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
 
-    def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, Any]:
+    def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, PyTree]:
         return simulate_runs.normalized_errors(layout, p, k, lane.run, e)
 
     return vmap_entrywise(one_lane)(k, seen(layout, state), e)
@@ -170,12 +171,12 @@ def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[
 # 4. control, 5. flow
 
 
-def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Any = ()) -> State:
+def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: PyTree = ()) -> State:
     """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`network.Drawn`)."""
     if layout.controller is None:
         return state
 
-    def one_lane(k: Array, lane: Lane, law: Any, effort: Any, drawn: Any) -> Any:
+    def one_lane(k: Array, lane: Lane, law: PyTree, effort: PyTree, drawn: PyTree) -> PyTree:
         run = simulate_runs.command(layout, p, k, lane.run._replace(law=law), drawn)
         if isinstance(p.weights, metrics.Weights):
             effort = simulate_runs.spend(layout, p, k, run, effort)
@@ -189,7 +190,7 @@ def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: A
 def flow(layout: Layout, p: GridPointParams, k: Array, state: State, w: PerLane) -> State:
     """Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
 
-    def one_lane(k: Array, lane: Lane, drawn: Any, w: Array) -> Any:
+    def one_lane(k: Array, lane: Lane, drawn: PyTree, w: Array) -> PyTree:
         run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
         return run.x, run.memories
 

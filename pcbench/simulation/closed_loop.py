@@ -5,11 +5,12 @@ a line that is the same for all runs (`command_network`), or over a network with
 (`command_network`).
 """
 
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.protocols import Controller, Now
 from pcbench.simulation import command_network, metrics
@@ -21,10 +22,10 @@ Tree = TypeVar("Tree")
 class Started(NamedTuple):
     """What a closed loop adds to the state before tick 0; empty where the loop is open."""
 
-    commands: Any = ()
-    tracking: Any = ()
-    law: Any = ()
-    effort: Any = ()
+    commands: PyTree = ()
+    tracking: PyTree = ()
+    law: PyTree = ()
+    effort: PyTree = ()
 
 
 def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
@@ -34,7 +35,7 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
     ((label, observer),), controller = layout.observers, layout.controller
     xhat = observer.estimate(p.gains[label], memories[label])
     if layout.pending:
-        commands: Any = command_network.empty(layout.commands, layout.pending, p.network.std.shape[0])
+        commands: PyTree = command_network.empty(layout.commands, layout.pending, p.network.std.shape[0])
     else:
         ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
         commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a row at a time, not R copies
@@ -46,7 +47,7 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
     )
 
 
-def pushed(now: Now, commands: Any) -> Now:
+def pushed(now: Now, commands: PyTree) -> Now:
     """Return the present as it is for the plant: its input with the noise that no observer is told."""
     return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 

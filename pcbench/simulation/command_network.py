@@ -20,7 +20,7 @@ read from the same ring: it has room for what a schedule can ask for, and what i
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,9 +46,9 @@ class Numbers(NamedTuple):
 class Drawn(NamedTuple):
     """What a run draws for one decision."""
 
-    late: Any  # [1] uniform
-    lost: Any  # [1] uniform
-    noise: Any  # [m] standard normal
+    late: Leaf  # [1] uniform
+    lost: Leaf  # [1] uniform
+    noise: Leaf  # [m] standard normal
 
 
 class Commands(NamedTuple):

@@ -16,10 +16,11 @@ of the largest one, which rounding does not reach.
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.protocols import Arrival, Covariance, Gains, Innovation, InnovationStats, Memory, Now, Observer
 from pcbench.simulation.types import GridPointParams, Layout, present
@@ -76,7 +77,7 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
     return made
 
 
-def sums(memory: Any) -> InnovationStats | None:
+def sums(memory: Memory) -> InnovationStats | None:
     """Return the sums of an observer that was judged."""
     return memory.so_far if isinstance(memory, Judged) else None
 
@@ -94,7 +95,9 @@ class Squares(NamedTuple):
     innovation: InnovationStats | None = None  # sums over the run, of an observer that says what it expects of samples
 
 
-def covariances(layout: Layout, p: GridPointParams, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:
+def covariances(
+    layout: Layout, p: GridPointParams, k: Array, memories: PyTree, commands: PyTree = ()
+) -> dict[str, Array]:
     """Return what each observer of one lane believes of its error at tick k, of those that have a covariance."""
     now = present(p, k, False, commands)
     return {label: f(p.gains[label], memories[label], now) for label, f in _able(layout).items()}

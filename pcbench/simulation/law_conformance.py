@@ -4,9 +4,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from pcbench.errors import UserError, raised
-from pcbench.protocols import Controller, Now
+from pcbench.protocols import Controller, Now, Params
 
 
 class Sizes(NamedTuple):
@@ -17,7 +18,7 @@ class Sizes(NamedTuple):
     m: int
 
 
-def check(label: str, law: Controller, params: Any, sizes: Sizes) -> None:
+def check(label: str, law: Controller, params: Params, sizes: Sizes) -> None:
     """Raise UserError, naming the law, the function, what was found and what was expected, where a shape is wrong.
 
     `target` must return a vector of at most n, `before` and `command` [m], and a `command` that keeps something what `start`
@@ -27,10 +28,10 @@ def check(label: str, law: Controller, params: Any, sizes: Sizes) -> None:
         _check(label, law, params, sizes, length)
 
 
-def _check(label: str, law: Controller, params: Any, sizes: Sizes, length: int) -> None:
+def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: int) -> None:
     tick, estimate = jnp.asarray(1), jax.ShapeDtypeStruct((length,), float)
 
-    def ask(name: str, f: Any, *args: Any) -> Any:
+    def ask(name: str, f: Any, *args: PyTree) -> PyTree:
         try:
             return jax.eval_shape(f, params, *args)
         except Exception as error:
@@ -39,9 +40,9 @@ def _check(label: str, law: Controller, params: Any, sizes: Sizes, length: int) 
                 "jax.numpy code for one run, which takes the states from the front."
             ) from error
 
-    def command(params: Any, xhat: Any, *kept: Any) -> Any:
+    def command(params: Params, xhat: PyTree, *kept: PyTree) -> PyTree:
         now = Now(tick * 1.0, tick, jnp.asarray(1.0), jnp.zeros(sizes.m), lambda age: jnp.zeros(sizes.m))
-        decide: Any = law.command
+        decide: PyTree = law.command
         out = decide(params, now, xhat, lambda i: jnp.zeros(sizes.m), *kept)
         return out if kept else (out, ())
 
@@ -75,7 +76,7 @@ def _check(label: str, law: Controller, params: Any, sizes: Sizes, length: int) 
         )
 
 
-def _form(tree: Any) -> str:
+def _form(tree: PyTree) -> str:
     """The structure of a tree with its shapes and types."""
     if hasattr(tree, "shape"):
         return f"shape {tuple(tree.shape)} of {tree.dtype}"

@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.protocols import Leaf
 from pcbench.runtime import program_cache
@@ -74,7 +75,7 @@ def students(w: Array, z: Array, n: Array) -> Array:
     return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
 
 
-def _of_channels(a: Any, channels: list[int], ndim: int) -> Any:
+def _of_channels(a: PyTree, channels: list[int], ndim: int) -> PyTree:
     """What some channels have, to go with noise whose first axis they are; as it is where it is one for all."""
     return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
 
@@ -92,12 +93,12 @@ def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = Fa
 
     dither = rng.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
 
-    def drawn(channels: list[int], index: Any) -> Array:
+    def drawn(channels: list[int], index: PyTree) -> Array:
         v = noise(channels, index)
         v = lax.optimization_barrier(v) if apart else v
         return jnp.concatenate([v, rng.uniforms_of([dither[j] for j in channels], index)]) if dither else v
 
-    def noise(channels: list[int], index: Any) -> Array:
+    def noise(channels: list[int], index: PyTree) -> Array:
         v = rng.normals([keys[j] for j in channels], index)
         if beside:
             v = students(v, rng.normals([beside[j] for j in channels], index), p.tail)

@@ -4,12 +4,15 @@ Errors are read after the jump of each tick, on ticks 0 .. N-1. Sums run over a 
 of its windows; the last is the tail).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 from numpy.typing import NDArray
+
+from pcbench.protocols import Leaf
 
 
 class ErrorSums(NamedTuple):
@@ -31,10 +34,10 @@ class SettlingState(NamedTuple):
 class Weights(NamedTuple):
     """Of the cost (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref), where there is one."""
 
-    Q1: Any  # [n, n]; empty: there is no cost, the input alone is summed
-    Q2: Any  # [m, m]
-    x_ref: Any  # [T, n] by tick; [0, n]: no set point, so it is 0
-    u_ref: Any  # [T, m] the steady input of the set point, likewise
+    Q1: Leaf  # [n, n]; empty: there is no cost, the input alone is summed
+    Q2: Leaf  # [m, m]
+    x_ref: Leaf  # [T, n] by tick; [0, n]: no set point, so it is 0
+    u_ref: Leaf  # [T, m] the steady input of the set point, likewise
 
 
 class ControlCost(NamedTuple):
@@ -103,7 +106,7 @@ def read(
     tracking: ErrorSums | None = None,
     effort: ControlCost | None = None,
     costs: bool = False,
-    squares: Any = None,
+    squares: PyTree = None,
 ) -> dict[str, NDArray]:
     """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
 

@@ -5,12 +5,12 @@ with the square root of the horizon, not with it.
 """
 
 from math import isqrt
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.metrics import ErrorSums
@@ -22,7 +22,7 @@ SMOOTH = ("mae", "mse", "rmse", "max_abs_error")  # and each of them over the ta
 
 def metrics(
     layout: Layout, p: GridPointParams, ticks: int, tail: int, root_seed: Array, seeds: Array
-) -> dict[str, Any]:
+) -> dict[str, PyTree]:
     """Return by observer label the smooth metrics of one run for each of seeds[L], [n, L], that the tables have.
 
     `ticks` is the horizon N, `tail` the tick at which the tail starts. All runs share one schedule. Where a run leaves all

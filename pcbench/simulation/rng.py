@@ -5,11 +5,10 @@ see the same noise, and a run has the same numbers alone or among thousands. Thr
 float64; no setting of jax or of the environment changes a draw.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.simulation import threefry
 
@@ -28,14 +27,14 @@ def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Ar
     return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
 
-def normals(keys: list[Array], index: Any) -> Array:
+def normals(keys: list[Array], index: PyTree) -> Array:
     """Draw N(0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
     return draw(jnp.stack(keys), each)  # in one piece: the hash is compiled once, not once for each channel
 
 
-def uniforms_of(keys: list[Array], index: Any) -> Array:
+def uniforms_of(keys: list[Array], index: PyTree) -> Array:
     """Draw a uniform number in [0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.uniform(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])

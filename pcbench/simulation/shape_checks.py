@@ -4,9 +4,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from pcbench.errors import UserError, raised
-from pcbench.protocols import Arrival, Observer
+from pcbench.protocols import Arrival, Memory, Observer
 from pcbench.simulation.types import GridPointParams, present
 
 
@@ -20,14 +21,14 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
     signals = len(p.band)
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
-    def arriving(f: Any) -> Any:
-        def at_event(p: GridPointParams, memory: Any, value: Any, snapshot: Any) -> Any:
+    def arriving(f: Any) -> PyTree:
+        def at_event(p: GridPointParams, memory: Memory, value: PyTree, snapshot: PyTree) -> PyTree:
             arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), snapshot, k)
             return f(p.gains[label], memory, present(p, k, False), arrival)
 
         return at_event
 
-    def ask(name: str, f: Any, *args: Any) -> Any:
+    def ask(name: str, f: Any, *args: PyTree) -> PyTree:
         try:
             return jax.eval_shape(f, p, *args)
         except Exception as error:
@@ -93,8 +94,8 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
     _same(label, "flow", flowed, memory)
 
 
-def _same(label: str, name: str, found: Any, memory: Any) -> None:
-    def form(tree: Any) -> Any:
+def _same(label: str, name: str, found: PyTree, memory: Memory) -> None:
+    def form(tree: PyTree) -> PyTree:
         return jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree)
 
     if str(jax.tree.structure(found)) != str(jax.tree.structure(memory)) or form(found) != form(memory):

@@ -22,9 +22,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.dynamics.integrate import rk4
-from pcbench.protocols import Arrival, Now
+from pcbench.protocols import Arrival, Now, Params
 from pcbench.simulation import closed_loop, command_network, innovation_stats, measurements, metrics, rng
 from pcbench.simulation.types import GridPointParams, Layout, Packet, RunSums, params_of, present, truth
 
@@ -57,20 +58,22 @@ class Draws(NamedTuple):
 
     start: Array  # [n] standard normal, of x(0)
     box: Array  # [n] uniform, of xhat(0)
-    plant: Any  # [d] uniform, of the plant's own numbers
+    plant: PyTree  # [d] uniform, of the plant's own numbers
     words: Array  # [2] for observers that draw numbers themselves
     sample: Callable[[Array], Array]  # (sample number of each channel) -> [q] before scaling; then [q] for rounding
     process: Callable[[Array], Array]  # (tick) -> [n] standard normal
-    command: Callable[[Array], Any]  # (tick) -> network.Drawn
+    command: Callable[[Array], PyTree]  # (tick) -> network.Drawn
 
 
-def simulate_runs(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, schedules: Any = None) -> RunSums:
+def simulate_runs(
+    layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree = None
+) -> RunSums:
     """Return what the runs of seeds [L] leave, every array with L last.
 
     `schedules` has a schedule for each run, every array with L first, if sampling is random; else all share `p.schedule`.
     """
 
-    def one(seed: Array, schedule: Any) -> RunSums:
+    def one(seed: Array, schedule: PyTree) -> RunSums:
         return simulate_run(layout, p if schedule is None else p._replace(schedule=schedule), root_seed, seed)
 
     return jax.vmap(one, out_axes=-1)(seeds, schedules)
@@ -103,7 +106,7 @@ def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Arr
 def tick(
     layout: Layout,
     p: GridPointParams,
-    params: Any,
+    params: Params,
     drawn: Draws,
     run: Run,
     k: Array,
@@ -119,11 +122,11 @@ def tick(
 def advance(
     layout: Layout,
     p: GridPointParams,
-    params: Any,
+    params: Params,
     k: Array,
     run: Run,
     w: Array,
-    command: Any,
+    command: PyTree,
     read: Callable[[Array, Run], Tree],
 ) -> tuple[Run, Tree]:
     """Return a run at tick k + 1 from one at tick k after its events, and what `read` finds once the command is given.
@@ -135,7 +138,7 @@ def advance(
 
 
 def events(
-    layout: Layout, p: GridPointParams, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+    layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """1. and 2., at a tick at which something is sampled or arrives."""
 
@@ -165,7 +168,7 @@ def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> D
     )
 
 
-def initial_run(layout: Layout, p: GridPointParams, params: Any, drawn: Draws) -> Run:
+def initial_run(layout: Layout, p: GridPointParams, params: Params, drawn: Draws) -> Run:
     """Return a run before tick 0."""
     x = p.x0 + p.spread0 @ drawn.start if layout.random_initial_state else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
@@ -201,7 +204,7 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
     )
 
 
-def measure(layout: Layout, p: GridPointParams, params: Any, k: Array, x: Array, v: Array) -> Array:
+def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Array, v: Array) -> Array:
     """Return what every channel measures at tick k, [q]; v is its noise, and what its rounding draws. A loop's y sees no u."""
     y = layout.plant.output(params, present(p, k, True), x)
     if layout.continuous:
@@ -217,7 +220,7 @@ def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, com
 
 
 def sense(
-    layout: Layout, p: GridPointParams, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+    layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """1. Take the sample of tick k, if there is one, note for it, and notify the observers that ask for it."""
     plan = p.schedule
@@ -265,7 +268,7 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
 
 
 def jump(
-    layout: Layout, p: GridPointParams, k: Array, run: Run, notes: Tree, arrival: Callable[[Any], Arrival]
+    layout: Layout, p: GridPointParams, k: Array, run: Run, notes: Tree, arrival: Callable[[PyTree], Arrival]
 ) -> Tree:
     """Return the memories after a packet that arrives at tick k: `arrival` makes it of what an observer noted."""
     now = present(p, k, False, run.commands)
@@ -274,14 +277,14 @@ def jump(
     }
 
 
-def errors(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run) -> dict[str, Array]:
+def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
     """Return e of every observer at tick k, of all that it estimates."""
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
     return {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
 
 
-def estimate(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run) -> Run:
+def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> Run:
     """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
@@ -293,7 +296,7 @@ def estimate(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run
     return run._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) -> Run:
+def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
     """4. Give the command of tick k in a closed loop, and add what it costs."""
     if layout.controller is None:
         return run
@@ -305,9 +308,9 @@ def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) 
     return run._replace(effort=effort)
 
 
-def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) -> Run:
+def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
     """Return the run with the command of tick k, which its controller makes of the estimate of now."""
-    controller: Any = layout.controller
+    controller: PyTree = layout.controller
     ((label, observer),) = layout.observers
     now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
     sent = run.commands.sent if layout.pending else run.commands
@@ -319,7 +322,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: Any) 
         c, law = controller.command(p.control, now, xhat, coming, run.law)
     else:
         c, law = controller.command(p.control, now, xhat, coming), run.law
-    commands: Any
+    commands: PyTree
     if layout.pending:
         commands = command_network.send(p.network, k, run.commands, c, drawn)
     else:
@@ -333,7 +336,7 @@ def spend(layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metric
     return metrics.spend(effort, p.weights, k, run.x, u)
 
 
-def flow(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run, w: Array) -> Run:
+def flow(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run, w: Array) -> Run:
     """5. Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
     now, commands = present(p, k, True, run.commands), run.commands
     if layout.continuous:
@@ -347,11 +350,11 @@ def flow(layout: Layout, p: GridPointParams, params: Any, k: Array, run: Run, w:
     return run._replace(x=x, memories=memories)
 
 
-def as_one_field(layout: Layout, p: GridPointParams, params: Any, now: Now, run: Run) -> tuple[Array, Tree]:
+def as_one_field(layout: Layout, p: GridPointParams, params: Params, now: Now, run: Run) -> tuple[Array, Tree]:
     """Move plant and observers as one differential equation: at every stage the observers see y of that stage."""
-    plant: Any = layout.plant.field
+    plant: PyTree = layout.plant.field
 
-    def field(t: Array, z: Any) -> Any:
+    def field(t: Array, z: PyTree) -> PyTree:
         there, (x, memories) = now._replace(t=t), z
         y = layout.plant.output(params, there, x)
         rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}

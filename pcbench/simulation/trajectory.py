@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.runtime import program_cache
 from pcbench.simulation import closed_loop, innovation_stats, simulate_runs
@@ -92,7 +93,9 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
     return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1))(seeds)  # type: ignore[arg-type]
 
 
-def _started(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> tuple[Run, Any, simulate_runs.Draws]:
+def _started(
+    layout: Layout, p: GridPointParams, root_seed: Array, seed: Array
+) -> tuple[Run, PyTree, simulate_runs.Draws]:
     """A run before tick 0, the plant's numbers in it, and its draws."""
     drawn = simulate_runs.draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)

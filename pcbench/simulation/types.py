@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 
-from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
+from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Params, Plant
 from pcbench.simulation import command_network, metrics
 
 PerLane = (
@@ -42,10 +43,10 @@ class GridPointParams(NamedTuple):
     N ticks, n states, s unknowns beside them, m inputs, q outputs.
     """
 
-    params: Any  # the plant's
+    params: Params  # the plant's
     gains: dict[str, Gains]  # by observer label
-    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
-    inputs: Any  # [N+1, m] u held over [t_k, t_k+1); of a log, Recent
+    schedule: PyTree  # a Schedule, the same for every run; or Times: then each run draws its own
+    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1); of a log, Recent
     dt: Leaf  # [s]
     x0: Leaf  # [n] the start, or its mean
     xhat0: Leaf  # [n]
@@ -56,14 +57,14 @@ class GridPointParams(NamedTuple):
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
     process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
-    control: Any = ()  # the controller's numbers
+    control: PyTree = ()  # the controller's numbers
     line: command_network.Line = command_network.NONE
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
-    network: Any = ()  # network.Numbers, where commands are sent over one
-    weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
-    outliers: Any = ()  # sample_noise.Outliers, where some samples are
-    rounding: Any = ()  # sample_noise.Rounding, where samples are rounded
-    tail: Any = ()  # degrees of freedom of the noise of samples, where that is Student's t
+    network: PyTree = ()  # network.Numbers, where commands are sent over one
+    weights: PyTree = ()  # metrics.Weights of a closed loop whose input and cost are summed
+    outliers: PyTree = ()  # sample_noise.Outliers, where some samples are
+    rounding: PyTree = ()  # sample_noise.Rounding, where samples are rounded
+    tail: PyTree = ()  # degrees of freedom of the noise of samples, where that is Student's t
 
 
 class InputWindow(NamedTuple):
@@ -93,15 +94,15 @@ class State(NamedTuple):
     """What a block of lanes carries from tick to tick."""
 
     x: PerLane  # [n]
-    drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
-    memories: Any  # Memories; between events on schedules of their own, packed
-    flight: Any  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
+    drawn: PyTree  # numbers the run has drawn for its plant, [plant.drawn]; (): none
+    memories: PyTree  # Memories; between events on schedules of their own, packed
+    flight: PyTree  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
     streams: dict[str, metrics.ErrorSums]
     watches: dict[str, metrics.SettlingState]
-    commands: Any = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
-    tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
-    law: Any = ()  # what the controller keeps
-    effort: Any = ()  # metrics.Effort of a closed loop
+    commands: PyTree = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
+    tracking: PyTree = ()  # metrics.Stream of the set point less the state, in a closed loop
+    law: PyTree = ()  # what the controller keeps
+    effort: PyTree = ()  # metrics.Effort of a closed loop
 
 
 class RunSums(NamedTuple):
@@ -110,13 +111,13 @@ class RunSums(NamedTuple):
     streams: dict[str, metrics.ErrorSums]  # [W, n, L]
     watches: dict[str, metrics.SettlingState]  # [n, L]
     final: dict[str, Array]  # [n, L] the error at tick N-1
-    tracking: Any = ()  # Stream [W, r, L] of a closed loop
-    effort: Any = ()  # Effort [W, L] of a closed loop
-    consistency: Any = ()  # by observer label, consistency.Squares of those that have a covariance
-    actual: Any = ()  # [n + s, L] what observers estimate, as it is at tick N-1
+    tracking: PyTree = ()  # Stream [W, r, L] of a closed loop
+    effort: PyTree = ()  # Effort [W, L] of a closed loop
+    consistency: PyTree = ()  # by observer label, consistency.Squares of those that have a covariance
+    actual: PyTree = ()  # [n + s, L] what observers estimate, as it is at tick N-1
 
 
-def present(p: GridPointParams, k: Array, decided: bool, commands: Any = ()) -> Now:
+def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) -> Now:
     """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to snapshot and jump.
 
     In a closed loop the inputs are those that the `commands` [R, m] become.
@@ -136,11 +137,11 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: Any = ()) -> 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
-def params_of(layout: Layout, p: GridPointParams, drawn: Any) -> Any:
+def params_of(layout: Layout, p: GridPointParams, drawn: PyTree) -> PyTree:
     """Return the plant's numbers in the run that has `drawn` its own."""
     return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
 
 
-def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:
+def truth(layout: Layout, params: Params, now: Now, x: Array) -> Array:
     """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
     return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x

@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from pcbench.engine import jaxpr_compat, lane_array
-from pcbench.engine.jaxpr_compat import CALLS, Jaxpr, Literal
+from pcbench.engine.jaxpr_compat import CALLS, Eqn, Jaxpr, Literal
 from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.simulation.types import GridPointParams, Layout, State, present, truth
 
@@ -27,7 +28,7 @@ Found = frozenset[int]  # numbers of arguments, as flattened
 NONE: Found = frozenset()
 
 
-def reach(f: Callable[..., Any], *args: Any) -> tuple[Any, list[bool]]:
+def reach(f: Callable[..., PyTree], *args: PyTree) -> tuple[PyTree, list[bool]]:
     """Return by result, in the form of what f returns, the arguments it depends on; and of each, whether it is one as it is.
 
     Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
@@ -39,9 +40,9 @@ def reach(f: Callable[..., Any], *args: Any) -> tuple[Any, list[bool]]:
 
 
 def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
-    known: dict[Any, Found] = dict(zip(jaxpr.invars, args, strict=True))
+    known: dict[PyTree, Found] = dict(zip(jaxpr.invars, args, strict=True))
 
-    def of(v: Any) -> Found:
+    def of(v: PyTree) -> Found:
         return NONE if isinstance(v, Literal) else known.get(v, NONE)
 
     for eqn in jaxpr.eqns:
@@ -49,7 +50,7 @@ def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
     return [of(v) for v in jaxpr.outvars]
 
 
-def _applied(eqn: Any, args: list[Found]) -> list[Found]:
+def _applied(eqn: Eqn, args: list[Found]) -> list[Found]:
     name = eqn.primitive.name
     if name in CALLS:
         return _through(jaxpr_compat.called(eqn.params).jaxpr, args)
@@ -120,13 +121,15 @@ def with_leaves(state: State, label: str, leaves: Leaves) -> State:
     return state._replace(memories=state.memories | {label: jax.tree.unflatten(tree, leaves[1:])})
 
 
-def one_lane(state: State, label: str) -> tuple[Any, Leaves]:
+def one_lane(state: State, label: str) -> tuple[PyTree, Leaves]:
     """Return the structure of one lane's (x, memory), and the shapes of its leaves."""
     each = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in leaves_of(state, label)]
     return jax.tree.structure((0, () if label == PLANT else state.memories[label]), is_leaf=lane_array.is_lanes), each
 
 
-def motion(layout: Layout, p: GridPointParams, label: str, tree: Any, k: Array, leaves: Leaves) -> tuple[Array, Leaves]:
+def motion(
+    layout: Layout, p: GridPointParams, label: str, tree: PyTree, k: Array, leaves: Leaves
+) -> tuple[Array, Leaves]:
     """Return e at tick k of one lane and one observer, and the leaves at tick k + 1; of the plant alone e [0]."""
     (x, memory), now = jax.tree.unflatten(tree, leaves), present(p, k, True)
     moved = layout.plant.step(p.params, now, x)
@@ -138,7 +141,7 @@ def motion(layout: Layout, p: GridPointParams, label: str, tree: Any, k: Array, 
     return e, [moved, *jax.tree.leaves(o.flow(gains, memory, now))]
 
 
-def slopes(layout: Layout, p: GridPointParams, label: str, tree: Any, k: Array, leaves: Leaves, along: Z) -> Any:
+def slopes(layout: Layout, p: GridPointParams, label: str, tree: PyTree, k: Array, leaves: Leaves, along: Z) -> PyTree:
     """Return e and some leaves at tick k + 1, by number, and their derivatives along a direction of those leaves."""
 
     def of_z(z: Z) -> tuple[Array, Z]:
@@ -162,7 +165,7 @@ def _form(layout: Layout, p: GridPointParams, state: State, label: str) -> Form 
 
 
 def _classes(
-    layout: Layout, p: GridPointParams, label: str, tree: Any, each: Leaves
+    layout: Layout, p: GridPointParams, label: str, tree: PyTree, each: Leaves
 ) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
     """The leaves of z and those that are only counted; None where a tick is not affine in z."""
     first = len(jax.tree.leaves(p)) + 1  # arguments before the leaves: the problem and the tick
@@ -181,7 +184,7 @@ def _classes(
     if not all(floats[i] for i in z) or any(among(of_leaf[i]) & z for i in counted):
         return None
 
-    def slope(p: GridPointParams, k: Array, leaves: Leaves, along: Z) -> Any:
+    def slope(p: GridPointParams, k: Array, leaves: Leaves, along: Z) -> PyTree:
         return slopes(layout, p, label, tree, k, leaves, along)[1]
 
     (e, after), _ = reach(slope, p, k, each, {i: each[i] for i in sorted(z)})

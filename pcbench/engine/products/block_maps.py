@@ -8,12 +8,13 @@ number of z. An observer's z has the plant's x in it, whose own A and b are the 
 
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
@@ -79,7 +80,7 @@ def maps(layout: Layout, p: GridPointParams, state: State, form: Form, each: Chu
     )
 
 
-def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:
+def _carried(column: PyTree, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:
     """Carry columns of every chunk through its ticks: e [TICKS, n, C columns], 0 beyond a chunk's end, and z behind it.
 
     The `first` [columns] are of z = 0, the others are directions.

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
 from pcbench.engine.products.affine_detection import PLANT, Form, leaves_of, with_leaves
@@ -61,7 +62,7 @@ def looked(p: GridPointParams, k: Array, e: list[Array], watch: SettlingState) -
     return watch._replace(unsettled=unsettled, recovery=recovery)
 
 
-def limits(of_signals: Any, like: Array) -> Array:
+def limits(of_signals: PyTree, like: Array) -> Array:
     """A limit of each signal, [n, 1]."""
     return jnp.asarray(of_signals)[: like.shape[0], None]
 
@@ -132,7 +133,7 @@ def _mine(form: Form, which: tuple[int, ...]) -> list[int]:
     return [i for i in which if i or form.label == PLANT]
 
 
-def _like(new: Array, old: Any) -> Any:
+def _like(new: Array, old: PyTree) -> PyTree:
     """An array with lanes last in the form of what it replaces."""
     if not lane_array.is_lanes(old):
         return new.reshape(jnp.shape(old))

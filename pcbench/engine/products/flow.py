@@ -10,6 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.engine import lane_array, steps
 from pcbench.engine.products import block_metrics, matmul
@@ -76,11 +77,11 @@ def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, ke
     return end
 
 
-def _scored(p: GridPointParams, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: Any) -> Any:
+def _scored(p: GridPointParams, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: PyTree) -> PyTree:
     """Take the errors of a chunk into streams and watch."""
     stream, watch = kept
 
-    def take(k: Array, left: Array, e: list[Array], kept: Any) -> Any:
+    def take(k: Array, left: Array, e: list[Array], kept: PyTree) -> PyTree:
         sizes, square, watch = kept
         looked = block_metrics.looked(p, k, e, watch) if watch else watch
         return block_metrics.sizes(e, sizes), block_metrics.squares(e, square), looked
@@ -90,14 +91,14 @@ def _scored(p: GridPointParams, every: All, each: Chunks, label: str, c: Array, 
     return ErrorSums(sizes.real, square, sizes.imag), watch
 
 
-def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: Any) -> Any:
+def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: PyTree) -> PyTree:
     """Take the errors of a chunk, block by block."""
     m = every[label]
     common = matmul.same(m.common[c], z.shared)
     n, ticks = len(common) // TICKS, WRITTEN if matmul.few(len(z.own)) else BLOCK
     E = jnp.concatenate([common[:, None], m.own[c]], 1)
 
-    def block(i: Array, kept: Any) -> Any:
+    def block(i: Array, kept: PyTree) -> PyTree:
         rows = lax.dynamic_slice_in_dim(E, i * ticks * n, ticks * n)
         if matmul.few(len(z.own)):  # tick by tick: what is cut out of a whole would be kept
             e = [matmul.of_lanes(row[:, 1:], row[:, 0], z.own) for row in rows.reshape(ticks, n, -1)]
@@ -116,7 +117,7 @@ def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
 
 
 def _bounded(
-    p: GridPointParams, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All
+    p: GridPointParams, over: Callable[..., tuple[All, All]], blocks: Callable[..., PyTree], z: All, kept: All
 ) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
     bad = {label: watch.first_bad for label, (_, watch) in kept.items()}
@@ -131,7 +132,7 @@ def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: St
     if not slow.observers:
         return state
 
-    def of(kept: dict[str, Any]) -> dict[str, Any]:
+    def of(kept: dict[str, PyTree]) -> dict[str, PyTree]:
         return {label: kept[label] for label, _ in slow.observers if label in kept}
 
     mine = state._replace(memories=of(state.memories), streams=of(state.streams), watches=of(state.watches))
@@ -151,10 +152,10 @@ def _counted(
     if not counting:
         return state
 
-    def counts(state: State) -> list[list[Any]]:
+    def counts(state: State) -> list[list[PyTree]]:
         return [[leaves_of(state, form.label)[i] for i in form.counted] for form in counting]
 
-    def with_counts(numbers: list[list[Any]]) -> State:
+    def with_counts(numbers: list[list[PyTree]]) -> State:
         out = state
         for form, mine in zip(counting, numbers, strict=True):
             leaves = leaves_of(out, form.label)
@@ -163,7 +164,7 @@ def _counted(
             out = with_leaves(out, form.label, leaves)
         return out
 
-    def tick(k: Array, numbers: list[list[Any]]) -> list[list[Any]]:
+    def tick(k: Array, numbers: list[list[PyTree]]) -> list[list[PyTree]]:
         after = counts(steps.flow(layout, p, k, with_counts(numbers), jnp.zeros(0)))
         return lane_array.match_form(after, numbers, layout.width)
 

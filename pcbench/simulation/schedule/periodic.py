@@ -3,11 +3,12 @@
 What happens in every run with random sampling, in order: packets that are taken, and arrivals.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.simulation.schedule import random_times
 from pcbench.simulation.schedule.common_times import NEVER, Schedule, at_no_tick, with_events
@@ -123,7 +124,7 @@ def _first(repeats: Array) -> Array:
     return lax.cummax(jnp.where(repeats, 0, _rows(repeats)), 0)
 
 
-def _by_clock(clocks: int, fill: Any, clock: Array, row: Array, values: Any) -> Array:
+def _by_clock(clocks: int, fill: PyTree, clock: Array, row: Array, values: PyTree) -> Array:
     """A table [C, E, L] of values [E, L], each at its clock and row."""
     table = jnp.full((clocks, *row.shape), fill)
     return table.at[clock, row, jnp.arange(row.shape[1])].set(values)

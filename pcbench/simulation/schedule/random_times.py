@@ -10,12 +10,13 @@ Everything is whole ticks. `ClockParams` is traced, so one compiled program serv
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import PyTree
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import rng
@@ -42,7 +43,7 @@ class ClockParams(NamedTuple):
     channel: Leaf  # [C] the first channel: the address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
     error: Leaf  # the observers believe samples to be so much older than they are
-    stamp: Any = ()  # Stamp, where stamps are wrong
+    stamp: PyTree = ()  # Stamp, where stamps are wrong
 
 
 def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockParams:
