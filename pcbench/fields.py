@@ -1,6 +1,8 @@
 """The fields of a scenario that a study may vary: one record each, from which axes, columns, units and pages are derived.
 
-A new axis is a record here, a field of the scenario (`scenarios.scenario`), and the code that gives it its effect.
+A new axis is a record here, a field of the scenario (`scenarios.scenario`), and the code that gives it its effect: on times
+in `study.times` and `simulation.schedule`, on noise in `simulation.measurements`, on the plant in `planning.build`. What does
+not go with it is refused in `study.fits`.
 """
 
 from typing import NamedTuple

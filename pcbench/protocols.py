@@ -55,9 +55,9 @@ class Now(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """What the network delivers to `jump`: one sampling instant; channels that did not arrive are not fresh."""
+    """What the network delivers to `jump`: one sampling instant; `mask` is False for channels that did not arrive."""
 
-    value: Float[Array, " q"]  # measured; meaningful where fresh
+    value: Float[Array, " q"]  # measured; without meaning where `mask` is False
     mask: Bool[Array, " q"]
     age: Int[Array, " q"]  # ticks since the sample was taken, as the observer believes it
     index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)

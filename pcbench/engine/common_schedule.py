@@ -22,7 +22,7 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
-    noise = measurements.drawing(p, root_seed, seeds, apart=True)
+    noise = measurements.noise_sampler(p, root_seed, seeds, apart=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 

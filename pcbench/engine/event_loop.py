@@ -15,7 +15,7 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.engine import common_schedule, lane_array, random_schedules, steps
-from pcbench.engine.initial_state import drawing
+from pcbench.engine.initial_state import tick_sampler
 from pcbench.engine.products.flow import flow
 from pcbench.simulation import innovation_stats
 from pcbench.simulation.metrics import Weights
@@ -42,7 +42,7 @@ def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array,
     layout = innovation_stats.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
-    end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)
+    end, drawn = p.windows[-1, 0], tick_sampler(layout, p, root_seed, seeds)
 
     def tick(layout: Layout, k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))

@@ -17,10 +17,10 @@ from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, State
 
 
-def drawing(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
+def tick_sampler(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
     """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
     keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
-    sent = command_network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
+    sent = command_network.command_sampler(p.network, root_seed, seeds) if layout.pending else lambda k: ()
 
     def process(k: Array) -> PerLane:
         return lane_array.split(rng.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
@@ -55,7 +55,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
         watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
-    drawn, happen = drawing(layout, p, root_seed, seeds)(k), _everything(layout, p)
+    drawn, happen = tick_sampler(layout, p, root_seed, seeds)(k), _everything(layout, p)
     ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))
     return lane_array.infer_batched(
         lambda state: steps.tick(layout, p, k, happen(k, state), drawn), ready, layout.width

@@ -17,7 +17,7 @@ from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurements
 from pcbench.simulation.schedule.common_times import NEVER
-from pcbench.simulation.schedule.periodic import EventTable, agenda
+from pcbench.simulation.schedule.event_table import EventTable, event_table
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, State
 
@@ -88,7 +88,7 @@ class Events(NamedTuple):
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
     times: PyTree = p.schedule
-    plan, zero, state = agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
+    plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
     taken = _queue(plan.taken * rows)
     stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
@@ -190,7 +190,7 @@ def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Arra
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
-    noise, index = measurements.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
+    noise, index = measurements.noise_sampler(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
     each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
 

@@ -37,7 +37,7 @@ class Drawn(NamedTuple):
     """What every run draws at a tick, whatever happens."""
 
     process: PerLane  # [n] noise of the state before scaling; [0]: none
-    command: PyTree = ()  # network.Drawn, of a loop with a network
+    command: PyTree = ()  # command_network.Drawn, of a loop with a network
 
 
 class Lane(NamedTuple):
@@ -172,7 +172,7 @@ def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[
 
 
 def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: PyTree = ()) -> State:
-    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`network.Drawn`)."""
+    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`Drawn`)."""
     if layout.controller is None:
         return state
 

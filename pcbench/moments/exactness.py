@@ -59,6 +59,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if chance := p.cell.scenario.sampling.outlier_probability:
         return f"{where} has samples of which {100 * np.max(chance):g} % are outliers, whose noise is not normal; {instead}."
+    if p.cell.scenario.sampling.noise_correlation:
+        return f"{where} has samples whose noise is correlated between channels, which exact moments do not follow; {instead}."
     if np.isfinite(degrees := p.cell.scenario.sampling.student_t_dof):
         return (
             f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."

@@ -18,6 +18,7 @@ from pcbench.engine.products import matmul
 from pcbench.engine.products.affine_detection import plant_goes
 from pcbench.errors import UserError
 from pcbench.observers import base_of
+from pcbench.observers.parts import assumed_noise
 from pcbench.planning import loop_setup, memo, padding
 from pcbench.planning.design_context import prepared, setting
 from pcbench.planning.padding import Plan
@@ -26,7 +27,7 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.scenario import per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation.measurements import Outliers, Rounding
-from pcbench.simulation.schedule import common_times, periodic, random_times
+from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells_of
@@ -49,7 +50,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     if not exact or cell.times.random:
         return None
     known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
-    sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
+    sees = known.model, known.dt, known.ticks, known.noise_covariance, known.P0, s.truth.process_std
     key = memo.key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = memo.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
     steps = ask("steps", alike, riccati.no_steps)
@@ -70,7 +71,8 @@ def _bound(
 ) -> NDArray[np.float64]:
     samples = [(s.arrives, s.taken, s.channel) for s in common_times.samples(cell.times.clocks, known.ticks)]
     tail = range(cell.times.tail, known.ticks)
-    variance = riccati.posterior_variance(*moved, known.model.C, known.noise_variance, known.P0, samples, tail, steps)
+    _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
+    variance = riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps)
     return np.sqrt(variance)
 
 
@@ -181,6 +183,7 @@ def draft(
         if any(step := s.sampling.quantization_step)
         else (),
         tail=np.asarray(dof) if np.isfinite(dof := s.sampling.student_t_dof) else (),
+        noise_root=np.linalg.cholesky(rho) if (rho := s.sampling.noise_correlation) else np.zeros((0, 0)),
     )
     layout = Layout(
         plant=plant.plant,
@@ -266,11 +269,11 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     error, channels = cell.times.error, len(s.sampling.delay)
     if s.sampling.continuous:
-        return periodic.at_every_tick(n, channels), 1
+        return common_times.at_every_tick(n, channels), 1
     if cell.times.random and run is None:
         return random_times.times(clocks, n, channels, error), random_times.room(clocks, n, error)
     if len(clocks) == 1 and clocks[0].plain and not error:
-        return periodic.regular(clocks[0], n, channels)
+        return common_times.plain_clock(clocks[0], n, channels)
     schedule = common_times.schedule(samples_of(cell, run), n, channels, error)
     return schedule, common_times.in_flight(schedule)
 

@@ -60,6 +60,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
             belief.assumed_noise_scale * (std or spare)
             for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)
         ),
+        noise_correlation=s.sampling.noise_correlation,
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
         overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),

@@ -55,6 +55,7 @@ class Sampling(NamedTuple):
     sampling_period: tuple[float, ...]  # [q] s
     delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q] of one sample
+    noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
     sampling_pattern: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
     sampling_jitter: PerChannel = 0.0  # s, a sample is taken up to this much early or late
     delay_jitter: PerChannel = 0.0  # s, a sample arrives up to this much later

@@ -73,7 +73,7 @@ def empty(rows: int, waiting: int, inputs: int) -> Commands:
     return Commands(nothing, nothing, on_the_way, jnp.asarray(-1.0), jnp.zeros(inputs))
 
 
-def drawing(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Drawn]:
+def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Drawn]:
     """Return what draws the numbers [.., L] of the decision of tick k; at ticks without one they are of no use, and zero."""
     late, lost, noise = (
         rng.run_keys(root_seed, seeds, stream, many)

@@ -4,7 +4,8 @@ In an open loop no observer has a part in it: runs are simulated without any, an
 
     y_j of sample i, taken at tick k  =  output(x_k)_j + noise_std_j v_j(i)
 
-A sample from before tick 0 has measured x(0).
+A sample from before tick 0 has measured x(0). Where the noise of channels is correlated, v_j(i) = sum_l N_jl v_l(i) with
+N N' the correlation, before what follows.
 
 The noise of samples before scaling, by channel and sample: normal, or Student's t of the same variance; and outliers.
 
@@ -80,7 +81,7 @@ def _of_channels(a: PyTree, channels: list[int], ndim: int) -> PyTree:
     return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
 
 
-def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
+def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
     """Return what draws the noise of samples of some channels.
 
     With `apart` a compiler cannot fuse the noise with what uses it: a run then has the same bits with and without outliers of
@@ -98,8 +99,14 @@ def drawing(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = Fa
         v = lax.optimization_barrier(v) if apart else v
         return jnp.concatenate([v, rng.uniforms_of([dither[j] for j in channels], index)]) if dither else v
 
+    def normals(channels: list[int], index: PyTree) -> Array:
+        if not p.noise_root.shape[0]:
+            return rng.normals([keys[j] for j in channels], index)
+        each = [rng.normals(keys, [index[i]] * many) for i in range(len(channels))]
+        return jnp.stack([jnp.tensordot(p.noise_root[j], w, 1) for j, w in zip(channels, each, strict=True)])
+
     def noise(channels: list[int], index: PyTree) -> Array:
-        v = rng.normals([keys[j] for j in channels], index)
+        v = normals(channels, index)
         if beside:
             v = students(v, rng.normals([beside[j] for j in channels], index), p.tail)
         if not p.outliers:
@@ -123,7 +130,7 @@ def measured(layout: Layout, many: int, p: GridPointParams, root_seed: Array, se
     q, lanes = p.noise_std.shape[0], seeds.shape[0]
     numbers = layout.plant.drawn if layout.drifting else 0
     drawn = rng.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, numbers)[0] if numbers else jnp.zeros((0, lanes))
-    noise = drawing(p, root_seed, seeds)
+    noise = noise_sampler(p, root_seed, seeds)
 
     def one(k: Array, x: Array, drawn: Array) -> Array:
         return layout.plant.output(params_of(layout, p, drawn), present(p, k, True), x)

@@ -116,7 +116,7 @@ def read(
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
     Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
     `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
-    `squares` [n, L] and [L] (`consistency.Squares`) are those of an observer that says how wrong it is.
+    `squares` [n, L] and [L] (`innovation_stats.Squares`) are those of an observer that says how wrong it is.
     A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """

@@ -47,7 +47,10 @@ def words(root_seed: Array, seeds: Array) -> Array:
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:
-    """Return the standard normal noise of one run, [channels, samples]: what every observer sees, before scaling."""
+    """Return the standard normal noise of one run, [channels, samples]: what every observer sees, before scaling.
+
+    For users and tests; simulations draw the same numbers sample by sample (`measurements.noise_sampler`).
+    """
     keys = run_keys(jnp.asarray(root_seed), jnp.asarray([seed]), "measurement", channels)
     each = [
         jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)

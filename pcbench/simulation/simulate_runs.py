@@ -62,7 +62,7 @@ class Draws(NamedTuple):
     words: Array  # [2] for observers that draw numbers themselves
     sample: Callable[[Array], Array]  # (sample number of each channel) -> [q] before scaling; then [q] for rounding
     process: Callable[[Array], Array]  # (tick) -> [n] standard normal
-    command: Callable[[Array], PyTree]  # (tick) -> network.Drawn
+    command: Callable[[Array], PyTree]  # (tick) -> command_network.Drawn
 
 
 def simulate_runs(
@@ -131,7 +131,7 @@ def advance(
 ) -> tuple[Run, Tree]:
     """Return a run at tick k + 1 from one at tick k after its events, and what `read` finds once the command is given.
 
-    `w` [n] is the noise of the process, `command` what the network draws (`network.Drawn`).
+    `w` [n] is the noise of the process, `command` what the network draws (`command_network.Drawn`).
     """
     run = control(layout, p, k, run, command)  # 4. control
     return flow(layout, p, params, k, run, w), read(k, run)  # 5. flow
@@ -154,8 +154,8 @@ def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> D
     normal = rng.normals(rng.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
     uniform = partial(rng.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
     process = rng.run_keys(root_seed, one, "process", p.process_std.shape[0])
-    noise = measurements.drawing(p, root_seed, one)
-    sent = command_network.drawing(p.network, root_seed, one) if layout.pending else None
+    noise = measurements.noise_sampler(p, root_seed, one)
+    sent = command_network.command_sampler(p.network, root_seed, one) if layout.pending else None
 
     return Draws(
         start=normal[:, 0],

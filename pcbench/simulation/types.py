@@ -45,8 +45,8 @@ class GridPointParams(NamedTuple):
 
     params: Params  # the plant's
     gains: dict[str, Gains]  # by observer label
-    schedule: PyTree  # a Schedule, the same for every run; or Times: then each run draws its own
-    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1); of a log, Recent
+    schedule: PyTree  # a Schedule, the same for every run; or ClockParams: then each run draws its own
+    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1); of a recording, InputWindow
     dt: Leaf  # [s]
     x0: Leaf  # [n] the start, or its mean
     xhat0: Leaf  # [n]
@@ -60,11 +60,12 @@ class GridPointParams(NamedTuple):
     control: PyTree = ()  # the controller's numbers
     line: command_network.Line = command_network.NONE
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
-    network: PyTree = ()  # network.Numbers, where commands are sent over one
+    network: PyTree = ()  # command_network.Numbers, where commands are sent over one
     weights: PyTree = ()  # metrics.Weights of a closed loop whose input and cost are summed
-    outliers: PyTree = ()  # sample_noise.Outliers, where some samples are
-    rounding: PyTree = ()  # sample_noise.Rounding, where samples are rounded
+    outliers: PyTree = ()  # measurements.Outliers, where some samples are
+    rounding: PyTree = ()  # measurements.Rounding, where samples are rounded
     tail: PyTree = ()  # degrees of freedom of the noise of samples, where that is Student's t
+    noise_root: Leaf = np.zeros((0, 0))  # [q, q] lower root of its correlation between channels; [0, 0]: independent
 
 
 class InputWindow(NamedTuple):
@@ -99,10 +100,10 @@ class State(NamedTuple):
     flight: PyTree  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
     streams: dict[str, metrics.ErrorSums]
     watches: dict[str, metrics.SettlingState]
-    commands: PyTree = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
-    tracking: PyTree = ()  # metrics.Stream of the set point less the state, in a closed loop
+    commands: PyTree = ()  # [R, m] of a closed loop; command_network.Commands where they are sent over a network
+    tracking: PyTree = ()  # metrics.ErrorSums of the set point less the state, in a closed loop
     law: PyTree = ()  # what the controller keeps
-    effort: PyTree = ()  # metrics.Effort of a closed loop
+    effort: PyTree = ()  # metrics.ControlCost of a closed loop
 
 
 class RunSums(NamedTuple):
@@ -111,9 +112,9 @@ class RunSums(NamedTuple):
     streams: dict[str, metrics.ErrorSums]  # [W, n, L]
     watches: dict[str, metrics.SettlingState]  # [n, L]
     final: dict[str, Array]  # [n, L] the error at tick N-1
-    tracking: PyTree = ()  # Stream [W, r, L] of a closed loop
-    effort: PyTree = ()  # Effort [W, L] of a closed loop
-    consistency: PyTree = ()  # by observer label, consistency.Squares of those that have a covariance
+    tracking: PyTree = ()  # ErrorSums [W, r, L] of a closed loop
+    effort: PyTree = ()  # ControlCost [W, L] of a closed loop
+    consistency: PyTree = ()  # by observer label, innovation_stats.Squares of those that have a covariance
     actual: PyTree = ()  # [n + s, L] what observers estimate, as it is at tick N-1
 
 

@@ -56,6 +56,7 @@ class DesignContext(NamedTuple):
     noise_std: tuple[float, ...]  # [q] of one sample, as designers assume it
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
+    noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
     overtaking: int = 0  # K: how many newer samples may arrive before one
     spare: int = 0  # K that there is room for at least, so that cells share programs
     process_std: tuple[
@@ -80,6 +81,14 @@ class DesignContext(NamedTuple):
     def noise_variance(self) -> np.ndarray:
         """Variance of one sample of each channel, [q]; where there is none NO_NOISE, so that nothing is divided by 0."""
         return np.array([std**2 or NO_NOISE for std in self.noise_std])
+
+    @property
+    def noise_covariance(self) -> np.ndarray:
+        """Covariance of one sample's noise, [q, q]."""
+        size = np.sqrt(self.noise_variance)
+        return np.outer(size, size) * (
+            np.array(self.noise_correlation) if self.noise_correlation else np.eye(len(size))
+        )
 
     @property
     def process_noise(self) -> np.ndarray:

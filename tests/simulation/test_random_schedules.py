@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import rng
-from pcbench.simulation.schedule import common_times, periodic, random_times, sampling
+from pcbench.simulation.schedule import common_times, event_table, random_times, sampling
 from pcbench.simulation.schedule.common_times import NEVER, Sample
 from pcbench.simulation.schedule.sampling import Clock, Stamp
 from pcbench.study import fits
@@ -28,7 +28,7 @@ ROOM = 128  # samples a clock: one shape for every example
 SEEDS = 8
 LONGEST = 100  # ticks
 QUICK = {"xla_backend_optimization_level": 0}  # whole numbers come out the same, compiled five times as fast
-AGENDA = jax.jit(periodic.agenda, compiler_options=QUICK)
+AGENDA = jax.jit(event_table.event_table, compiler_options=QUICK)
 CLOCK_TIMES = jax.jit(random_times.clock_times, compiler_options=QUICK)
 TIMES = random_times.times
 

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcbench.simulation.schedule import common_times, sampling
-from pcbench.simulation.schedule import periodic as lattice
 from pcbench.simulation.schedule.common_times import Sample, in_flight, pad_slots, periodic, schedule
 
 channels = st.integers(1, 3)
@@ -117,7 +116,7 @@ def test_padding_adds_only_empty_slots():
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
-    fast, slow = lattice.at_every_tick(50, channels), common_times.periodic([1] * channels, [0] * channels, 50)
+    fast, slow = common_times.at_every_tick(50, channels), common_times.periodic([1] * channels, [0] * channels, 50)
     for name, a, b in zip(fast._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name)
         assert a.dtype == b.dtype, name
@@ -132,7 +131,7 @@ def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period
     assert not in_turn.plain
     each = common_times.samples([in_turn], ticks)
     assert common_times.samples([clock], ticks) == each
-    (fast, many), slow = lattice.regular(clock, ticks, 3), schedule(each, ticks, 3)
+    (fast, many), slow = common_times.plain_clock(clock, ticks, 3), schedule(each, ticks, 3)
     for name, a, b in zip(common_times.Schedule._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name, strict=True)
     assert many == in_flight(slow)

@@ -75,6 +75,8 @@ def independent(setting: DesignContext, given: Any, C: Matrix, where: str) -> In
 
     Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
     """
+    if given is None and setting.noise_correlation:
+        given = setting.noise_covariance.tolist()
     if given is None:
         return Independent(None, C, setting.noise_variance)
     R = covariance(given, len(C), f"{where}: R", "output")
