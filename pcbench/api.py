@@ -16,7 +16,7 @@ from pcbench.gains import gain_variants
 from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, samples_of
 from pcbench.planning import operation_counts as counts
 from pcbench.plants import signals_of
-from pcbench.recordings import tables as run_as_log
+from pcbench.playback import run_as_log
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.scenarios.sources import units

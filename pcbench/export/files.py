@@ -21,7 +21,8 @@ from pcbench.export.library import About
 from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import signals_of
-from pcbench.playback.replay import asked, replay
+from pcbench.playback.replay import replay
+from pcbench.playback.setup import open_playback
 from pcbench.protocols import Observer
 from pcbench.runtime import config
 from pcbench.study.grid import Cell
@@ -121,7 +122,7 @@ def _simulated(p: padding.Plan, root_seed: int, seed: int) -> Chosen:
 def _recorded(
     log: str | Path, study: Described, observer: str, delay: float | None, start: float | None, overrides: list[str]
 ) -> Chosen:
-    a = asked(log, study, [observer], delay=delay, start=start, overrides=overrides)
+    a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
     p, run = recording.recorded(a, a.cell.entry(label).observer.on_sample is not None)
     estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates

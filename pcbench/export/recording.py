@@ -6,15 +6,13 @@ from pcbench.errors import UserError
 from pcbench.export.structs import JUMP, SAMPLED, SNAPSHOT, Event, Vector
 from pcbench.plants import signals_of
 from pcbench.playback import stream
-from pcbench.playback.replay import LENGTH, Asked
-from pcbench.playback.setup import Prepared, prepared
+from pcbench.playback.setup import Playback, Prepared, prepared, room_of
 from pcbench.recordings.windows import Window
-from pcbench.synthesis.certificate import power_of_2
 
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def recorded(a: Asked, tells: bool) -> tuple[Prepared, Vector]:
+def recorded(a: Playback, tells: bool) -> tuple[Prepared, Vector]:
     """Return an observer prepared for a recording, and the recording as a run, still without what is expected of it.
 
     Raises UserError for a recording that is too long to become a table in C.
@@ -24,11 +22,8 @@ def recorded(a: Asked, tells: bool) -> tuple[Prepared, Vector]:
             f"{a.name}: got {a.last + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
             "observer; take a part of the recording that has its longest delays."
         )
-    length = min(LENGTH, max(power_of_2(a.last + 1), 2))
-    room = stream.room(a.log, a.found, a.clock, length, a.last)
-    p = prepared(a.cell, room, a.last, a.log.name)
-    many = len(signals_of(a.cell.scenario))
-    parts = [*stream.parts(a.log, a.found, a.clock, length, a.last, room.slots, p.back, p.m, many)]
+    p = prepared(a, room_of(a))
+    parts = [*stream.parts(a, p, [name for name, _ in signals_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last + 1]
     events = [event for part in parts for event in happening(part.first, part.window, tells)]

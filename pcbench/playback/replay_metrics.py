@@ -4,28 +4,27 @@ What a replay leaves in a folder: estimates tick by tick, written as they come, 
 """
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench.dataset import atomic_files, storage
-from pcbench.dataset.columns import SCHEMA
+from pcbench.dataset.columns import SCHEMA, unit_of
 from pcbench.errors import UserError
 from pcbench.planning import digits
 from pcbench.playback.step_block import Score
+from pcbench.recordings.log import Floats
 from pcbench.runtime import ending
 from pcbench.simulation import metrics
-from pcbench.simulation.metrics import ErrorSums
 
-if TYPE_CHECKING:
-    import pandas as pd
-
+Signals = tuple[tuple[str, str], ...]  # with their units
 ESTIMATES = "estimates.parquet"
 SUMMARY = "replay.json"
 
@@ -41,34 +40,42 @@ def fields(observers: dict[str, list[tuple[str, str]]], start: float, dt: float)
     return pa.schema(out, metadata={"pcbench.schema": SCHEMA, "start": repr(start), "dt": repr(dt)})
 
 
-class Draft(NamedTuple):
+class Draft:
     """A replay's files before they have their names."""
 
-    folder: Path
-    estimates: Path  # the file, which can be read once it is closed
-    write: Callable[[pa.Table], None]  # some ticks more
-    close: Callable[[], None]
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.estimates = folder / f".{ESTIMATES}.part"  # can be read once it is closed
+        self.summary = folder / f".{SUMMARY}.part"
+        self._writer: pq.ParquetWriter | None = None
+        self._files = ExitStack()
+
+    def write(self, table: pa.Table) -> None:
+        """Add some ticks."""
+        if self._writer is None:
+            self.estimates.unlink(missing_ok=True)  # of a process that was killed
+            file = self._files.enter_context(os.fdopen(storage.create(self.estimates), "wb"))
+            writer = pq.ParquetWriter(file, table.schema, compression="snappy", use_dictionary=False)
+            self._writer = self._files.enter_context(writer)
+        self._writer.write_table(table, row_group_size=len(table))
+
+    def close(self) -> None:
+        """End the estimates."""
+        self._files.close()
+
+    def finish(self, summary: dict[str, Any]) -> None:
+        """Write what else is known beside the estimates, NaN as null, and give both files their names."""
+        storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
+        atomic_files.renamed([(self.estimates, self.folder / ESTIMATES), (self.summary, self.folder / SUMMARY)])
 
 
 @contextmanager
 def draft(folder: Path) -> Iterator[Draft]:
-    """Make a replay's files beside their names: `finish` gives them these, and what was stopped before leaves nothing."""
-    writers: list[Any] = []  # of the table, and of the file under it
-    part, new = folder / f".{ESTIMATES}.part", not folder.exists()
-
-    def write(found: pa.Table) -> None:
-        if not writers:
-            part.unlink(missing_ok=True)  # of a process that was killed
-            sink = os.fdopen(storage.create(part), "wb")
-            writers.extend([pq.ParquetWriter(sink, found.schema, compression="snappy", use_dictionary=False), sink])
-        writers[0].write_table(found, row_group_size=len(found))
-
-    def close() -> None:
-        while writers:
-            writers.pop(0).close()
+    """Make a replay's files beside their names: `Draft.finish` gives them these, what was stopped before leaves nothing."""
+    out, new = Draft(folder), not folder.exists()
 
     def clear() -> None:
-        for each in (part, _summary(part)):
+        for each in (out.estimates, out.summary):
             with suppress(OSError):
                 each.unlink(missing_ok=True)
         if new:
@@ -79,23 +86,13 @@ def draft(folder: Path) -> Iterator[Draft]:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             with ending.cleaned(clear):
-                yield Draft(folder, part, write, close)
+                yield out
         finally:
-            close()
+            out.close()
     except OSError as error:
         raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
     finally:
         clear()
-
-
-def finish(d: Draft, summary: dict[str, Any]) -> None:
-    """Write what else is known beside the estimates, NaN as null, and give both files their names."""
-    storage.put_json(storage.target(d.folder), _summary(d.estimates).name, plain(summary))
-    atomic_files.renamed([(d.estimates, d.folder / ESTIMATES), (_summary(d.estimates), d.folder / SUMMARY)])
-
-
-def _summary(part: Path) -> Path:
-    return part.with_name(f".{SUMMARY}.part")
 
 
 def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.Table:
@@ -124,35 +121,31 @@ def plain(thing: Any) -> Any:
     return None if isinstance(number, float) and not np.isfinite(number) else number
 
 
-Signals = tuple[tuple[str, str], ...]
-COLUMNS = ("observer", "signal", "unit", "metric", "value")
-
-
-def metrics_table(score: Score, signals: Signals, dt: float, tail: int) -> "pd.DataFrame":
+def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: int) -> pd.DataFrame:
     """Return the metrics of a study, one row each of observer, signal and metric, over the ticks at which truth is known."""
-    import pandas as pd
-
-    score, rows = jax.tree.map(np.asarray, score), []
-    early, late = (int(n) for n in score.counts)
-    for label, (before, after) in score.streams.items():
-        streams: Any = ErrorSums(*(np.stack([a, b])[..., None] for a, b in zip(before, after, strict=True)))  # type: ignore[arg-type]
-        watch = jax.tree.map(lambda a: a[..., None], score.watches[label])
+    rows = []
+    for label, score in scores.items():
+        s = jax.tree.map(np.asarray, score)
+        early, late = (int(n) for n in s.counts)
+        streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
+        watch = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # of a tail without truth nothing is known
-            found = metrics.read(streams, watch, score.final[label][:, None], early + late, early, dt)
-        found["unsettled"] = np.asarray(score.watches[label].unsettled > tail)[:, None]
-        for metric, values in found.items():
-            for (signal, unit), value in zip(signals, np.broadcast_to(values, (len(values), 1)), strict=False):
-                rows.append(
-                    dict(zip(COLUMNS, (label, signal, _unit(metric, unit), metric, float(value[0])), strict=True))
-                )
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+            values = metrics.read(streams, watch, s.final[:, None], early + late, early, dt)
+        values["unsettled"] = np.asarray(s.watch.unsettled > tail)[:, None]
+        for metric, each in values.items():
+            for (signal, unit), value in zip(signals, np.broadcast_to(each, (len(each), 1)), strict=False):
+                unit = "1" if metric in ("unsettled", "diverged") else unit_of(metric, unit)
+                rows.append((label, signal, unit, metric, float(value[0])))
+    return pd.DataFrame(rows, columns=["observer", "signal", "unit", "metric", "value"])
 
 
-def rounding_warnings(score: Score, largest: Any, signals: Signals, limits: list[tuple[Any, Any]]) -> list[str]:
+def rounding_warnings(
+    scores: dict[str, Score], largest: Floats, signals: Signals, limits: list[tuple[Floats, Floats]]
+) -> list[str]:
     """Return a sentence for each observer of whose errors a float64 has no digits; `largest` [n + s] truth, by signal."""
-    out, late = [], max(float(score.counts[1]), 1.0)
-    for label, (_, after) in score.streams.items():
-        mae = np.asarray(after.absolute) / late
+    out = []
+    for label, score in scores.items():
+        mae = np.asarray(score.tail.absolute) / max(float(score.counts[1]), 1.0)
         out += [
             f"{label}: fewer than two digits of the errors of {signals[i][0]} are left in float64, as it reaches "
             f"{digits.amount(float(largest[i]), signals[i][1])}; choose an origin near the state."
@@ -161,26 +154,15 @@ def rounding_warnings(score: Score, largest: Any, signals: Signals, limits: list
     return out
 
 
-def _unit(metric: str, unit: str) -> str:
-    if metric in ("settling_time", "divergence_time"):
-        return "s"
-    return {"mse": f"({unit})^2", "steady_mse": f"({unit})^2", "unsettled": "1", "diverged": "1"}.get(metric, unit)
-
-
-def distances(file: Path, smoothed: Any, observers: list[str], signals: Signals) -> "pd.DataFrame":
+def distances(file: Path, smoothed: Floats | None, observers: list[str], signals: Signals) -> pd.DataFrame:
     """Return the rms over all ticks of each estimate less the smoothed state, by observer and signal; empty: no smoother."""
-    import pandas as pd
-
-    if smoothed is None:
-        return pd.DataFrame(columns=["observer", "signal", "unit", "rms"])
-    states = signals[: smoothed.shape[1]]
-    sums, many = dict.fromkeys(((o, s) for o in observers for s, _ in states), 0.0), 0
-    for first, table in parts(file):
-        for o in observers:
-            for i, (signal, _) in enumerate(states):
-                e = table.column(f"{o}.{signal}").to_numpy() - smoothed[first : first + len(table), i]
-                sums[o, signal] += float(e @ e)
-        many += len(table)
-    units = dict(signals)
-    rows = [{"observer": o, "signal": s, "unit": units[s], "rms": np.sqrt(v / many)} for (o, s), v in sums.items()]
-    return pd.DataFrame(rows)
+    rows = []
+    if smoothed is not None:
+        states = dict(zip(signals, smoothed.T, strict=False))
+        sums = dict.fromkeys(((o, *signal) for o in observers for signal in states), 0.0)
+        for first, table in parts(file):
+            for o, signal, unit in sums:
+                e = table.column(f"{o}.{signal}").to_numpy() - states[signal, unit][first : first + len(table)]
+                sums[o, signal, unit] += float(e @ e)
+        rows = [(*key, np.sqrt(square / len(smoothed))) for key, square in sums.items()]
+    return pd.DataFrame(rows, columns=["observer", "signal", "unit", "rms"])

@@ -1,9 +1,10 @@
-"""Observers of a plant as a study has them, made ready for a log: their gains, with room for what the log brings.
+"""A log with the observers that run on it, made ready: in ticks, with their gains, and room for what the log brings.
 
-Designers are told of the study's own period, delay, noise and horizon, which is what is believed; only room is the log's: how
+Designers are told of the study's own period, delay, noise and horizon, which is what is assumed; only room is the log's: how
 many samples overtake, are on their way, how old they get. So on a log of a simulated run gains are those of that run.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -11,14 +12,36 @@ import numpy as np
 
 from pcbench import planning
 from pcbench.errors import UserError
+from pcbench.planning import all_observers
 from pcbench.plants import signals_of
 from pcbench.playback.step_block import PLANT
 from pcbench.protocols import Observer
-from pcbench.recordings.windows import Room
+from pcbench.recordings import readers
+from pcbench.recordings.log import Log
+from pcbench.recordings.survey import Survey, survey
+from pcbench.recordings.times import Clock
+from pcbench.recordings.windows import Room, stretches, with_stretch
 from pcbench.simulation import shape_checks
 from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 from pcbench.study.grid import Cell
+from pcbench.study.load import Described
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
+
+LENGTH = 1 << 16  # ticks of a part
+HORIZONS = 10  # of the plant file that a log may cover per row; a longer one has times of two clocks or units
+
+
+class Playback(NamedTuple):
+    """A log with the cell that is to run on it."""
+
+    name: str  # as the user gave it
+    log: Log
+    survey: Survey
+    cell: Cell
+    clock: Clock
+    last: int  # tick
+    remarks: list[str]  # sentences
+    length: int  # ticks of a part
 
 
 class Prepared(NamedTuple):
@@ -28,28 +51,94 @@ class Prepared(NamedTuple):
     problem: GridPointParams
     setting: DesignContext
     certificates: dict[str, Certificate]
+    slots: int  # packets that may arrive at one tick
     back: int  # ticks of inputs that they may ask for
     m: int
     sizes: dict[str, int]  # of what each estimates
 
 
-def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
-    """Design the observers of a cell for a log of ticks 0 .. `last`; raise UserError where the log does not fit its horizon."""
-    s, where = cell.scenario, f"{log} on {cell.scenario.name}"
-    _require_fit(cell, room, where)
+def open_playback(
+    log: str | Path,
+    plant: Described,
+    observers: list[str],
+    *,
+    delay: float | None = None,
+    start: float | None = None,
+    overrides: list[str] | None = None,
+) -> Playback:
+    """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit."""
+    study, cell = all_observers.one_cell(plant, observers, overrides or [])
+    opened, s = readers.opened(log, delay), cell.scenario
+    known, remarks = survey(opened), all_observers.sentences(study.excluded)
+    if len(opened.channels) != len(s.sampling.delay):
+        raise UserError(
+            f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
+            f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
+        )
+    tables = list(known.tables.values())
+    clock = Clock(min([known.start, *(t.least for t in tables)]) if start is None else start, s.dt)
+    end = max([known.end, *(t.most for t in tables)])
+    last = int(clock.ticks(np.array([end]))[0])
+    if last < 1:
+        raise UserError(
+            f"{opened.name}: got nothing after {clock.start:g} s, expected samples there; give an earlier --start."
+        )
+    rows = known.rows + sum(t.many for t in tables)
+    if last > HORIZONS * cell.times.ticks * rows:
+        raise UserError(
+            f"{opened.name}: {rows:,} rows cover {last:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to {end:.10g} s, "
+            f"more than {HORIZONS} horizons of {s.duration:g} s per row; check the units of the times and --start, or write a "
+            "longer horizon."
+        )
+    if opened.inputs is None:
+        remarks.append(f"{opened.name} has no inputs: they are taken to be 0.")
+    if start is not None and known.start < start:
+        remarks.append(f"what was sampled before {start:g} s is left out.")
+    length = min(LENGTH, max(power_of_2(last + 1), 2))
+    return Playback(Path(log).name, opened, known, cell, clock, last=last, remarks=remarks, length=length)
+
+
+def room_of(a: Playback) -> Room:
+    """Return what a log needs room for; it is read once."""
+    latest = int(np.ceil(max((c.delays.most for c in a.survey.channels.values()), default=0.0) / a.clock.dt)) + 1
+    room = Room()
+    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
+        room = with_stretch(room, stretch, max(latest, 0))
+    return room
+
+
+def prepared(a: Playback, room: Room) -> Prepared:
+    """Design the observers of a cell for a log; raise UserError where the log does not fit its plant or horizon."""
+    s, cell = a.cell.scenario, a.cell
+    where = f"{a.log.name} on {s.name}"
+    if s.sampling.continuous or cell.times.error:
+        wrong = f"believes delays wrong by {cell.times.error * s.dt:g} s"
+        raise UserError(
+            f"{where}: got a scenario that {'measures continuously' if s.sampling.continuous else wrong}, expected one that "
+            "samples; take another plant file."
+        )
+    if room.apart + room.latest > cell.times.ticks:
+        raise UserError(
+            f"{where}: got {room.apart * s.dt:g} s without a sample before row {room.apart_row} and some up to "
+            f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; cut the log there, or "
+            "write a longer horizon."
+        )
     known = planning.setting(cell)
-    reach = max(-(-room.latest // max(each, 1)) for each in known.period)
+    m, signals = known.model.B.shape[1], len(signals_of(s))
+    if a.log.inputs is not None and len(a.log.inputs.names) != m:
+        raise UserError(
+            f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
+            f"{m} inputs, in their order; mend the table."
+        )
     known = known._replace(
         overtaking=max(known.overtaking, room.overtaking),
         flight=max(known.flight, room.flight),
         latest=max(known.latest, room.latest),
-        reach=max(known.reach, reach),
+        reach=max(known.reach, *(-(-room.latest // max(each, 1)) for each in known.period)),
     )
     designs = {o: planning.designed(o, cell.entry(o), known, options) for o, options in cell.options.items()}
-    m, signals = known.model.B.shape[1], len(signals_of(s))
-    back = min(last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
-    belief = s.belief
-    around = cell.choices.random_initial_state and belief.initial_box
+    back = min(a.last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
+    around = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),
         gains={o: d.gains for o, d in designs.items()},
@@ -57,8 +146,8 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
         inputs=InputWindow(np.zeros((back + 1, m)), np.asarray(-back)),
         dt=np.asarray(s.dt),
         x0=np.zeros(signals),
-        xhat0=np.array(s.truth.x0 if around else belief.xhat0),
-        spread0=np.diag(belief.prior_std),
+        xhat0=np.array(s.truth.x0 if around else s.belief.xhat0),
+        spread0=np.diag(s.belief.prior_std),
         noise_std=np.array(s.sampling.noise_std),
         band=np.array(s.scoring.settle_band),
         bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), signals),
@@ -79,6 +168,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
         problem=problem,
         setting=known,
         certificates={o: d.certificate for o, d in designs.items()},
+        slots=room.slots,
         back=back,
         m=m,
         sizes={o: _size(observer, problem, o) for o, observer in layout.observers},
@@ -87,23 +177,5 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
 
 def _size(observer: Observer, p: GridPointParams, label: str) -> int:
     """How many signals an observer estimates."""
-    found = jax.eval_shape(lambda p: observer.estimate(p.gains[label], observer.init(p.gains[label], p.xhat0)), p)
-    return int(found.shape[0])
-
-
-def _require_fit(cell: Cell, room: Room, where: str) -> None:
-    s = cell.scenario
-    if s.sampling.continuous or cell.times.error:
-        what = (
-            "measures continuously"
-            if s.sampling.continuous
-            else f"believes delays wrong by {cell.times.error * s.dt:g} s"
-        )
-        raise UserError(f"{where}: got a scenario that {what}, expected one that samples; take another plant file.")
-    if room.apart + room.latest > cell.times.ticks:
-        gap = f"{room.apart * s.dt:g} s without a sample before row {room.apart_row}"
-        raise UserError(
-            f"{where}: got {gap} and some up to {room.latest * s.dt:g} s late, expected less than the duration of "
-            f"{s.duration:g} "
-            "s in all; cut the log there, or write a longer horizon."
-        )
+    estimate = jax.eval_shape(lambda p: observer.estimate(p.gains[label], observer.init(p.gains[label], p.xhat0)), p)
+    return int(estimate.shape[0])

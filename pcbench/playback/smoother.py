@@ -10,12 +10,14 @@ No covariance is inverted, so a model without process noise is as good as anothe
 Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973).
 """
 
+from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from pcbench.dynamics import linear
@@ -50,7 +52,7 @@ class Forward(NamedTuple):
     s: Array  # [N, q] 1 of such a channel
 
 
-def model_of(known: DesignContext, xhat0: Any) -> Linear | None:
+def model_of(known: DesignContext, xhat0: ArrayLike) -> Linear | None:
     """Return the model that a setting tells of; None of one that is not linear, or is pushed by what nobody knows."""
     if known.field or known.successor or known.model.E is not None or known.unknown_std:
         return None
@@ -75,19 +77,16 @@ def forward(model: Linear, u: Array, y: Array) -> Forward:
 
     def step(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], Forward]:
         (x, P), (u, y) = carry, row
-        before = x, P
-        gains: list[Array] = []
-        left: list[Array] = []
-        spreads: list[Array] = []
+        updates: list[tuple[Array, Array, Array]] = []
         for c, d, r, value in zip(model.C, model.D, model.R, y, strict=True):
-            there = ~jnp.isnan(value)
+            exists = ~jnp.isnan(value)
             s = c @ P @ c + r
-            K = jnp.where(there, P @ c / s, 0.0)
-            nu = jnp.where(there, value - c @ x - d @ u, 0.0)
+            K = jnp.where(exists, P @ c / s, 0.0)
+            nu = jnp.where(exists, value - c @ x - d @ u, 0.0)
             keep = jnp.eye(len(x)) - jnp.outer(K, c)
             x, P = x + K * nu, keep @ P @ keep.T + r * jnp.outer(K, K)
-            gains, left, spreads = [*gains, K], [*left, nu], [*spreads, jnp.where(there, s, 1.0)]
-        kept = Forward(*before, jnp.stack(gains), jnp.stack(left), jnp.stack(spreads))
+            updates.append((K, nu, jnp.where(exists, s, 1.0)))
+        kept = Forward(*carry, *(jnp.stack(each) for each in zip(*updates, strict=True)))
         return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), kept
 
     return lax.scan(step, (jnp.asarray(model.x0), jnp.asarray(model.P0)), (u, y))[1]
@@ -99,14 +98,14 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
 
     def back(after: Array, row: Forward) -> tuple[Array, Array]:
         for j in reversed(range(len(model.R))):
-            there = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
-            after = jnp.where(there, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
+            used = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
+            after = jnp.where(used, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
         return model.Phi.T @ after, row.x - row.P @ after
 
     return lax.scan(back, jnp.zeros(len(model.Phi)), f, reverse=True)[1]
 
 
 @cache
-def compiled() -> Any:
+def compiled() -> Callable[[Linear, ArrayLike, ArrayLike], Array]:
     """Return `smooth` compiled, once for each shape in a process."""
     return program_cache.bounded(smooth)

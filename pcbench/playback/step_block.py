@@ -1,11 +1,12 @@
-"""Observers over a stretch of a log: the tick of `simulation.simulate_runs`, with the log in place of plant and network.
+"""One observer over a stretch of a log: the tick of `simulation.simulate_runs`, with the log in place of plant and network.
 
 The state is the truth where the log has it, and what is measured comes with the packet. So a tick is: note what is sampled,
-deliver what arrives, take the errors, move the observers.
+deliver what arrives, take the errors, move the observer.
 """
 
+from collections.abc import Callable
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,60 +16,69 @@ from pcbench.protocols import Arrival, Plant
 from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
 from pcbench.simulation import metrics, rng, simulate_runs
+from pcbench.simulation.metrics import ErrorSums, SettlingState
 from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
-JUDGED = 4  # numbers of a Surprise, which are followed by one for each channel
-Surprises = dict[str, Array]  # by observer label of those that say it: how far packets are from what was expected
+JUDGED = 4  # numbers of an InnovationStats, which are followed by one for each channel
+Tree = TypeVar("Tree")
 
 
 class Score(NamedTuple):
-    """What is kept of errors where truth is known, by observer label; two windows, before the tail and in it."""
+    """What is kept of errors where truth is known."""
 
-    streams: Any  # label -> (metrics.Stream, metrics.Stream)
-    watches: Any  # label -> metrics.Watch
-    final: Any  # label -> [n] the last error
-    counts: Any  # [2] ticks at which truth is known
+    before: ErrorSums  # the tail
+    tail: ErrorSums
+    watch: SettlingState
+    final: Array  # [n] the last error
+    counts: Array  # [2] ticks at which truth is known, before the tail and in it
 
 
 class Read(NamedTuple):
     """What is seen at every tick of a stretch."""
 
-    estimates: dict[str, Array]  # [K, n]
-    surprise: dict[str, Array]  # [K, S, JUDGED + q]
+    estimate: Array  # [K, n]
+    surprise: Array  # [K, S, JUDGED + q] how far packets are from what was expected; [K, S, 0] of who does not say it
 
 
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
 
 
-def begun(layout: Layout, p: GridPointParams, slots: int, scored: bool, seed: Array) -> tuple[Run, Any]:
-    """Return the observers before tick 0, and the score of nothing; (): truth is not asked for."""
+def begun(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tuple[Run, Score | None]:
+    """Return the observer before tick 0, and the score of nothing; None: no score."""
     run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, rng.words(jnp.asarray(0), seed[None])[:, 0])
     if not scored:
-        return run, ()
-    size = {label: o.estimate(p.gains[label], run.memories[label]).shape[0] for label, o in layout.observers}
+        return run, None
+    ((label, o),) = layout.observers
+    n = o.estimate(p.gains[label], run.memories[label]).shape[0]
     return run, Score(
-        {o: (metrics.start(n), metrics.start(n)) for o, n in size.items()},
-        {o: metrics.start_watch(n) for o, n in size.items()},
-        {o: jnp.full(n, jnp.nan) for o, n in size.items()},
-        jnp.zeros(2),
+        metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros(2)
     )
 
 
 def run(
-    layout: Layout, p: GridPointParams, start: Run, score: Any, ticks: Array, w: Window, truth: Array, ends: Array
-) -> tuple[Run, Any, Read]:
-    """Take the observers over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
-    q, able = len(p.params), [label for label, o in layout.observers if o.innovation]
-    quiet = {label: jnp.zeros((w.arrive.shape[1], JUDGED + q)) for label in able}
+    layout: Layout,
+    p: GridPointParams,
+    start: Run,
+    score: Score | None,
+    ticks: Array,
+    w: Window,
+    truth: Array,
+    ends: Array,
+) -> tuple[Run, Score | None, Read]:
+    """Take the observer over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
+    ((label, o),) = layout.observers
+    quiet = jnp.zeros((w.arrive.shape[1], JUDGED + len(p.params) if o.innovation else 0))
 
-    def step(carry: tuple[Run, Any], row: tuple[Array, Window, Array]) -> tuple[tuple[Run, Any], Read]:
+    def step(
+        carry: tuple[Run, Score | None], row: tuple[Array, Window, Array]
+    ) -> tuple[tuple[Run, Score | None], Read]:
         (run, score), (k, w, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
         run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
-        read = Read({o: f.estimate(p.gains[o], run.memories[o]) for o, f in layout.observers}, surprise)
-        if score:
-            e = simulate_runs.errors(layout, p, p.params, k, run)
+        read = Read(o.estimate(p.gains[label], run.memories[label]), surprise)
+        if score is not None:
+            e = simulate_runs.errors(layout, p, p.params, k, run)[label]
             score = _scored(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends)
         return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), read
 
@@ -76,74 +86,53 @@ def run(
     return run, score, seen
 
 
-def events(
-    layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Surprises, run: Run
-) -> tuple[Run, Surprises]:
+def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array, run: Run) -> tuple[Run, Array]:
     """Let what the log has for tick k happen: note what is sampled, deliver what arrives, the oldest packet first."""
+    ((label, o),) = layout.observers
     place, taken, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
-    found = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
+    noted = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
     notes = jax.tree.map(
-        lambda ring, new: ring.at[place].set(jnp.where(taken, new, ring[place])), run.flight.notes, found
+        lambda ring, new: ring.at[place].set(jnp.where(taken, new, ring[place])), run.flight.notes, noted
     )
     memories = select(taken, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
     run = run._replace(memories=memories, flight=run.flight._replace(notes=notes))
 
-    def deliver(slot: Array, so_far: tuple[Run, Surprises]) -> tuple[Run, Surprises]:
-        def jump(so_far: tuple[Run, Surprises]) -> tuple[Run, Surprises]:
-            run, table = so_far
+    def deliver(slot: Array, so_far: tuple[Run, Array]) -> tuple[Run, Array]:
+        def jump(so_far: tuple[Run, Array]) -> tuple[Run, Array]:
+            run, surprises = so_far
             brought = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
-            age = jnp.full(w.mask[slot].shape, k - w.taken[slot])
-            arrival = partial(
-                Arrival,
-                w.value[slot],
-                w.mask[slot],
-                age,
-                w.number[slot],
-                ticks_since_arrival=w.ticks_since_arrival[slot],
-            )
-            here = surprises(layout, p, k, run, {label: arrival(noted) for label, noted in brought.items()})
-            table = {label: each.at[slot].set(here[label]) for label, each in table.items()}
-            return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), table
+            age, since = jnp.full(w.mask[slot].shape, k - w.taken[slot]), w.ticks_since_arrival[slot]
+            arrival = partial(Arrival, w.value[slot], w.mask[slot], age, w.number[slot], ticks_since_arrival=since)
+            if o.innovation:  # NaN is what it leaves out
+                found = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(brought[label]))
+                each = jnp.full(w.mask[slot].shape, jnp.nan) if found.each is None else found.each
+                total = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
+                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), each]))
+            return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), surprises
 
         return lax.cond(w.arrive[slot] >= 0, jump, lambda so_far: so_far, so_far)
 
-    done: tuple[Run, Surprises] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, quiet))
-    return done
-
-
-def surprises(layout: Layout, p: GridPointParams, k: Array, run: Run, arrivals: dict[str, Arrival]) -> Surprises:
-    """Return how far a packet is from what each observer expects of it, [JUDGED + q]; NaN is what one leaves out."""
-    now, out = present(p, k, False), {}
-    for label, o in layout.observers:
-        if o.innovation:
-            found = o.innovation(p.gains[label], run.memories[label], now, arrivals[label])
-            each = jnp.full(arrivals[label].mask.shape, jnp.nan) if found.each is None else found.each
-            whole = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
-            out[label] = jnp.concatenate([jnp.stack(whole), each])
+    out: tuple[Run, Array] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, quiet))
     return out
 
 
-def _scored(p: GridPointParams, score: Score, k: Array, known: Array, e: dict[str, Array], ends: Array) -> Score:
+def _scored(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
     """The score with the errors of tick k, if truth is known there."""
     there, late = known & (k < ends[1]), k >= ends[0]
 
-    def kept(new: Any, old: Any, which: Array) -> Any:
+    def kept(new: Tree, old: Tree, which: Array = there) -> Tree:
         return jax.tree.map(lambda a, b: jnp.where(which, a, b), new, old)
 
     return Score(
-        {
-            o: tuple(
-                kept(metrics.update(s, e[o]), s, there & (late == tail)) for s, tail in zip(pair, (0, 1), strict=True)
-            )
-            for o, pair in score.streams.items()
-        },
-        {o: kept(metrics.look(w, k, e[o], p.band, p.bound, p.jumps), w, there) for o, w in score.watches.items()},
-        {o: kept(e[o], final, there) for o, final in score.final.items()},
-        score.counts + there * jnp.stack([~late, late]),
+        before=kept(metrics.update(score.before, e), score.before, there & ~late),
+        tail=kept(metrics.update(score.tail, e), score.tail, there & late),
+        watch=kept(metrics.look(score.watch, k, e, p.band, p.bound, p.jumps), score.watch),
+        final=kept(e, score.final),
+        counts=score.counts + there * jnp.stack([~late, late]),
     )
 
 
 @cache
-def compiled() -> tuple[Any, Any]:
+def compiled() -> tuple[Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, Read]]]:
     """Return `begun` and `run` compiled, once for each shape in a process."""
-    return program_cache.bounded(begun, (0, 2, 3)), program_cache.bounded(run, 0)
+    return program_cache.bounded(begun, (0, 2)), program_cache.bounded(run, 0)

@@ -5,12 +5,17 @@ file if that is more; of a bag or MCAP each chunk, for its reader unpacks one at
 not believed: every compressed part is unpacked in steps and counted before its reader unpacks it at once.
 """
 
+import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import pyarrow as pa
 
 from pcbench.errors import UserError
 
@@ -19,8 +24,7 @@ RATIO = 50  # recordings of sensors are compressed 2 to 20 times
 STEP = 2**16  # bytes that are unpacked at a time
 HEADER = 128  # bytes of a MATLAB file before its first variable
 COMPRESSED = 15  # the type of a compressed variable
-MCAP, CHUNK = b"\x89MCAP0\r\n", 6  # how an MCAP file begins; the kind of a record that is a chunk
-SQLITE = b"SQLite format 3\0"
+MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"  # how such files begin
 
 
 def require_small(unpacked: int, file: int, where: str) -> None:
@@ -34,27 +38,25 @@ def require_small(unpacked: int, file: int, where: str) -> None:
 
 def require_small_mat(path: Path, where: str) -> None:
     """Raise UserError if a MATLAB file of format 5 to 7 is too large unpacked."""
-    size, found = path.stat().st_size, 0
+    size, total = path.stat().st_size, 0
     with path.open("rb") as file:
-        order = {b"IM": "little", b"MI": "big"}.get(file.read(HEADER)[126:])
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(HEADER)[126:])
         while order is not None and len(tag := file.read(8)) == 8:
-            kind, many = (int.from_bytes(tag[i : i + 4], "little" if order == "little" else "big") for i in (0, 4))
+            kind, many = struct.unpack(f"{order}II", tag)
             end = file.tell() + many
-            for unpacked in _parts(file.read(many)) if kind == COMPRESSED else [many]:
-                found += unpacked
-                require_small(found, size, where)
+            for unpacked in _sizes(file.read(many)) if kind == COMPRESSED else [many]:
+                total += unpacked
+                require_small(total, size, where)
             file.seek(end)
 
 
-def _parts(packed: bytes) -> Iterable[int]:
+def _sizes(packed: bytes) -> Iterator[int]:
     """Yield the sizes of the parts that a compressed variable unpacks to; what is damaged ends it, its reader says so."""
     unpack = zlib.decompressobj()
-    try:
+    with suppress(zlib.error):
         while packed and not unpack.eof:
             yield len(unpack.decompress(packed, STEP))
             packed = unpack.unconsumed_tail
-    except zlib.error:
-        return
 
 
 @lru_cache(maxsize=64)
@@ -65,15 +67,21 @@ def once(check: Callable[[Path, str], None], path: Path, where: str, changed: in
 
 def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) -> None:
     """Raise UserError if what is packed as zstd, lz4 or bz2 into `size` bytes is too large unpacked."""
-    found = 0
+    total = 0
+    with _left_to_its_reader(), pa.CompressedInputStream(packed, codec) as file:
+        while step := len(file.read(STEP)):
+            total += step
+            require_small(total, size, where)
+
+
+@contextmanager
+def _left_to_its_reader() -> Iterator[None]:
+    """What is damaged ends a check, for its reader says so."""
     try:
-        with _opened(packed, codec) as file:
-            while step := len(file.read(STEP)):
-                found += step
-                require_small(found, size, where)
+        yield
     except UserError:
         raise
-    except Exception:  # what is damaged ends it, its reader says so
+    except Exception:
         return
 
 
@@ -82,15 +90,24 @@ def require_small_mcap(path: Path, where: str) -> None:
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
-        for codec, packed in _chunks(file):
-            require_small_stream(BytesIO(packed), codec, len(packed), where)
+        _require_small_chunks(file, where)
         file.seek(0)
         summary = make_reader(file).get_summary()
         for chunk in [] if summary is None else summary.chunk_indexes:
             require_small(chunk.uncompressed_size, chunk.compressed_size, where)
             file.seek(chunk.chunk_start_offset)
-            for codec, packed in _chunks(file, 1):
-                require_small_stream(BytesIO(packed), codec, len(packed), where)
+            _require_small_chunks(file, where, 1)
+
+
+def _require_small_chunks(file: BinaryIO, where: str, most: int | None = None) -> None:
+    """The packed chunks among the records of an MCAP file: of all, or of the first few from where the file is now."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+
+    with _left_to_its_reader():
+        for record in islice(StreamReader(file, skip_magic=most is not None, emit_chunks=True).records, most):
+            if isinstance(record, Chunk) and record.compression in ("zstd", "lz4"):
+                require_small_stream(BytesIO(record.data), record.compression, len(record.data), where)
 
 
 def require_small_bag(path: Path, where: str) -> None:
@@ -126,39 +143,3 @@ def _require_small_parts(reader: Any, path: Path, where: str) -> None:
         for storage in inner.storages:
             for _, _, data in storage.messages(storage.connections):
                 require_small_stream(BytesIO(data), "zstd", len(data), where)
-
-
-def _opened(packed: BinaryIO, codec: str) -> Any:
-    """What is packed as a file to read from."""
-    if codec == "zstd":
-        import zstandard
-
-        return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
-    if codec == "lz4":
-        from lz4 import frame
-
-        return frame.open(packed)
-    import bz2
-
-    return bz2.open(packed)
-
-
-def _chunks(file: BinaryIO, most: int | None = None) -> Iterator[tuple[str, bytes]]:
-    """Yield codec and content of the packed chunks among the records of an MCAP file, from the start or from where it stands.
-
-    Source: the MCAP specification, https://mcap.dev/spec, section "Chunk".
-    """
-    here, size = file.tell(), file.seek(0, 2)
-    file.seek(here or len(MCAP))
-    while most != 0 and len(head := file.read(9)) == 9:
-        end = file.tell() + int.from_bytes(head[1:], "little")
-        if end > size:  # cut off
-            return
-        if head[0] == CHUNK:
-            file.seek(28, 1)  # two times, a size and a check sum
-            codec = file.read(min(int.from_bytes(file.read(4), "little"), 16)).decode("ascii", "replace")
-            many = int.from_bytes(file.read(8), "little")
-            if codec in ("zstd", "lz4"):
-                yield codec, file.read(min(many, size))
-        file.seek(end)
-        most = None if most is None else most - 1

@@ -1,21 +1,24 @@
-"""A log: what was measured and when it arrived, what was put in, and where it is known what was true.
+"""A log: what was measured and when it arrived, what was put in, and where it is known what was true; and its sources.
 
 Measurements are rows (channel, sampled [s], arrived [s], value), inputs and truth rows (t [s], values). A log is read a part
-at a time, as often as it is asked for, so it may be longer than memory. Rows may stand in any order: how far behind the newest
+at a time, as often as it is asked for, so it may be longer than memory. Rows may be in any order: how far behind the newest
 stamp one may come is found by reading it once (`survey`). Times are seconds of the log's own clock.
 """
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import UserError
-from pcbench.recordings.clocks import HOUR, apart
+from pcbench.errors import UserError, unreadable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Columns = dict[str, Floats]  # fields of a file by their names, [K] each, times in seconds
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 
 class Batch(NamedTuple):
@@ -53,39 +56,51 @@ class Log(NamedTuple):
     truth: Table | None = None
 
 
-def require_sound(log: Log, batch: Batch) -> None:
-    """Raise UserError naming the first row of a batch that no run can be fed with.
+def table_of(columns: Callable[[], Iterator[Columns]], t: str, fields: Mapping[str, tuple[str, float]]) -> Table:
+    """Return the table of what `columns` reads, whose names stand for (field, scale); `t` is the field of times."""
 
-    Such is one without a number or a time, or that arrived before it was sampled.
-    """
-    for bad, got, expected in (
-        (~np.isfinite(batch.sampled), "a sample without a time", "the second at which it was taken in 'sampled'"),
-        (~np.isfinite(batch.value) & ~np.isnan(batch.arrived), "the value {value}", "a finite number"),
-        (batch.arrived < batch.sampled, "a sample that arrived {early:.6g} s before it was sampled", "no such row"),
-    ):
-        if bad.any():
-            i = int(np.argmax(bad))
-            early = batch.sampled[i] - batch.arrived[i]
-            place = f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}"
-            if early > HOUR:
-                raise UserError(
-                    f"{place}: the stamp {batch.sampled[i]:.10g} s is {apart(early)} after the arrival "
-                    f"{batch.arrived[i]:.10g} s, so they are of two clocks or units; convert the arrivals to the clock of the "
-                    "stamps, or leave them out and give a delay."
-                )
-            raise UserError(
-                f"{place}: got {got.format(value=batch.value[i], early=early)}, expected {expected}; mend or leave out that "
-                "row."
-            )
+    def read() -> Iterator[Rows]:
+        row = 1
+        for part in columns():
+            values = np.stack([scale * part[field] for field, scale in fields.values()], 1)
+            yield Rows(part[t], values, np.arange(row, row + len(values)))
+            row += len(values)
+
+    return Table(tuple(fields), read)
 
 
-def require_forward(where: str, before: float, rows: Rows) -> None:
-    """Raise UserError naming the first row of a table of inputs or truth whose time is none, or not after the row before."""
-    back = ~(np.diff(rows.t, prepend=before) > 0)
-    if back.any():
-        i = int(np.argmax(back))
-        earlier = rows.t[i - 1] if i else before
-        raise UserError(
-            f"{where}: row {rows.row[i]}: got the time {rows.t[i]:.9g} s after {earlier:.9g} s, expected later times; "
-            "sort the rows, and leave doubled ones out."
-        )
+class Source(NamedTuple):
+    """Fields of one topic, and where they are. A module of a format has `columns`, which yields them a part at a time."""
+
+    path: Path
+    topic: str
+    fields: list[str]
+    times: set[str]  # those of the fields that are times
+    unit: str | None  # of times that are plain numbers; None: as the format has it
+    where: str  # as a sentence names what asks for them
+    topics: set[str]  # all that will be asked for of this file
+    loaded: dict[str, Any]  # what is read as a whole, for all sources of one log; filled by the first
+
+    @property
+    def place(self) -> str:
+        """What asks and the file, as a sentence names them."""
+        return f"{self.where}: {self.path.name}"
+
+
+@contextmanager
+def reading(source: Source, expected: str) -> Iterator[None]:
+    """Turn whatever a library raises of a damaged file into a UserError that says what was `expected`."""
+    try:
+        yield
+    except (UserError, ImportError):
+        raise
+    except Exception as error:  # libraries raise struct.error, zlib.error, TypeError and what is their own
+        raise unreadable(error, source.place, expected) from None
+
+
+def require_topic(topic: str, existing: Iterable[str], where: str) -> None:
+    """Raise UserError for a topic that a file does not have."""
+    names = sorted(existing)
+    if topic not in names:
+        got = f"the topic '{topic}'" if topic else "no topic"
+        raise UserError(f"{where}: got {got}, expected one of {', '.join(names) or 'none: it is empty'}; write that.")

@@ -4,69 +4,48 @@ A file is read as a whole, for its reader has no other way: once, however many c
 variables only those that are asked for are held.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from pcbench.errors import UserError, unknown, unreadable
+from pcbench.errors import UserError, unknown
 from pcbench.recordings.decompression import require_small_mat
-from pcbench.recordings.log import Floats
-from pcbench.recordings.units import SECONDS
+from pcbench.recordings.log import SECONDS, Columns, Source, reading
 
 
-def reader(topics: Iterable[str]) -> Callable[..., Iterator[dict[str, Floats]]]:
-    """Return what reads fields of these structs of one file, which is loaded when the first is asked for."""
-    names = sorted({topic.partition(".")[0] for topic in topics})
-    loaded: dict[str, Any] = {}
-
-    def fields(
-        path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
-    ) -> Iterator[dict[str, Floats]]:
-        """Yield vectors, [K] each; times in seconds."""
-        if not loaded:
-            loaded.update(_variables(path, None if "" in names else names, where))
-        there = loaded
-        for part in filter(None, topic.split(".")):
-            if not isinstance(there.get(part), dict):
-                every = _variables(path, None, where) if there is loaded else there
-                structs = [name for name, value in every.items() if isinstance(value, dict)]
-                raise unknown(f"{where}: {path.name}", "struct", part, structs)
-            there = there[part]
-        out = {}
-        for field in wanted:
-            if field not in there:
-                raise unknown(f"{where}: {path.name}", "variable", field, there)
-            scale = SECONDS[unit or "s"] if field in times else 1.0
-            out[field] = _numbers(there[field], f"{where}: {path.name}: {field}") * scale
-        lengths = {field: v.size for field, v in out.items()}
-        if len(set(lengths.values())) > 1 or any(v.ndim != 1 for v in out.values()):
-            said_ = ", ".join(f"{field} {np.shape(v)}" for field, v in out.items())
-            raise UserError(f"{where}: {path.name}: got {said_}, expected vectors of one length; save them so.")
-        yield out
-
-    return fields
+def columns(source: Source) -> Iterator[Columns]:
+    """Yield vectors, times in seconds."""
+    if not source.loaded:
+        names = sorted({topic.partition(".")[0] for topic in source.topics})
+        source.loaded.update(_variables(source, None if "" in names else names))
+    struct = source.loaded
+    for part in filter(None, source.topic.split(".")):
+        if not isinstance(struct.get(part), dict):
+            every = _variables(source, None) if struct is source.loaded else struct
+            raise unknown(source.place, "struct", part, [name for name, v in every.items() if isinstance(v, dict)])
+        struct = struct[part]
+    out = {}
+    for field in source.fields:
+        if field not in struct:
+            raise unknown(source.place, "variable", field, struct)
+        value = np.asarray(struct[field])
+        if value.dtype.kind not in "fiub":
+            got = {"U": "text", "c": "complex numbers"}.get(value.dtype.kind, "a struct, cells or what is sparse")
+            raise UserError(f"{source.place}: {field}: got {got}, expected a vector of numbers; save it so.")
+        scale = SECONDS[source.unit or "s"] if field in source.times else 1.0
+        out[field] = np.atleast_1d(value.astype(float)) * scale
+    if len({v.size for v in out.values()}) > 1 or any(v.ndim != 1 for v in out.values()):
+        shapes = ", ".join(f"{field} {v.shape}" for field, v in out.items())
+        raise UserError(f"{source.place}: got {shapes}, expected vectors of one length; save them so.")
+    yield out
 
 
-def _numbers(value: Any, where: str) -> Floats:
-    """A variable as an array of numbers."""
-    found = np.asarray(value)
-    if found.dtype.kind not in "fiub":
-        got = {"U": "text", "c": "complex numbers"}.get(found.dtype.kind, "a struct, cells or what is sparse")
-        raise UserError(f"{where}: got {got}, expected a vector of numbers; save it so.")
-    return np.atleast_1d(found.astype(float))
-
-
-def _variables(path: Path, names: list[str] | None, where: str) -> dict[str, Any]:
+def _variables(source: Source, names: list[str] | None) -> dict[str, Any]:
     """The variables of these names (None: all), structs as dicts."""
     from scipy.io import loadmat
 
-    try:
-        require_small_mat(path, f"{where}: {path.name}")
-        there = loadmat(path, simplify_cells=True, variable_names=names)
-    except UserError:
-        raise
-    except Exception as error:  # SciPy raises MatReadError, zlib.error and TypeError among others
-        raise unreadable(error, f"{where}: {path.name}", "MATLAB's format 7 or less; save it with -v7") from None
-    return {name: value for name, value in there.items() if name[:2] != "__"}
+    with reading(source, "MATLAB's format 7 or less; save it with -v7"):
+        require_small_mat(source.path, source.place)
+        variables = loadmat(source.path, simplify_cells=True, variable_names=names)
+    return {name: value for name, value in variables.items() if name[:2] != "__"}

@@ -1,9 +1,10 @@
 """Numbers that come a part at a time: how many, their mean and range exactly, their distribution from an even selection."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pcbench.recordings.log import Floats, Ints
 
 KEPT = 1 << 14  # of a selection: every number until there are more, then every second, every fourth ...
 
@@ -14,69 +15,70 @@ class Spread(NamedTuple):
     many: int = 0
     total: float = 0.0
     least: float = np.inf
+    least_mark: float = np.nan  # of the first such number
     most: float = -np.inf
+    most_mark: float = np.nan
     every: int = 1
-    kept: NDArray[Any] = np.zeros((0, 2))  # [at most KEPT, 2] mark and number
+    kept: Floats = np.zeros((0, 2))  # [at most KEPT, 2] mark and number
 
     @property
     def mean(self) -> float:
         """The mean, NaN of none."""
         return self.total / self.many if self.many else np.nan
 
-    def quantiles(self, shares: tuple[float, ...]) -> list[float]:
+    def quantiles(self, *shares: float) -> list[float]:
         """Return quantiles of the selection, NaN of none."""
-        found = np.quantile(self.kept[:, 1], shares) if self.many else np.full(len(shares), np.nan)
-        return [float(each) for each in found]
+        values = np.quantile(self.kept[:, 1], shares) if self.many else np.full(len(shares), np.nan)
+        return [float(each) for each in values]
+
+    @property
+    def first_mark(self) -> int | None:
+        """The mark of the first number, if that is a row; None of none."""
+        return int(self.kept[0, 0]) if self.many else None
+
+    @property
+    def median(self) -> float:
+        """The median of the selection."""
+        return self.quantiles(0.5)[0]
 
 
-def add(before: Spread, marks: NDArray[Any], numbers: NDArray[Any]) -> Spread:
-    """Return what is known with some numbers more."""
+def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
+    """Return what is known with some numbers more; NaN is no number."""
+    exists = np.isfinite(numbers)
+    marks, numbers = marks[exists], numbers[exists]
     if not numbers.size:
         return before
     first = -before.many % before.every
-    kept = np.concatenate([before.kept, np.stack([marks, numbers], 1)[first :: before.every]])
-    every = before.every
+    kept, every = np.concatenate([before.kept, np.stack([marks, numbers], 1)[first :: before.every]]), before.every
     while len(kept) > KEPT:
         kept, every = kept[::2], 2 * every
-    return Spread(
-        many=before.many + numbers.size,
-        total=before.total + float(numbers.sum()),
-        least=min(before.least, float(numbers.min())),
-        most=max(before.most, float(numbers.max())),
-        every=every,
-        kept=kept,
+    low, high = int(np.argmin(numbers)), int(np.argmax(numbers))
+    out = before._replace(
+        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=every, kept=kept
     )
+    if numbers[low] < out.least:
+        out = out._replace(least=float(numbers[low]), least_mark=float(marks[low]))
+    if numbers[high] > out.most:
+        out = out._replace(most=float(numbers[high]), most_mark=float(marks[high]))
+    return out
 
 
-def largest(before: NDArray[Any], sizes: NDArray[Any], *marks: NDArray[Any], most: int = 100) -> NDArray[Any]:
+def largest(before: Floats, sizes: Floats, *marks: Floats | Ints, most: int = 100) -> Floats:
     """Return the `most` rows (size, *marks) with the largest sizes of those before and some more."""
     every = np.concatenate([before, np.stack([sizes, *marks], 1)])
     return every[np.argsort(-every[:, 0], kind="stable")[:most]]
 
 
-class Line(NamedTuple):
-    """Sums for the line that fits points (x, y) best."""
-
-    many: int = 0
-    x: float = 0.0
-    y: float = 0.0
-    xx: float = 0.0
-    xy: float = 0.0
-    yy: float = 0.0
-
-    def slope(self) -> tuple[float, float]:
-        """Return the slope and its standard error as if residuals were independent; NaN of fewer than three points."""
-        if self.many < 3:
-            return np.nan, np.nan
-        xx, xy = self.xx - self.x**2 / self.many, self.xy - self.x * self.y / self.many
-        yy = self.yy - self.y**2 / self.many
-        if xx <= 0:
-            return np.nan, np.nan
-        left = max(yy - xy**2 / xx, 0.0) / (self.many - 2)
-        return xy / xx, float(np.sqrt(left / xx))
+def line_sums(x: Floats, y: Floats) -> Floats:
+    """Return the sums [6] for the line that fits points (x, y) best; those of some points more are added."""
+    return np.array([x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), (y * y).sum()])
 
 
-def fit(before: Line, x: NDArray[Any], y: NDArray[Any]) -> Line:
-    """Return the sums with some points more."""
-    more = Line(x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), yy=(y * y).sum())
-    return Line._make(a + b for a, b in zip(before, more, strict=True))
+def slope(sums: Floats) -> tuple[float, float]:
+    """Return the slope of a line and its standard error as if residuals were independent; NaN of fewer than three points."""
+    many, x, y, xx, xy, yy = sums.tolist()
+    if many < 3 or (xx := xx - x**2 / many) <= 0:
+        return np.nan, np.nan
+    xy, yy = xy - x * y / many, yy - y**2 / many
+    left = max(yy - xy**2 / xx, 0.0) / (many - 2)
+    return xy / xx, float(np.sqrt(left / xx))

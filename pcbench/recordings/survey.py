@@ -4,23 +4,20 @@ Intervals are between successive stamps of a channel. A *gap* is an interval of 
 stamp; it *jumps* where it differs from the one before by more than ten times the middle half of all delays and half an
 interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis clock_skew:
 minus the slope of the line through all delays.
-A sample is *out of order* where one with a later stamp stands before it, *doubled* where its stamp stands there twice.
+A sample is *out of order* where one with a later stamp is before it, *doubled* where its stamp is there twice.
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
-
-What is in a log as a table, a row a channel.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.errors import UserError
-from pcbench.recordings import clocks, readers
-from pcbench.recordings.clocks import Times
-from pcbench.recordings.log import Batch, Log, Table, require_sound
-from pcbench.recordings.running_stats import Line, Spread, add, fit, largest
+from pcbench.recordings import readers
+from pcbench.recordings.log import Batch, Floats, Log
+from pcbench.recordings.running_stats import Spread, add, largest, line_sums, slope
+from pcbench.recordings.times import TimeColumn, require_one_clock, require_sound
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,180 +26,152 @@ GAP = 5.0  # medians of an interval
 JUMP = 10.0  # middle halves of the delays
 
 
-class Seen(NamedTuple):
-    """What is known of one channel. Tops are rows (size, time [s], row of the log), the largest first."""
+class Channel(NamedTuple):
+    """What is known of one channel, with rows of the log. Tops are (size, time [s], row), the largest first."""
 
-    samples: int = 0
-    lost: int = 0
-    first: float = np.nan  # [s] stamps
-    last: float = np.nan
-    newest: float = -np.inf  # [s] the latest stamp so far,
-    delayed: float = np.nan  # [s] and the delay of the sample before
-    intervals: Spread = Spread()
-    delays: Spread = Spread()
-    drift: Line = Line()
-    out_of_order: int = 0
-    out_of_order_row: int = 0  # of the first
-    doubled: int = 0
-    doubled_row: int = 0  # of the first
-    long: NDArray[Any] = np.zeros((0, 3))  # the longest intervals
-    steps: NDArray[Any] = np.zeros((0, 3))  # the largest changes from one delay to the next
-    stamps: Times = Times("", "")
-    arrivals: Times = Times("", "")
+    stamps: Spread = Spread()  # [s] by row
+    arrivals: Spread = Spread()  # [s] by row
+    intervals: Spread = Spread()  # by stamp
+    delays: Spread = Spread()  # by stamp
+    out_of_order: Spread = Spread()  # stamps by row
+    doubled: Spread = Spread()  # stamps by row
+    last_delay: float = np.nan  # that of the sample before
+    drift: Floats = np.zeros(6)  # sums for a line
+    longest: Floats = np.zeros((0, 3))  # intervals
+    steps: Floats = np.zeros((0, 3))  # the largest changes from one delay to the next
+
+    def gaps(self) -> Floats:
+        """Return the gaps, a hundred at most: (length [s], stamp at their end [s], row)."""
+        return self.longest[self.longest[:, 0] > GAP * self.intervals.median]
+
+    def jumps(self) -> Floats:
+        """Return where the delay jumps, a hundred at most: (by how much [s], stamp [s], row)."""
+        low, high = self.delays.quantiles(0.25, 0.75)
+        limit = max(JUMP * (high - low), 0.5 * self.intervals.median) if self.intervals.many else np.inf
+        return self.steps[self.steps[:, 0] > limit]
 
 
 class Survey(NamedTuple):
     """What is known of a log."""
 
-    channels: dict[str, Seen]
+    channels: dict[str, Channel]
     rows: int
     start: float  # [s] the earliest stamp
     end: float  # [s] the latest stamp or arrival
     behind: float  # [s] how far behind the latest stamp before it a row's may be
-    grid: NDArray[Any]  # [K] s, some of the stamps and arrivals, less the start
-    tables: dict[str, Times]  # the times of inputs and truth, of those that the log has
+    grid: Floats  # [K] s, some of the stamps and arrivals, less the start
+    tables: dict[str, Spread]  # the times of inputs and truth, of those that the log has
 
 
 def survey(log: Log) -> Survey:
     """Read a log once; raise UserError for a row that no run can be fed with, and for times of two clocks."""
-    seen = [_unseen(name) for name in log.channels]
-    rows, start, end, behind, newest, grid = 0, np.inf, -np.inf, 0.0, -np.inf, Spread()
+    every = [Channel() for _ in log.channels]
+    behind, newest, grid = 0.0, -np.inf, Spread()
     for batch in log.measurements():
         if not len(batch.row):
             continue
         require_sound(log, batch)
         for c in np.unique(batch.channel):
             mine = batch.channel == c
-            seen[c] = _more(seen[c], Batch(*(column[mine] for column in batch)))
+            every[c] = _more(every[c], Batch(*(column[mine] for column in batch)))
         latest = np.maximum.accumulate(np.maximum(batch.sampled, newest))
         behind, newest = max(behind, float((latest - batch.sampled).max())), float(latest[-1])
-        rows, start = rows + len(batch.row), min(start, float(batch.sampled.min()))
-        end = max(end, newest, float(np.nanmax(batch.arrived, initial=-np.inf)))
-        both = np.concatenate([batch.sampled, batch.arrived[~np.isnan(batch.arrived)]])
-        grid = add(grid, both, both)
-    if not rows:
+        times = np.concatenate([batch.sampled, batch.arrived])
+        grid = add(grid, times, times)
+    if not grid.many:
         raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
-    tables = {name: _times(table, name) for name, table in (("inputs", log.inputs), ("truth", log.truth)) if table}
-    clocks.require_one(log.name, [*(s.stamps for s in seen), *(s.arrivals for s in seen), *tables.values()])
+    channels, tables = dict(zip(log.channels, every, strict=True)), {}
+    for name, table in (("inputs", log.inputs), ("truth", log.truth)):
+        if table:
+            tables[name] = Spread()
+            for part in table.read():
+                tables[name] = add(tables[name], part.row, part.t)
+    stamps, arrivals = (
+        "convert its stamps to the clock of the other channels",
+        "convert the arrivals to the clock of the stamps, or leave them out and give a delay",
+    )
+    columns = [TimeColumn(f"stamps of channel {name}", stamps, c.stamps) for name, c in channels.items()]
+    columns += [TimeColumn(f"arrivals of channel {name}", arrivals, c.arrivals) for name, c in channels.items()]
+    for name, spread in tables.items():
+        fix = f"convert the times of the {name} to the clock of the stamps"
+        columns.append(TimeColumn(f"times of the {name}", fix, spread))
+    require_one_clock(log.name, columns)
+    start = min(c.stamps.least for c in every)
     return Survey(
-        channels=dict(zip(log.channels, seen, strict=True)),
-        rows=rows,
+        channels=channels,
+        rows=sum(c.stamps.many for c in every),
         start=start,
-        end=end,
+        end=max(grid.most, start),
         behind=behind,
         grid=grid.kept[:, 1] - start,
         tables=tables,
     )
 
 
-def _unseen(channel: str) -> Seen:
-    fix = "convert the arrivals to the clock of the stamps, or leave them out and give a delay"
-    return Seen(
-        stamps=Times(f"stamps of channel {channel}", "convert its stamps to the clock of the other channels"),
-        arrivals=Times(f"arrivals of channel {channel}", fix),
-    )
-
-
-def _times(table: Table, name: str) -> Times:
-    """The times of a table of inputs or truth."""
-    times = Times(f"times of the {name}", f"convert the times of the {name} to the clock of the stamps")
-    for rows in table.read():
-        times = clocks.more(times, rows.t, rows.row)
-    return times
-
-
-def _more(seen: Seen, batch: Batch) -> Seen:
+def _more(c: Channel, batch: Batch) -> Channel:
     """What is known of a channel with some samples more."""
-    lost = np.isnan(batch.arrived)
-    delay = (batch.arrived - batch.sampled)[~lost]
-    order = np.argsort(batch.sampled, kind="stable")
-    stamps, rows = batch.sampled[order], batch.row[order].astype(float)
-    before = np.concatenate([[seen.newest], stamps[:-1]])
-    steps = stamps - before
-    forward, again = np.isfinite(steps) & (steps > 0), steps == 0
-    earlier = np.maximum.accumulate(np.concatenate([[seen.newest], batch.sampled[:-1]]))
-    behind = batch.sampled < earlier
-    change = np.abs(np.diff(delay, prepend=seen.delayed))
-    there = np.isfinite(change)
-    origin = seen.first if seen.samples else float(batch.sampled[0])
-    at, arrived = batch.sampled[~lost], batch.row[~lost].astype(float)
-    return Seen(
-        samples=seen.samples + len(stamps),
-        lost=seen.lost + int(lost.sum()),
-        first=origin,
-        last=float(np.nanmax([seen.last, stamps[-1]])),
-        newest=max(seen.newest, float(stamps[-1])),
-        delayed=float(delay[-1]) if delay.size else seen.delayed,
-        intervals=add(seen.intervals, stamps[forward], steps[forward]),
-        delays=add(seen.delays, at, delay),
-        drift=fit(seen.drift, at - origin, delay),
-        out_of_order=seen.out_of_order + int(behind.sum()),
-        out_of_order_row=seen.out_of_order_row or (int(batch.row[np.argmax(behind)]) if behind.any() else 0),
-        doubled=seen.doubled + int(again.sum()),
-        doubled_row=seen.doubled_row or (int(rows[np.argmax(again)]) if again.any() else 0),
-        long=largest(seen.long, steps[forward], stamps[forward], rows[forward]),
-        steps=largest(seen.steps, change[there], at[there], arrived[there]),
-        stamps=clocks.more(seen.stamps, batch.sampled, batch.row),
-        arrivals=clocks.more(seen.arrivals, batch.arrived, batch.row),
+    came, order = ~np.isnan(batch.arrived), np.argsort(batch.sampled, kind="stable")
+    at, delay = batch.sampled[came], (batch.arrived - batch.sampled)[came]
+    stamps, rows, newest = batch.sampled[order], batch.row[order], c.stamps.most
+    steps = stamps - np.concatenate([[newest], stamps[:-1]])
+    forward, doubled = np.isfinite(steps) & (steps > 0), steps == 0
+    behind = batch.sampled < np.maximum.accumulate(np.concatenate([[newest], batch.sampled[:-1]]))
+    change = np.abs(np.diff(delay, prepend=c.last_delay))
+    changed = np.isfinite(change)
+    seen = add(c.stamps, batch.row, batch.sampled)
+    return Channel(
+        stamps=seen,
+        arrivals=add(c.arrivals, batch.row, batch.arrived),
+        intervals=add(c.intervals, stamps[forward], steps[forward]),
+        delays=add(c.delays, at, delay),
+        out_of_order=add(c.out_of_order, batch.row[behind], batch.sampled[behind]),
+        doubled=add(c.doubled, rows[doubled], stamps[doubled]),
+        last_delay=float(delay[-1]) if delay.size else c.last_delay,
+        drift=c.drift + line_sums(at - seen.kept[0, 1], delay),
+        longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
+        steps=largest(c.steps, change[changed], at[changed], batch.row[came][changed]),
     )
 
 
-def gaps(seen: Seen) -> NDArray[Any]:
-    """Return the gaps of a channel, a hundred at most: (length [s], stamp at their end [s], row)."""
-    (median,) = seen.intervals.quantiles((0.5,))
-    return seen.long[seen.long[:, 0] > GAP * median]
-
-
-def jumps(seen: Seen) -> NDArray[Any]:
-    """Return where the delay of a channel jumps, a hundred at most: (by how much [s], stamp [s], row)."""
-    low, high = seen.delays.quantiles((0.25, 0.75))
-    (median,) = seen.intervals.quantiles((0.5,))
-    return (
-        seen.steps[seen.steps[:, 0] > max(JUMP * (high - low), 0.5 * median)] if seen.intervals.many else seen.steps[:0]
-    )
-
-
-def described(found: Survey) -> list[dict[str, Any]]:
+def described(log: Survey) -> list[dict[str, object]]:
     """Return what `pcbench info` says of every channel, times in seconds, ready for JSON: NaN is None."""
     return [
-        {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in _row(name, seen).items()}
-        for name, seen in found.channels.items()
+        {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in _row(name, c).items()}
+        for name, c in log.channels.items()
     ]
 
 
-def _row(name: str, seen: Seen) -> dict[str, Any]:
-    interval, delay = seen.intervals, seen.delays
-    p05, p50, p95 = delay.quantiles((0.05, 0.5, 0.95))
-    (median,) = interval.quantiles((0.5,))
-    apart, stepped = gaps(seen), jumps(seen)
-    slope, se = seen.drift.slope()
+def _row(name: str, c: Channel) -> dict[str, object]:
+    interval, delay, gaps, jumps = c.intervals, c.delays, c.gaps(), c.jumps()
+    p05, p50, p95 = delay.quantiles(0.05, 0.5, 0.95)
+    drift, se = slope(c.drift)
     return {
         "channel": name,
-        "samples": seen.samples,
-        "lost": seen.lost,
-        "first": seen.first,
-        "last": seen.last,
+        "samples": c.stamps.many,
+        "lost": c.stamps.many - delay.many,
+        "first": c.stamps.kept[0, 1] if c.stamps.many else np.nan,
+        "last": c.stamps.most if c.stamps.many else np.nan,
         "rate": 1 / interval.mean if interval.many else np.nan,
-        "interval_median": median,
+        "interval_median": interval.median,
         "interval_least": interval.least,
         "interval_most": interval.most,
-        "gaps": len(apart),
-        "longest_gap": float(apart[0, 0]) if len(apart) else np.nan,
-        "longest_gap_row": int(apart[0, 2]) if len(apart) else None,
+        "gaps": len(gaps),
+        "longest_gap": float(gaps[0, 0]) if len(gaps) else np.nan,
+        "longest_gap_row": int(gaps[0, 2]) if len(gaps) else None,
         "delay_mean": delay.mean,
         "delay_least": delay.least,
         "delay_p05": p05,
         "delay_median": p50,
         "delay_p95": p95,
         "delay_most": delay.most,
-        "out_of_order": seen.out_of_order,
-        "out_of_order_row": seen.out_of_order_row or None,
-        "doubled": seen.doubled,
-        "doubled_row": seen.doubled_row or None,
-        "jumps": len(stepped),
-        "largest_jump": float(stepped[0, 0]) if len(stepped) else np.nan,
-        "largest_jump_row": int(stepped[0, 2]) if len(stepped) else None,
-        "drift_ppm": -1e6 * slope,
+        "out_of_order": c.out_of_order.many,
+        "out_of_order_row": c.out_of_order.first_mark,
+        "doubled": c.doubled.many,
+        "doubled_row": c.doubled.first_mark,
+        "jumps": len(jumps),
+        "largest_jump": float(jumps[0, 0]) if len(jumps) else np.nan,
+        "largest_jump_row": int(jumps[0, 2]) if len(jumps) else None,
+        "drift_ppm": -1e6 * drift,
         "drift_ppm_se": 1e6 * se,
     }
 
@@ -211,11 +180,11 @@ def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
     """Return what is in a log, a row a channel: rate, gaps and delays [s], samples out of order or doubled, stamps that drift.
 
     `name` is a folder or file of tables, or a TOML that says what of a bag is which channel; `delay` [s] stands for arrivals
-    that it does not have. `log(...).attrs["survey"]` has what the picture `plots.delays` shows. Raises UserError with the row.
+    that it does not have. `info(...).attrs["survey"]` has what the picture `plots.delays` shows. Raises UserError with the row.
     """
     import pandas as pd
 
-    found = survey(readers.opened(name, delay))
-    table = pd.DataFrame(described(found))
-    table.attrs = {"survey": found, "name": str(name)}
+    log = survey(readers.opened(name, delay))
+    table = pd.DataFrame(described(log))
+    table.attrs = {"survey": log, "name": str(name)}
     return table

@@ -4,37 +4,43 @@
     flight.parquet                flight.inputs.parquet   flight.truth.parquet
 
 Measurements have the columns channel, sampled, arrived, value; inputs and truth t and one column each. A head may say a unit of
-time, "sampled [ms]"; seconds otherwise. Channels stand in the order of the numbers in their names, y2 before y10.
+time, "sampled [ms]"; seconds otherwise. Channels are in the order of the numbers in their names, y2 before y10.
 
-CSV and Parquet of any shape: a column for each channel, or a file with one row a sample; fields are columns.
-
-A run as a log: the tables that `tables` reads.
-
-A simulated run as a log: what its samples brought and when, the input held over every tick, and the true state.
+A simulated run is such a log too: what its samples brought and when, the input held over every tick, and the true state.
 """
 
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
+import pyarrow.parquet as pq
+from pyarrow import csv
 
-from pcbench.errors import UserError
-from pcbench.recordings import columns, units
-from pcbench.recordings.log import Batch, Floats, Log, Rows, Table
+from pcbench.errors import UserError, unknown, unreadable
+from pcbench.recordings.log import SECONDS, Batch, Columns, Floats, Log, Source, Table, table_of
 
+KINDS = (".parquet", ".csv")
+NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
+HEAD = re.compile(r"^\s*(.*?)\s*(?:\[(.*)\])?\s*$")
+LATEST = 1e11  # [s] what is said to be seconds is below it: the year 5138
+MANY = 1 << 16  # rows of a part
+BLOCK = 1 << 20  # bytes of a part of a CSV file
+READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
 COLUMNS = ("channel", "sampled", "value")
 
 
 def opened(path: Path, delay: float | None = None) -> Log:
     """Return a log in tables; `delay` [s] stands for a column `arrived`. Raise UserError where one or a column is missing."""
-    measured, beside = _files(path)
-    named = {units.parts(head)[0]: head for head in columns.heads(measured)}
-    columns.require(measured, list(named), COLUMNS)
+    measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
+    if measured is None:
+        raise UserError(
+            f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
+            "needs a TOML that says which topics are channels (pcbench guide logs)."
+        )
+    named = _named(measured, COLUMNS)
     if "arrived" not in named and delay is None:
         raise UserError(
             f"{measured.name}: got no column 'arrived', expected when samples arrived [s]; write the column, "
@@ -45,47 +51,162 @@ def opened(path: Path, delay: float | None = None) -> Log:
             f"{measured.name}: got a column 'arrived' and --delay {delay:g}, expected one of them; leave one out."
         )
     channels = _channels(measured, named["channel"])
-    return Log(
-        name=measured.name,
-        channels=channels,
-        measurements=lambda: _measurements(measured, named, channels, delay),
-        inputs=_table(beside["inputs"]),
-        truth=_table(beside["truth"]),
-    )
 
-
-def _files(path: Path) -> tuple[Path, dict[str, Path | None]]:
-    """The files of a log: its measurements, and where there are any inputs and truth."""
-
-    def first(*names: Path) -> Path | None:
-        return next((name for name in names if name.is_file()), None)
-
-    if path.is_dir():
-        measured = first(*(path / f"measurements{kind}" for kind in columns.KINDS))
-        if measured is None:
-            raise UserError(
-                f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
-                "needs a TOML that says which topics are channels (pcbench guide logs)."
+    def measurements() -> Iterator[Batch]:
+        wanted, row = [named[name] for name in (*COLUMNS, "arrived") if name in named], 1
+        for part in batches(measured, wanted, [named["channel"]]):
+            sampled = column_of(part, named["sampled"], measured.name, time=True)
+            late = column_of(part, named["arrived"], measured.name, time=True) if delay is None else sampled + delay
+            channel = pc.index_in(words_of(part, named["channel"], measured.name), pa.array(channels))
+            yield Batch(
+                channel=channel.to_numpy(zero_copy_only=False).astype(int),
+                sampled=sampled,
+                arrived=late,
+                value=column_of(part, named["value"], measured.name),
+                row=np.arange(row, row + len(part)),
             )
-        return measured, {what: first(*(path / f"{what}{k}" for k in columns.KINDS)) for what in ("inputs", "truth")}
-    beside = {what: first(*(path.with_suffix(f".{what}{k}") for k in columns.KINDS)) for what in ("inputs", "truth")}
-    return path, beside
+            row += len(part)
+
+    return Log(measured.name, channels, measurements, _table(inputs), _table(truth))
+
+
+def _file(path: Path, what: str) -> Path | None:
+    """The file of one table of a log in a folder, or beside that of the measurements."""
+    if what == "measurements" and not path.is_dir():
+        return path
+    names = (path / f"{what}{k}" if path.is_dir() else path.with_suffix(f".{what}{k}") for k in KINDS)
+    return next((name for name in names if name.is_file()), None)
+
+
+def _named(path: Path, wanted: Sequence[str]) -> dict[str, str]:
+    """The heads of a file's columns by name, those that are wanted among them."""
+    named = {name_and_unit(head)[0]: head for head in heads(path)}
+    require(path.name, list(named), wanted)
+    return named
 
 
 def _channels(path: Path, head: str) -> tuple[str, ...]:
     """Every channel's name, in the order of the numbers in them."""
-    found: set[str] = set()
-    for part in columns.parts(path, [head], [head]):
-        found |= set(pc.unique(_words(part.column(0), f"{path.name}: {head}")).to_pylist())
-    if not found or None in found:
+    names: set[str] = set()
+    for part in batches(path, [head], [head]):
+        names |= set(pc.unique(words_of(part, head, f"{path.name}: {head}")).to_pylist())
+    if not names or None in names:
         raise UserError(
-            f"{path.name}: got {'a row without a channel' if found else 'no rows'}, expected samples with the name of their "
+            f"{path.name}: got {'a row without a channel' if names else 'no rows'}, expected samples with the name of their "
             "channel each; mend the file."
         )
-    return tuple(sorted((str(name) for name in found), key=natural))
+
+    def numbers_in(name: str) -> list[tuple[int, int, str]]:
+        return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name) if p]
+
+    return tuple(sorted(map(str, names), key=numbers_in))
 
 
-def _words(column: pa.Array, where: str) -> pa.Array:
+def _table(path: Path | None) -> Table | None:
+    """A table of t and columns of numbers."""
+    if path is None:
+        return None
+    named = _named(path, ["t"])
+    source = Source(path, "", list(named.values()), {named["t"]}, None, path.name, topics=set(), loaded={})
+    fields = {name: (head, 1.0) for name, head in named.items() if name != "t"}
+    if not fields:
+        raise UserError(
+            f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
+        )
+    return table_of(lambda: columns(source), named["t"], fields)
+
+
+def as_tables(
+    samples: Batch,
+    channels: Sequence[str],
+    inputs: tuple[Floats, Floats] | None = None,
+    truth: tuple[Sequence[str], Floats, Floats] | None = None,
+) -> dict[str, pa.Table]:
+    """Return samples, inputs (t [K], u [K, m]) and truth (names, t [K], x [K, n]) as tables, by the names of their files."""
+    names = pa.array(channels).take(pa.array(samples.channel))
+    arrived = pa.array(samples.arrived, mask=np.isnan(samples.arrived))
+    columns = {"channel": names, "sampled": samples.sampled, "arrived": arrived, "value": samples.value}
+    wide: dict[str, tuple[Sequence[str], Floats, Floats]] = {}
+    if inputs is not None:
+        wide["inputs"] = [f"u{i + 1}" for i in range(inputs[1].shape[1])], *inputs
+    if truth is not None:
+        wide["truth"] = truth
+    return {"measurements": pa.table(columns)} | {
+        what: pa.table({"t": t} | {name: np.ascontiguousarray(v) for name, v in zip(names, values.T, strict=True)})
+        for what, (names, t, values) in wide.items()
+    }
+
+
+def heads(path: Path) -> list[str]:
+    """Return the heads of a file's columns as they are written; raise UserError where it cannot be read."""
+    try:
+        if path.suffix.lower() == ".parquet":
+            return list(pq.read_schema(path).names)
+        with csv.open_csv(path) as file:
+            return list(file.schema.names)
+    except (OSError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def name_and_unit(head: str) -> tuple[str, str | None]:
+    """Return the name and the unit of a column's head, such as "sampled [ms]"; None where it has none."""
+    match = HEAD.match(head)
+    return (match[1], match[2]) if match else (head, None)
+
+
+def batches(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterator[pa.RecordBatch]:
+    """Yield the columns `names` a part at a time; all but those of `words` are numbers. Errors name the file."""
+    try:
+        if path.suffix.lower() == ".parquet":
+            # else a group's whole column is read first
+            with pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
+                yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
+            return
+        types = {name: pa.string() if name in words else pa.float64() for name in names}
+        convert = csv.ConvertOptions(column_types=types, include_columns=list(names))
+        read = csv.ReadOptions(block_size=BLOCK, use_threads=False)
+        with csv.open_csv(path, read_options=read, convert_options=convert) as file:
+            yield from file
+    except (OSError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def columns(source: Source) -> Iterator[Columns]:
+    """Yield parts of columns; what is empty is NaN."""
+    require(source.place, heads(source.path), source.fields)
+    for part in batches(source.path, source.fields):
+        yield {
+            name: column_of(part, name, source.where, time=name in source.times, unit=source.unit)
+            for name in source.fields
+        }
+
+
+def column_of(part: pa.RecordBatch, head: str, where: str, *, time: bool = False, unit: str | None = None) -> Floats:
+    """Return a column as numbers, NaN where it is empty, a `time` in seconds, of `unit` or the head's.
+
+    Raises UserError where it holds something else, or its unit is unknown or must be said.
+    """
+    column, where, unit = part.column(head), f"{where}: {head}", unit or name_and_unit(head)[1]
+    if time and unit is not None and unit not in SECONDS:
+        raise unknown(where, "unit of time", unit, SECONDS)
+    if time and pa.types.is_timestamp(column.type):
+        column, unit = pc.cast(pc.cast(column, pa.timestamp("ns")), pa.int64()), "ns"
+    if not any(holds(column.type) for holds in NUMBERS):
+        raise UserError(f"{where}: got {column.type}, expected numbers; mend the column.")
+    numbers = np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
+    if not time:
+        return numbers
+    if unit is None and numbers.size and np.nanmax(np.abs(numbers), initial=0.0) > LATEST:
+        raise UserError(
+            f"{where}: got {np.nanmax(np.abs(numbers)):.4g} without a unit, expected seconds; write the unit into the column's "
+            "head, such as 'sampled [ns]', or time_unit in a TOML."
+        )
+    return numbers * SECONDS[unit or "s"]
+
+
+def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
+    """Return a column of words; raise UserError where it holds something else."""
+    column = part.column(head)
     column = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
     try:
         return pc.cast(column, pa.string())
@@ -93,128 +214,13 @@ def _words(column: pa.Array, where: str) -> pa.Array:
         raise UserError(f"{where}: got {column.type}, expected names of channels; mend the column.") from None
 
 
-def natural(name: str) -> list[tuple[int, int, str]]:
-    """Return a key by which names stand in the order of the numbers in them."""
-    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name) if p]
+def require(where: str, names: Sequence[str], wanted: Sequence[str]) -> None:
+    """Raise UserError for a column that a file lacks."""
+    for name in wanted:
+        if name not in names:
+            raise unknown(where, "column here", name, names)
 
 
-def _measurements(path: Path, named: dict[str, str], channels: tuple[str, ...], delay: float | None) -> Iterator[Batch]:
-    wanted = [named[name] for name in (*COLUMNS, "arrived") if name in named]
-    known, row = pa.array(channels), 1
-    for part in columns.parts(path, wanted, [named["channel"]]):
-        sampled = _seconds(part, named["sampled"], path)
-        late = sampled + delay if delay is not None else _seconds(part, named["arrived"], path)
-        yield Batch(
-            channel=pc.index_in(_words(part.column(named["channel"]), path.name), known)
-            .to_numpy(zero_copy_only=False)
-            .astype(int),
-            sampled=sampled,
-            arrived=late,
-            value=_number(part, named["value"], path),
-            row=np.arange(row, row + len(part)),
-        )
-        row += len(part)
-
-
-def _table(path: Path | None) -> Table | None:
-    """A table of t and columns of numbers."""
-    if path is None:
-        return None
-    named = {units.parts(head)[0]: head for head in columns.heads(path)}
-    columns.require(path, list(named), ["t"])
-    names = tuple(name for name in named if name != "t")
-    if not names:
-        raise UserError(
-            f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
-        )
-
-    def read() -> Iterator[Rows]:
-        row = 1
-        for part in columns.parts(path, list(named.values())):
-            values = np.stack([_number(part, named[name], path) for name in names], 1)
-            yield Rows(_seconds(part, named["t"], path), values, np.arange(row, row + len(part)))
-            row += len(part)
-
-    return Table(names, read)
-
-
-def _seconds(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
-    return units.seconds(part.column(head), units.parts(head)[1], f"{path.name}: {head}")
-
-
-def _number(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
-    return columns.numbers(part.column(head), f"{path.name}: {head}")
-
-
-def fields(
-    path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
-) -> Iterator[dict[str, Floats]]:
-    """Yield parts of columns, [K] each; times in seconds. What is empty is NaN."""
-    columns.require(path, columns.heads(path), wanted, f"{where}: {path.name}")
-    for part in columns.parts(path, wanted):
-        found = {}
-        for name in wanted:
-            column = part.column(name)
-            if name in times:
-                found[name] = units.seconds(column, unit or units.parts(name)[1], f"{where}: {name}")
-            else:
-                found[name] = columns.numbers(column, f"{where}: {name}")
-        yield found
-
-
-def as_tables(
-    samples: Batch,
-    channels: Sequence[str],
-    inputs: tuple[NDArray[Any], NDArray[Any]] | None = None,
-    truth: tuple[Sequence[str], NDArray[Any], NDArray[Any]] | None = None,
-) -> dict[str, pa.Table]:
-    """Return samples, inputs (t [K], u [K, m]) and truth (names, t [K], x [K, n]) as tables, by the names of their files."""
-    names = pa.array(channels).take(pa.array(samples.channel))
-    lost = np.isnan(samples.arrived)
-    columns = [names, pa.array(samples.sampled), pa.array(samples.arrived, mask=lost), pa.array(samples.value)]
-    out = {"measurements": pa.table(columns, ["channel", "sampled", "arrived", "value"])}
-    if inputs is not None:
-        t, u = inputs
-        out["inputs"] = _wide(t, u, [f"u{i + 1}" for i in range(u.shape[1])])
-    if truth is not None:
-        signals, t, x = truth
-        out["truth"] = _wide(t, x, signals)
-    return out
-
-
-def _wide(t: NDArray[Any], values: NDArray[Any], names: Sequence[str]) -> pa.Table:
-    columns = [t, *(np.ascontiguousarray(v) for v in values.T)]
-    return pa.table([pa.array(column) for column in columns], ["t", *names])
-
-
-def tables_of(
-    samples: list[Any], schedule: Any, recording: Any, dt: float, signals: list[str], error: int = 0
-) -> dict[str, pa.Table]:
-    """Return the tables of a run by name.
-
-    `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. Their times are
-    the stamps that observers get, which assume a delay that is `error` ticks too long (`Sample.stamp`). One that was lost,
-    or is on its way when the run ends, never arrives. Raises UserError where measuring began before
-    tick 0: such samples have measured nothing that a log holds.
-    """
-    if len(schedule.early):
-        raise UserError(
-            "--log: got a scenario that measured before t = 0, expected one that begins there; take another."
-        )
-    last = len(recording.x) - 1
-    every = sorted((s for s in samples if s.taken <= last), key=lambda s: (s.taken, s.channel))
-    k, slot, channel = np.nonzero(schedule.mask)
-    brought = recording.brought[k, slot, channel]
-    value = dict(
-        zip(zip(channel.tolist(), schedule.number[k, slot, channel].tolist(), strict=True), brought, strict=True)
-    )
-    batch = Batch(
-        channel=np.array([s.channel for s in every], int),
-        sampled=np.array([s.stamp(error) * dt for s in every]),
-        arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
-        value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
-        row=np.arange(1, len(every) + 1),
-    )
-    t = np.arange(last + 1) * dt
-    channels = [f"y{i + 1}" for i in range(schedule.mask.shape[2])]
-    return as_tables(batch, channels, (t, recording.u), (signals, t, recording.x))
+def _unreadable(path: Path, error: Exception) -> UserError:
+    kind = path.suffix.lower().removeprefix(".")
+    return unreadable(error, str(path), f"a {kind} file of numbers under one line of heads; mend the file")

@@ -4,59 +4,42 @@ A ULog is read as a whole, for its reader has no other way: once, however many c
 only those that are asked for are held.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pcbench.errors import UserError, unknown, unreadable
-from pcbench.recordings.log import Floats
-from pcbench.recordings.messages import require_topic
-
-MICROSECOND = 1e-6
+from pcbench.errors import UserError, unknown
+from pcbench.recordings.log import SECONDS, Columns, Source, reading, require_topic
 
 
-def reader(topics: Iterable[str]) -> Callable[..., Iterator[dict[str, Floats]]]:
-    """Return what reads fields of these topics of one file, which is loaded when the first is asked for."""
-    names = sorted({topic.partition(".")[0] for topic in topics})
-    loaded: dict[str, Any] = {}
-
-    def fields(
-        path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
-    ) -> Iterator[dict[str, Floats]]:
-        """Yield a topic's fields, [K] each; stamps in seconds. A message without stamp_sample is stamped when it was logged."""
-        name, _, instance = topic.partition(".")
-        asked = f"{name}.{instance}" if instance not in ("", "0") else name
-        if not loaded:
-            loaded.update(_topics(path, names, where))
-        if asked not in loaded:
-            require_topic(asked, _topics(path, None, where), where)
-        data = loaded[asked]
-        out = {}
-        for field in wanted:
-            place = "timestamp" if field == "timestamp_sample" and field not in data else field
-            if place not in data:
-                raise unknown(f"{where}: {topic}", "field", field, data)
-            out[field] = np.asarray(data[place], float) * (MICROSECOND if field in times else 1.0)
-        yield out
-
-    return fields
+def columns(source: Source) -> Iterator[Columns]:
+    """Yield a topic's fields. A message without stamp_sample is stamped when it was logged."""
+    name, _, instance = source.topic.partition(".")
+    topic = f"{name}.{instance}" if instance not in ("", "0") else name
+    if not source.loaded:
+        source.loaded.update(_topics(source, sorted({each.partition(".")[0] for each in source.topics})))
+    if topic not in source.loaded:
+        require_topic(topic, _topics(source, None), source.where)
+    data, out = source.loaded[topic], {}
+    for field in source.fields:
+        column = "timestamp" if field == "timestamp_sample" and field not in data else field
+        if column not in data:
+            raise unknown(f"{source.where}: {source.topic}", "field", field, data)
+        out[field] = np.asarray(data[column], float) * (SECONDS["us"] if field in source.times else 1.0)
+    yield out
 
 
-def _topics(path: Path, names: list[str] | None, where: str) -> dict[str, Any]:
+def _topics(source: Source, names: list[str] | None) -> dict[str, Any]:
     """The fields of topics of these names (None: of all), by topic."""
     from pyulog import ULog
 
-    try:
-        with redirect_stdout(StringIO()) as remarks:  # how its reader says what it has passed over
-            log = ULog(str(path), names)
-    except Exception as error:  # pyulog raises TypeError and struct.error among others
-        raise unreadable(error, f"{where}: {path.name}", "a whole ULog; mend it") from None
+    with reading(source, "a whole ULog; mend it"), redirect_stdout(StringIO()) as remarks:  # what it has passed over
+        log = ULog(str(source.path), names)
     if log.file_corruption or "corrupt" in remarks.getvalue():
         raise UserError(
-            f"{where}: {path.name}: got records that cannot be read among others, expected a whole ULog; mend it."
+            f"{source.place}: got records that cannot be read among others, expected a whole ULog; mend it."
         )
     return {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: d.data for d in log.data_list}

@@ -1,31 +1,49 @@
-"""A stretch of a log as arrays over its ticks: what `schedule.common_times.schedule` lays out for a run, with values.
+"""A log's samples as ticks, some ticks at a time, as `schedule.common_times.schedule` lays them out for a run, with values.
 
-And the room that a log needs: slots, packets on their way, samples that overtake, ages.
+A stretch of ticks holds all that is taken or arrives in it. Rows may be in any order: a stretch is complete once a row has been
+read whose stamp is later than its end by as much as any row is behind (`Survey.behind`). And the room that a log needs: slots,
+packets on their way, samples that overtake, ages.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from pcbench.recordings.events import Samples, Stretch
-from pcbench.recordings.log import Floats
-from pcbench.recordings.ticks import NEVER
+from pcbench.errors import UserError
+from pcbench.recordings.log import Floats, Ints, Log
+from pcbench.recordings.survey import Survey
+from pcbench.recordings.times import NEVER, Clock, require_sound
 
-Whole = NDArray[np.int32]
+Ticks = NDArray[np.int32]
+
+
+class Stretch(NamedTuple):
+    """Ticks first .. end - 1 of a log.
+
+    Samples have the columns channel, taken [tick], arrives [tick] (not before taken; NEVER of one that was lost), value, row,
+    number (which sample of its channel, from 0) and packet (which sampling instant, from 0).
+    """
+
+    first: int
+    end: int
+    taken: pd.DataFrame  # those taken in it, in the order in which they were, at one tick in the order of channels
+    arriving: pd.DataFrame  # those that arrive in it, by tick of arrival, then of taking, then by channel
 
 
 class Window(NamedTuple):
     """K ticks, q channels, S arrival slots; -1 means nothing."""
 
-    sense: Whole  # [K] the packet taken at this tick
+    sense: Ticks  # [K] the packet taken at this tick
     sampled: NDArray[np.bool_]  # [K, q] the channels in it
-    arrive: Whole  # [K, S] the packets that arrive
-    taken: Whole  # [K, S] the tick at which it was taken
+    arrive: Ticks  # [K, S] the packets that arrive
+    taken: Ticks  # [K, S] the tick at which it was taken
     mask: NDArray[np.bool_]  # [K, S, q]
-    number: Whole  # [K, S, q] which sample of its channel
+    number: Ticks  # [K, S, q] which sample of its channel
     value: Floats  # [K, S, q]
-    ticks_since_arrival: Whole  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
+    ticks_since_arrival: Ticks  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: NDArray[np.bool_]  # [K]
 
 
@@ -38,97 +56,122 @@ class Room(NamedTuple):
     latest: int = 0  # the greatest age at arrival
     apart: int = 0  # the longest time from one packet to the next,
     apart_row: int = 0  # and a row of the latter
+    recent: Ints = np.zeros((0, 3), np.int64)  # (taken, arrives, packet) of packets that matter to the next stretch,
+    newest: int = 0  # and the tick at which the last packet was taken
+
+
+def cut(parts: Iterator[pd.DataFrame], length: int, last: int, behind: int = 0) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Yield the first tick of every `length` ticks until `last` is in them, and the rows of that time, in their order.
+
+    The index of the parts, one at least, is their ticks, none below 0. A row may be `behind` ticks behind the newest before it.
+    """
+    waiting = [next(parts)]
+    newest = waiting[0].index.max()
+    for first in range(0, last + 1, length):
+        while not newest - behind >= first + length and (part := next(parts, None)) is not None:
+            waiting.append(part)
+            newest = np.fmax(newest, part.index.max())
+        rows = pd.concat(waiting)
+        here = rows.index < first + length
+        waiting = [rows[~here]]
+        yield first, rows[here]
+
+
+def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) -> Iterator[Stretch]:
+    """Yield a log in stretches of `length` ticks, the last one with tick `last` in it.
+
+    Raises UserError where two samples of a channel fall on one tick. What was taken before tick 0 or after `last` is left out.
+    """
+
+    def parts() -> Iterator[pd.DataFrame]:
+        for batch in log.measurements():
+            if len(batch.row):
+                require_sound(log, batch)
+                columns = {"channel": batch.channel, "arrives": clock.ticks(batch.arrived), "value": batch.value}
+                taken = clock.ticks(batch.sampled)
+                part = pd.DataFrame(columns | {"row": batch.row, "taken": taken}, index=taken)
+                yield part[(taken >= 0) & (taken <= last)]
+
+    numbers, packets, under_way = np.zeros(len(log.channels), np.int64), 0, None
+    for first, rows in cut(parts(), length, last, int(survey.behind / clock.dt) + 2):
+        end, samples = first + length, rows.sort_values(["taken", "channel"], kind="stable")
+        doubled = samples.duplicated(["taken", "channel"]).to_numpy()
+        if doubled.any():
+            before, sample = (samples.iloc[int(np.argmax(doubled)) - step] for step in (1, 0))
+            raise UserError(
+                f"{log.name}: row {sample.row:.0f} of channel {log.channels[int(sample.channel)]}: got a sample on the same "
+                f"tick of {clock.dt:g} s as row {before.row:.0f}, expected one at most; leave the doubled sample out, or take "
+                "a shorter tick."
+            )
+        number = numbers[samples.channel] + samples.groupby("channel").cumcount()
+        packet = packets - 1 + (samples.taken.diff() != 0).cumsum()
+        samples = samples.assign(number=number, packet=packet)
+        numbers += np.bincount(samples.channel, minlength=len(numbers))
+        packets += samples.taken.nunique()
+        under_way = samples if under_way is None else pd.concat([under_way, samples])
+        now = under_way.arrives < end
+        arriving = under_way[now].sort_values(["arrives", "taken", "channel"], kind="stable")
+        under_way = under_way[~now & (under_way.arrives < NEVER)]
+        yield Stretch(first, end, samples, arriving)
 
 
 def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Window, int]:
     """Lay a stretch out; return it, and the last tick at which anything arrived, given that of before."""
-    many, coming = s.end - s.first, s.arriving
+    many, shape = s.end - s.first, (s.end - s.first, slots)
     out = Window(
         sense=np.full(many, -1, np.int32),
         sampled=np.zeros((many, channels), bool),
-        arrive=np.full((many, slots), -1, np.int32),
-        taken=np.zeros((many, slots), np.int32),
-        mask=np.zeros((many, slots, channels), bool),
-        number=np.full((many, slots, channels), -1, np.int32),
-        value=np.zeros((many, slots, channels)),
-        ticks_since_arrival=np.zeros((many, slots), np.int32),
+        arrive=np.full(shape, -1, np.int32),
+        taken=np.zeros(shape, np.int32),
+        mask=np.zeros((*shape, channels), bool),
+        number=np.full((*shape, channels), -1, np.int32),
+        value=np.zeros((*shape, channels)),
+        ticks_since_arrival=np.zeros(shape, np.int32),
         event=np.zeros(many, bool),
     )
-    at = s.taken.taken - s.first
-    out.sense[at] = s.taken.packet
-    out.sampled[at, s.taken.channel] = True
-    tick, slot = coming.arrives - s.first, slots_of(coming)
-    out.arrive[tick, slot] = coming.packet
-    out.taken[tick, slot] = coming.taken
-    out.mask[tick, slot, coming.channel] = True
-    out.number[tick, slot, coming.channel] = coming.number
-    out.value[tick, slot, coming.channel] = coming.value
-    when = np.unique(coming.arrives)
-    ticks_since_arrival = np.diff(when, prepend=last_arrival)
-    out.ticks_since_arrival[tick, slot] = ticks_since_arrival[np.searchsorted(when, coming.arrives)]
+    out.sense[s.taken.taken - s.first] = s.taken.packet
+    out.sampled[s.taken.taken - s.first, s.taken.channel] = True
+    tick, slot, channel = s.arriving.arrives - s.first, slots_of(s), s.arriving.channel
+    out.arrive[tick, slot] = s.arriving.packet
+    out.taken[tick, slot] = s.arriving.taken
+    out.mask[tick, slot, channel] = True
+    out.number[tick, slot, channel] = s.arriving.number
+    out.value[tick, slot, channel] = s.arriving.value
+    when, place = np.unique(s.arriving.arrives, return_inverse=True)
+    out.ticks_since_arrival[tick, slot] = np.diff(when, prepend=last_arrival)[place]
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
     return out, int(when[-1]) if when.size else last_arrival
 
 
-def slots_of(coming: Samples) -> NDArray[np.int64]:
-    """Return the slot of every sample of a stretch that arrives: those of one packet share one, the oldest has the first."""
-    if not len(coming.arrives):
-        return np.zeros(0, np.int64)
-    new_tick = np.diff(coming.arrives, prepend=-1) != 0
-    new_packet = new_tick | (np.diff(coming.packet, prepend=-1) != 0)
-    packet = np.cumsum(new_packet) - 1
-    return packet - np.maximum.accumulate(np.where(new_tick, packet, 0))
+def slots_of(s: Stretch) -> Ints:
+    """Return the slot of every sample that arrives in a stretch: those of one packet share one, the oldest has the first."""
+    by_tick = s.arriving.groupby("arrives").packet
+    return (by_tick.rank("dense") - 1).to_numpy(np.int64)
 
 
-class Tally(NamedTuple):
-    """The room so far, and what the next stretch's depends on."""
-
-    room: Room = Room()
-    before: NDArray[np.int64] = np.zeros((0, 3), np.int64)  # (taken, arrives, packet) of packets that matter yet
-    newest: int = -1  # the tick at which the last packet was taken
-
-
-def tally(so_far: Tally, s: Stretch, latest: int) -> Tally:
+def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
     """Return the room with one stretch more; `latest` bounds the age [ticks] of all samples of the log."""
-    room, taken = so_far.room, s.taken
-    mine = np.stack([taken.taken, taken.arrives, taken.packet], 1)[taken.arrives < NEVER]
-    each = np.unique(np.concatenate([so_far.before, mine]), axis=0)
-    instants, first = np.unique(taken.taken, return_index=True)
-    apart = np.diff(instants, prepend=max(so_far.newest, 0))
+    on_its_way = s.taken[s.taken.arrives < NEVER][["taken", "arrives", "packet"]].to_numpy()
+    packets = np.unique(np.concatenate([room.recent, on_its_way]), axis=0)
+    taken, arrives, number = packets.T
+    first = s.taken.drop_duplicates("taken")  # sample of each packet
+    apart = np.diff(first.taken, prepend=room.newest)
     further = int(apart.max(initial=0)) > room.apart
-    newest = int(taken.packet[-1]) if len(taken.packet) else -1
-    there = each[each[:, 2] >= 0]
-    waiting = _waiting(there, taken, newest)
-    return Tally(
-        Room(
-            slots=max(room.slots, int(slots_of(s.arriving).max(initial=0)) + 1),
-            flight=max(room.flight, waiting),
-            overtaking=max(room.overtaking, _overtaken(each)),
-            latest=max(room.latest, int((each[:, 1] - each[:, 0]).max(initial=0))),
-            apart=max(room.apart, int(apart.max(initial=0))),
-            apart_row=int(taken.row[first[np.argmax(apart)]]) if further else room.apart_row,
-        ),
-        each[each[:, 0] >= s.end - 1 - latest],
-        int(taken.taken[-1]) if len(taken.taken) else so_far.newest,
-    )
-
-
-def _waiting(each: NDArray[np.int64], taken: Samples, newest: int) -> int:
-    """The most packets from one to the newest that is taken by the time that it arrives, both counted."""
-    if not len(each):
-        return 1
-    instants, first = np.unique(taken.taken, return_index=True)
-    numbers = taken.packet[first]
-    place = np.searchsorted(instants, each[:, 1], side="right") - 1
-    by_then = np.where(place >= 0, numbers[np.maximum(place, 0)] if len(numbers) else newest, each[:, 2])
-    return int((by_then - each[:, 2]).max()) + 1
-
-
-def _overtaken(each: NDArray[np.int64]) -> int:
-    """As `common_times.overtaking`: the most packets taken after one that arrive before it; of rows sorted by `taken`."""
-    taken, arrives = each[:, 0], each[:, 1]
-    counts, shift = np.zeros(len(each), int), 1
-    while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
-        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+    # from each packet to the newest that is taken by the time that it arrives, both counted
+    place = np.searchsorted(first.taken, arrives, side="right") - 1
+    by_then = np.where(place >= 0, first.packet.to_numpy()[place], number) if len(first) else number
+    # newer packets that arrive before one, as `common_times.overtaking`
+    overtaking, shift = np.zeros(len(packets), int), 1
+    while shift < len(packets) and (taken[shift:] < arrives[:-shift]).any():
+        overtaking[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
         shift += 1
-    return int(counts.max(initial=0))
+    return Room(
+        slots=max(room.slots, int(slots_of(s).max(initial=0)) + 1),
+        flight=max(room.flight, int((by_then - number).max(initial=0)) + 1),
+        overtaking=max(room.overtaking, int(overtaking.max(initial=0))),
+        latest=max(room.latest, int((arrives - taken).max(initial=0))),
+        apart=max(room.apart, int(apart.max(initial=0))),
+        apart_row=int(first.row.iloc[np.argmax(apart)]) if further else room.apart_row,
+        recent=packets[taken >= s.end - 1 - latest],
+        newest=int(first.taken.iloc[-1]) if len(first) else room.newest,
+    )

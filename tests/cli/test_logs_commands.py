@@ -124,7 +124,7 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
             if at == "estimates":
                 stopped()
             draft.close()
-            replay_metrics.finish(draft, {})
+            draft.finish({})
 
     monkeypatch.setattr(storage, "put_json", stopped)
     with pytest.raises(KeyboardInterrupt):

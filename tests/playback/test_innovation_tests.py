@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import pcbench
 from pcbench.planning import setting
 from pcbench.playback import innovation_tests, smoother
-from pcbench.playback.replay import asked
+from pcbench.playback.setup import open_playback
 from pcbench.recordings import tables
 
 DT = 0.01
@@ -139,7 +139,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_samples(noise):
 @pytest.mark.ci
 def test_the_distance_is_that_to_the_smoother(replayed):
     folder, found = replayed
-    a = asked(folder, MOTOR, ["kf"])
+    a = open_playback(folder, MOTOR, ["kf"])
     model = smoother.model_of(setting(a.cell), np.zeros(2))
     (batch,), (inputs,) = a.log.measurements(), a.log.inputs.read()
     y = np.full((len(inputs.t), 1), np.nan)

@@ -13,7 +13,7 @@ from reference.linear import Model, Sample
 import pcbench
 from pcbench import planning
 from pcbench.playback import innovation_tests, likelihood
-from pcbench.playback.replay import asked
+from pcbench.playback.setup import open_playback
 
 DT, TICKS, LATE = 0.01, 120, 6
 R, Q, P0 = (0.01, 0.0004), 4e-4, 1.0
@@ -99,8 +99,8 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
 @pytest.mark.nightly
 def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     folder, samples, _ = replayed
-    record = likelihood.recorded(asked(folder, PLANT, ["kf"]))
-    cell = asked(folder, PLANT, ["kf"]).cell
+    record = likelihood.recorded(open_playback(folder, PLANT, ["kf"]))
+    cell = open_playback(folder, PLANT, ["kf"]).cell
     entry, options = cell.entry("kf"), cell.options["kf"]
 
     def design(point):

@@ -9,9 +9,8 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench.cli.render.recordings import odd
 from pcbench.errors import UserError
-from pcbench.playback.replay import turned_back
-from pcbench.recordings import columns as files
-from pcbench.recordings import readers
+from pcbench.playback.replay import stamps_that_go_back
+from pcbench.recordings import readers, tables
 from pcbench.recordings.survey import described, survey
 
 
@@ -55,7 +54,7 @@ def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     (row,) = described(found)
     assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
     assert "1 sample stands behind one with a later stamp, the first in row 9" in odd(row)
-    assert turned_back(found)[0].startswith(
+    assert stamps_that_go_back(found)[0].startswith(
         "row 9 of channel y1 has a stamp that goes back, the first of 1: each counts"
     )
 
@@ -89,7 +88,7 @@ def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
     def full(*_):
         raise pa.ArrowMemoryError("malloc of 1048576 failed")
 
-    monkeypatch.setattr(files.csv, "open_csv", full)
+    monkeypatch.setattr(tables.csv, "open_csv", full)
     with pytest.raises(UserError) as caught:
         readers.opened(folder)
     assert str(caught.value).endswith(

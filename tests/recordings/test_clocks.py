@@ -11,8 +11,9 @@ from scipy.io import savemat
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.playback.replay import asked
-from pcbench.recordings import clocks, readers
+from pcbench.playback.setup import open_playback
+from pcbench.recordings import readers, times
+from pcbench.recordings.running_stats import Spread, add
 from pcbench.recordings.survey import survey
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
@@ -77,7 +78,7 @@ def test_times_of_two_clocks_are_refused_by_all_that_read_a_log(tmp_path, name, 
     study = {"name": "own", "scenarios": {"own": {"base": "cart/white", "delay": f"from:{folder}"}}}
     for read in (
         lambda: pcbench.info(folder),
-        lambda: asked(folder, MOTOR, ["kf"]),
+        lambda: open_playback(folder, MOTOR, ["kf"]),
         lambda: pcbench.run(study, observers=["kf"]),
     ):
         with pytest.raises(UserError) as caught:
@@ -111,20 +112,20 @@ def test_a_start_of_another_clock_is_refused(tmp_path):
         UserError,
         match=r"40 rows cover 169,999,999,705 ticks of 0\.01 s, from 5 s to 1700000002 s, more than 10 horizons",
     ):
-        asked(folder, MOTOR, ["kf"], start=5.0)
+        open_playback(folder, MOTOR, ["kf"], start=5.0)
 
 
 def test_gaps_and_delays_of_one_clock_are_no_second_clock(tmp_path):
     """A pause of an hour, one stamp of 0 in a minute since boot, a delay as long as the log, days between few rows."""
     t = plain()["sampled"]
-    for times in (
+    for changes in (
         {"sampled": np.where(t < 1, t, t + 3599), "arrived": np.where(t < 1, t, t + 3599)},
         {"sampled": np.append(0.0, t[1:] + 60), "arrived": t + 60},
         {"arrived": t + 3},
         {"sampled": 4e6 * t, "arrived": 4e6 * t},
         {"sampled": t + UNIX, "arrived": t + UNIX + 0.1},
     ):
-        found = survey(readers.opened(rows(tmp_path / "log", plain() | times)))
+        found = survey(readers.opened(rows(tmp_path / "log", plain() | changes)))
         assert found.rows == 40
 
 
@@ -135,14 +136,14 @@ def test_a_gap_is_found_wherever_it_is(seed):
     columns = [np.sort(random.uniform(0, 100, 50)) for _ in range(4)]
     far = random.integers(4)
 
-    def times(shift):
-        moved = [c + shift * (i == far) for i, c in enumerate(columns)]
-        return [clocks.more(clocks.Times(str(i), "fix"), c, np.arange(1, 51)) for i, c in enumerate(moved)]
+    def moved(shift):
+        every = [c + shift * (i == far) for i, c in enumerate(columns)]
+        return [times.TimeColumn(str(i), "fix", add(Spread(), np.arange(1.0, 51.0), c)) for i, c in enumerate(every)]
 
-    clocks.require_one("log", times(0.0))
-    clocks.require_one("log", times(clocks.HOUR * 0.99))
+    times.require_one_clock("log", moved(0.0))
+    times.require_one_clock("log", moved(times.HOUR * 0.99))
     with pytest.raises(UserError, match="1.0[0-9] hours apart" if far else "apart"):
-        clocks.require_one("log", times(clocks.HOUR * 1.06))
+        times.require_one_clock("log", moved(times.HOUR * 1.06))
 
 
 @pytest.mark.ci

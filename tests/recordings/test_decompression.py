@@ -15,15 +15,17 @@ from pcbench import toml_text
 from pcbench.errors import UserError
 from pcbench.recordings import decompression, rosbag
 from pcbench.recordings import mcap as mcap_reader
+from pcbench.recordings.log import Source
 
 OPEN = """
 import resource, sys
 from pcbench.errors import UserError
 from pcbench.recordings import matlab
+from pcbench.recordings.log import Source
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30, 4 * 2**30))
 try:
-    next(matlab.reader([""])(Path(sys.argv[1]), "", ["x"], set(), None, "log"))
+    next(matlab.columns(Source(Path(sys.argv[1]), "", ["x"], set(), None, "log", {""}, {})))
 except UserError as error:
     print(error)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
@@ -93,7 +95,7 @@ def mcap(folder, codec, summary):
         for at in ends:
             content = content[:at] + (1000).to_bytes(8, "little") + content[at + 8 :]
         path.write_bytes(content)
-    return path, mcap_reader.fields
+    return path, mcap_reader.columns
 
 
 def bag(folder, ros, how):
@@ -110,7 +112,7 @@ def bag(folder, ros, how):
         writer.set_compression(rosbag2.CompressionMode[how], rosbag2.CompressionFormat.ZSTD)
     with writer:
         writer.write(writer.add_connection("/a", "std_msgs/msg/String", typestore=store), 0, ZEROS)
-    return path, rosbag.fields
+    return path, rosbag.columns
 
 
 LARGE = {
@@ -123,11 +125,11 @@ LARGE |= {f"ROS {ros}, {how}": partial(bag, ros=ros, how=how) for ros, how in HO
 @pytest.mark.ci
 @pytest.mark.parametrize("name", LARGE)
 def test_a_bag_that_unpacks_to_much_memory_is_refused_before_it_takes_it(name, tmp_path):
-    path, fields = LARGE[name](tmp_path)
+    path, columns = LARGE[name](tmp_path)
     tracemalloc.start()
     try:
         with pytest.raises(UserError, match=r"MB that unpack to more than 67.1 MB, expected at most 50 times as much"):
-            next(fields(path, "/a", ["data"], set(), None, "log"))
+            next(columns(Source(path, "/a", ["data"], set(), None, "log", {"/a"}, {})))
         assert tracemalloc.get_traced_memory()[1] < 2**27
     finally:
         tracemalloc.stop()

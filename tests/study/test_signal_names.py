@@ -10,7 +10,7 @@ import pytest
 import pcbench
 from pcbench import signal_names
 from pcbench.errors import UserError
-from pcbench.recordings import mapping
+from pcbench.recordings import readers
 from pcbench.study import parse
 from pcbench.study.plugins import registry, user_plants
 from pcbench.study.plugins.user_code import Code
@@ -71,7 +71,7 @@ def recording(tmp_path, what, unit):
     tables = {"channels": "y1", "inputs": "u1", "truth": "position"}
     lines = [f"[{w}.{n}]\nfield = 'a'\nunit = {unit if w == what else 'm'!r}" for w, n in tables.items()]
     path.write_text("log = 'x.csv'\n" + "\n".join(lines), encoding="utf-8")
-    return mapping.opened(path)
+    return readers.opened(path)
 
 
 PLACES = {

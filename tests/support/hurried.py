@@ -46,7 +46,7 @@ def stretches():
     """Return `playback.step_block.compiled()`, made in a hurry."""
     from pcbench.playback import step_block
 
-    begun = jax.jit(step_block.begun, static_argnums=(0, 2, 3), compiler_options=options())
+    begun = jax.jit(step_block.begun, static_argnums=(0, 2), compiler_options=options())
     return begun, jax.jit(step_block.run, static_argnums=0, compiler_options=options())
 
 

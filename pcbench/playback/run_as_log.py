@@ -1,0 +1,44 @@
+"""A simulated run as a log, in the tables that `recordings.tables` reads."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench.errors import UserError
+from pcbench.recordings.log import Batch
+from pcbench.recordings.tables import as_tables
+from pcbench.simulation.schedule.common_times import Sample, Schedule
+
+if TYPE_CHECKING:
+    from pcbench.simulation.trajectory import Recording
+
+
+def tables_of(
+    samples: list[Sample], schedule: Schedule, recording: "Recording", dt: float, signals: list[str], error: int = 0
+) -> dict[str, pa.Table]:
+    """Return the tables of a run by name.
+
+    The times of `samples` are the stamps that observers get, which assume a delay that is `error` ticks too long
+    (`Sample.stamp`). One that was lost, or is on its way when the run ends, never arrives. Raises UserError where measuring
+    began before tick 0: such samples have measured nothing that a log holds.
+    """
+    if len(schedule.early):
+        raise UserError(
+            "--log: got a scenario that measured before t = 0, expected one that begins there; take another."
+        )
+    last = len(recording.x) - 1
+    every = sorted((s for s in samples if s.taken <= last), key=lambda s: (s.taken, s.channel))
+    k, slot, channel = np.nonzero(schedule.mask)
+    numbers = schedule.number[k, slot, channel].tolist()
+    value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.brought[k, slot, channel], strict=True))
+    batch = Batch(
+        channel=np.array([s.channel for s in every], int),
+        sampled=np.array([s.stamp(error) * dt for s in every]),
+        arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
+        value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
+        row=np.arange(1, len(every) + 1),
+    )
+    t = np.arange(float(last + 1)) * dt
+    channels = [f"y{i + 1}" for i in range(schedule.mask.shape[2])]
+    return as_tables(batch, channels, (t, np.asarray(recording.u)), (signals, t, np.asarray(recording.x)))

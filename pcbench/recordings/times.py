@@ -1,0 +1,140 @@
+"""Times of a log: in ticks of dt, when samples arrived, and that all are of one clock.
+
+Times of two clocks (simulated time and the time of day, a stamp of 0 before a receiver has its first fix, milliseconds read
+as seconds) form groups with a gap between them. Let g be one of the three largest gaps between neighbouring times of the log,
+and r the sum of all smaller gaps:
+
+    two clocks:   g > FACTOR r   and   g > HOUR, or g > DAY if one column has times on both sides
+
+So the limit is relative to the time that the log covers, and a log that passes lasts at most FACTOR times as long as its rows
+do, or a few days. Not claimed: that clocks that differ by less are found; `pcbench info` shows their delays.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.recordings.log import Batch, Floats, Ints, Log, Rows
+from pcbench.recordings.running_stats import Spread
+
+NEVER = 2**40  # the tick of what was lost
+SMALL = 0.01  # of a median interval: a rounding that hardly matters
+DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, 64, 80, 100, 125, 200, 250, 500, 1000)
+FACTOR = 10.0
+GAPS = 3  # the largest gaps that are looked at
+HOUR, DAY, YEAR = 3600.0, 86400.0, 365.25 * 86400.0  # [s]
+
+
+class Clock(NamedTuple):
+    """What turns a log's seconds into ticks."""
+
+    start: float  # [s] of the log's clock, tick 0
+    dt: float  # [s]
+
+    def ticks(self, times: Floats) -> Ints:
+        """Return times [s] as ticks; NaN is NEVER."""
+        exists = np.isfinite(times)
+        return np.where(exists, np.rint(np.where(exists, times - self.start, 0.0) / self.dt), NEVER).astype(np.int64)
+
+
+def rounding(times: Floats, dt: float) -> float:
+    """Return by how much [s] times since tick 0 [s] are rounded to ticks of dt [s] at most."""
+    return float(np.abs(times / dt - np.rint(times / dt)).max(initial=0.0)) * dt
+
+
+def better_dt(times: Floats, dt: float, interval: float) -> float | None:
+    """Return the longest dt [s] of a few that rounds times [s] by less than SMALL of an interval [s]; None: no need.
+
+    Tried are the interval and dt divided by whole numbers. Where none is short enough, twice what is small: no time is rounded
+    by more than half a tick.
+    """
+    small = SMALL * interval
+    if not interval > 0 or rounding(times, dt) <= small:
+        return None
+    tried = sorted({base / n for base in (interval, dt) for n in DIVISORS if base / n < dt * (1 - 1e-9)}, reverse=True)
+    return next((h for h in tried if rounding(times, h) <= small), float(f"{2 * small:.1g}"))
+
+
+def require_sound(log: Log, batch: Batch) -> None:
+    """Raise UserError naming the first row of a batch that no run can be fed with.
+
+    Such is one without a number or a time, or that arrived before it was sampled.
+    """
+    for bad, got, expected in (
+        (~np.isfinite(batch.sampled), "a sample without a time", "the second at which it was taken in 'sampled'"),
+        (~np.isfinite(batch.value) & ~np.isnan(batch.arrived), "the value {value}", "a finite number"),
+        (batch.arrived < batch.sampled, "a sample that arrived {early:.6g} s before it was sampled", "no such row"),
+    ):
+        if bad.any():
+            i = int(np.argmax(bad))
+            early = batch.sampled[i] - batch.arrived[i]
+            place = f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}"
+            if early > HOUR:
+                raise UserError(
+                    f"{place}: the stamp {batch.sampled[i]:.10g} s is {apart(early)} after the arrival "
+                    f"{batch.arrived[i]:.10g} s, so they are of two clocks or units; convert the arrivals to the clock of the "
+                    "stamps, or leave them out and give a delay."
+                )
+            raise UserError(
+                f"{place}: got {got.format(value=batch.value[i], early=early)}, expected {expected}; mend or leave out that "
+                "row."
+            )
+
+
+def require_forward(where: str, before: float, rows: Rows) -> None:
+    """Raise UserError naming the first row of a table of inputs or truth whose time is none, or not after the row before."""
+    back = ~(np.diff(rows.t, prepend=before) > 0)
+    if back.any():
+        i = int(np.argmax(back))
+        earlier = rows.t[i - 1] if i else before
+        raise UserError(
+            f"{where}: row {rows.row[i]}: got the time {rows.t[i]:.9g} s after {earlier:.9g} s, expected later times; "
+            "sort the rows, and leave doubled ones out."
+        )
+
+
+class TimeColumn(NamedTuple):
+    """One column of times."""
+
+    name: str  # as a sentence names it
+    fix: str  # how to convert it, as a sentence says it
+    times: Spread  # marked by their rows
+
+
+def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
+    """Raise UserError for times of two clocks; it names the row, or the columns that differ."""
+    columns = [c for c in columns if c.times.many]
+    some = [c.times.kept[:, 1] for c in columns]
+    times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *some]))
+    gaps = np.diff(times)
+    order = np.argsort(-gaps, kind="stable")
+    for i, at in enumerate(order[:GAPS]):
+        before, after = float(times[at]), float(times[at + 1])
+        both = [c for c in columns if c.times.least <= before and c.times.most >= after]
+        if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if both else HOUR):
+            continue
+        far = apart(after - before)
+        if both:  # one column is on both sides; most times of the log are right
+            s, early = both[0].times, np.concatenate(some) <= before
+            few = 2 * early.sum() <= len(early)
+            time, row, side = (s.least, s.least_mark, "before") if few else (s.most, s.most_mark, "after")
+            raise UserError(
+                f"{where}: row {int(row)} has {time:.10g} s among the {both[0].name}, {far} {side} the other times of the "
+                "log, so it is of another clock; remove that row or convert its time."
+            )
+        first, last = ([c for c in columns if (c.times.most <= before) == side] for side in (True, False))
+        names = [f"{c[0].name}{' and others' if len(c) > 1 else ''}" for c in (first, last)]
+        raise UserError(
+            f"{where}: the {names[0]} end at {before:.10g} s and the {names[1]} begin at {after:.10g} s, {far} apart, so they "
+            f"are of two clocks or units; {(last if columns[0].times.most <= before else first)[0].fix}."
+        )
+
+
+def apart(seconds: float) -> str:
+    """Return a length of time as a sentence says it."""
+    for unit, name in ((YEAR, "years"), (DAY, "days"), (HOUR, "hours")):
+        if seconds >= unit:
+            return f"{seconds / unit:.3g} {name}"
+    return f"{seconds:.3g} s"
