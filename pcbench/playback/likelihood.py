@@ -32,13 +32,6 @@ from pcbench.synthesis.certificate import power_of_2
 MOST = 1 << 22  # ticks of a log that is held in memory
 
 
-class Recorded(NamedTuple):
-    """A log in memory with its one observer."""
-
-    prepared: Prepared
-    part: stream.Part
-
-
 class SampleLikelihood(NamedTuple):
     """Of each sample in the order in which they came: N samples, P parameters."""
 
@@ -52,8 +45,8 @@ class SampleLikelihood(NamedTuple):
         return -0.5 * (self.numbers[:, 1] * np.log(2 * np.pi) + self.numbers[:, 2] + self.numbers[:, 0])
 
 
-def recorded(a: Playback) -> Recorded:
-    """Return a log in memory, its observer designed; raise UserError where it is too long for that, or does not fit."""
+def recorded(a: Playback) -> tuple[Prepared, stream.Part]:
+    """Return the observer of a log, and the log in memory; raise UserError where it is too long for that, or does not fit."""
     if a.last >= MOST:
         raise UserError(
             f"{a.log.name}: got {a.last + 1} ticks, expected {MOST} at most to tune on; cut the log, or take a longer tick."
@@ -61,13 +54,14 @@ def recorded(a: Playback) -> Recorded:
     a = a._replace(length=max(power_of_2(a.last + 1), 2))
     p = prepared(a, room_of(a))
     (part,) = stream.parts(a, p, [])
-    return Recorded(p, part)
+    return p, part
 
 
-def evaluator(log: Recorded, design: Callable[[Vector], PyTree]) -> Callable[[Vector], SampleLikelihood]:
+def evaluator(
+    p: Prepared, part: stream.Part, design: Callable[[Vector], PyTree]
+) -> Callable[[Vector], SampleLikelihood]:
     """Return what computes how likely each sample is at a point of the free parameters; errors as of `design`."""
-    p = log.prepared
-    inputs = p.problem.inputs._replace(rows=log.part.inputs, first=np.asarray(log.part.first - p.back))
+    inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
     bare = p.problem._replace(inputs=inputs, gains={})
 
     def at(point: Vector) -> SampleLikelihood:
@@ -75,9 +69,9 @@ def evaluator(log: Recorded, design: Callable[[Vector], PyTree]) -> Callable[[Ve
         along = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
         leaves, tree = jax.tree.flatten(gains)
         real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
-        numbers, slopes = map(np.asarray, compiled()(p.layout, tree, real, leaves, along, bare, log.part.window))
+        numbers, slopes = map(np.asarray, compiled()(p.layout, tree, real, leaves, along, bare, part.window))
         judged = numbers[..., 1] > 0
-        return SampleLikelihood(numbers[judged], log.part.first + np.nonzero(judged)[0], slopes[judged])
+        return SampleLikelihood(numbers[judged], part.first + np.nonzero(judged)[0], slopes[judged])
 
     return at
 

@@ -13,7 +13,7 @@ from pcbench.playback import innovation_tests, replay_metrics, smoother, step_bl
 from pcbench.playback.innovation_tests import Judged, Sums
 from pcbench.playback.setup import Playback, Prepared, open_playback, prepared, room_of
 from pcbench.playback.step_block import Score
-from pcbench.recordings.log import Floats
+from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.survey import Survey
 from pcbench.recordings.times import better_dt, rounding
 from pcbench.recordings.windows import Room
@@ -39,7 +39,7 @@ class Passage(NamedTuple):
     """What observers have left that went through a log."""
 
     judged: dict[str, Judged]  # by observer that says what it expects
-    arrived: np.ndarray  # [q] samples
+    arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: none is known
     smoothed: Floats | None  # [ticks, n]
 
@@ -114,14 +114,13 @@ def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progr
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (q, p.m))
     largest, largest_y = np.zeros(len(scored)), np.zeros(q)  # of the truth, by signal, and of what was measured
-    schema = replay_metrics.fields({o: list(signals[:n]) for o, n in p.sizes.items()}, a.clock.start, a.clock.dt)
     progress.begin("ticks", a.last + 1)
     ends = np.array([a.cell.times.tail, a.last])
     for part, reads in stream.through(runners, stream.parts(a, p, scored), p.back, ends):
         w, ticks = part.window, part.first + np.arange(a.length)
         kept = min(a.length, a.last + 1 - part.first)
-        estimates = [np.asarray(read.estimate)[:kept] for read in reads.values()]
-        draft.write(replay_metrics.table(schema, ticks[:kept] * a.clock.dt, estimates))
+        estimates = {label: np.asarray(read.estimate)[:kept] for label, read in reads.items()}
+        draft.write(replay_metrics.table(ticks[:kept], estimates, signals, a.clock))
         progress.step(kept)
         for label in judged:
             numbers = np.asarray(reads[label].surprise).reshape(-1, step_block.JUDGED + q)

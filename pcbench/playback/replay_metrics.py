@@ -20,7 +20,8 @@ from pcbench.dataset.columns import SCHEMA, unit_of
 from pcbench.errors import UserError
 from pcbench.planning import digits
 from pcbench.playback.step_block import Score
-from pcbench.recordings.log import Floats
+from pcbench.recordings.log import Floats, Ints
+from pcbench.recordings.times import Clock
 from pcbench.runtime import ending
 from pcbench.simulation import metrics
 
@@ -29,15 +30,16 @@ ESTIMATES = "estimates.parquet"
 SUMMARY = "replay.json"
 
 
-def fields(observers: dict[str, list[tuple[str, str]]], start: float, dt: float) -> pa.Schema:
-    """Return the columns of estimates: t and <observer>.<signal>, given (signal, unit) of each observer."""
-    about = {"unit": "s", "meaning": "time since the start of the log"}
-    out = [pa.field("t", pa.float64(), metadata=about)]
-    for observer, signals in observers.items():
-        for signal, unit in signals:
-            said = {"unit": unit, "meaning": "estimate, after the jump of the tick"}
-            out.append(pa.field(f"{observer}.{signal}", pa.float64(), metadata=said))
-    return pa.schema(out, metadata={"pcbench.schema": SCHEMA, "start": repr(start), "dt": repr(dt)})
+def table(ticks: Ints, estimates: dict[str, Floats], signals: Signals, clock: Clock) -> pa.Table:
+    """Return some ticks of estimates [K, n] by observer as a table: t and <observer>.<signal>, with their units."""
+    fields = [("t", "s", "time since the start of the log", ticks * clock.dt)]
+    for observer, each in estimates.items():
+        for (signal, unit), column in zip(signals, each.T, strict=False):
+            fields.append((f"{observer}.{signal}", unit, "estimate, after the jump of the tick", column))
+    about = {"pcbench.schema": SCHEMA, "start": repr(clock.start), "dt": repr(clock.dt)}
+    schema = [pa.field(n, pa.float64(), metadata={"unit": unit, "meaning": meaning}) for n, unit, meaning, _ in fields]
+    arrays = [pa.array(np.ascontiguousarray(column)) for *_, column in fields]
+    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=about))
 
 
 class Draft:
@@ -95,12 +97,6 @@ def draft(folder: Path) -> Iterator[Draft]:
         clear()
 
 
-def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.Table:
-    """Return some ticks of estimates [K, n] of each observer as a table."""
-    columns = [t, *(each[:, i] for each in estimates for i in range(each.shape[1]))]
-    return pa.Table.from_arrays([pa.array(np.ascontiguousarray(c)) for c in columns], schema=schema)
-
-
 def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
     """Yield the estimates of a file part by part, with the tick at which each begins."""
     first = 0
@@ -111,12 +107,13 @@ def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
             first += len(found)
 
 
-def plain(thing: Any) -> Any:
-    """Return a summary as JSON has it."""
+def plain(thing: Any, nulls: bool = True) -> Any:
+    """Return a summary as JSON has it, NaN as null; without `nulls` it is left out of tables."""
     if isinstance(thing, dict):
-        return {str(key): plain(each) for key, each in thing.items()}
+        out = {str(key): plain(each, nulls) for key, each in thing.items()}
+        return {key: each for key, each in out.items() if nulls or each is not None}
     if isinstance(thing, list | tuple):
-        return [plain(each) for each in thing]
+        return [plain(each, nulls) for each in thing]
     number = thing.item() if isinstance(thing, np.generic) else thing
     return None if isinstance(number, float) and not np.isfinite(number) else number
 

@@ -7,7 +7,6 @@ many samples overtake, are on their way, how old they get. So on a log of a simu
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from pcbench import planning
@@ -15,7 +14,6 @@ from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import signals_of
 from pcbench.playback.step_block import PLANT
-from pcbench.protocols import Observer
 from pcbench.recordings import readers
 from pcbench.recordings.log import Log
 from pcbench.recordings.survey import Survey, survey
@@ -54,7 +52,6 @@ class Prepared(NamedTuple):
     slots: int  # packets that may arrive at one tick
     back: int  # ticks of inputs that they may ask for
     m: int
-    sizes: dict[str, int]  # of what each estimates
 
 
 def open_playback(
@@ -171,11 +168,4 @@ def prepared(a: Playback, room: Room) -> Prepared:
         slots=room.slots,
         back=back,
         m=m,
-        sizes={o: _size(observer, problem, o) for o, observer in layout.observers},
     )
-
-
-def _size(observer: Observer, p: GridPointParams, label: str) -> int:
-    """How many signals an observer estimates."""
-    estimate = jax.eval_shape(lambda p: observer.estimate(p.gains[label], observer.init(p.gains[label], p.xhat0)), p)
-    return int(estimate.shape[0])

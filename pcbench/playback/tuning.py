@@ -27,6 +27,7 @@ from pcbench.playback import innovation_tests, likelihood
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
 from pcbench.playback.setup import open_playback
+from pcbench.recordings.log import Floats
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
@@ -92,8 +93,8 @@ def tune_log(
         where = f"tune {label} on {a.name}"
         entry, options = a.cell.entry(label), a.cell.options[label]
         _require(entry, budget, where)
-        record = likelihood.recorded(a)
-        context, part, cut = record.prepared.setting, record.part, int((1 - innovation_tests.HELD_OUT) * a.last)
+        p, part = likelihood.recorded(a)
+        context, cut = p.setting, int((1 - innovation_tests.HELD_OUT) * a.last)
         designed = planning.designed(label, entry, context, options)
         names = _tuned_options(entry, options, designed, only, where)
         free, at_start = tune.freed(label, entry, context, options, designed, names, where)
@@ -106,7 +107,6 @@ def tune_log(
             return planning.designed(label, entry, context, parameters.put(options, free, point)).gains
 
         def fit(history: History, at: Vector, end: int) -> Vector:
-            progress.begin("points", budget)
             tune.descend("descent", history, at, lambda point: _value(look(point), end), budget, where, progress)
             return np.array(history.best.at)
 
@@ -119,42 +119,34 @@ def tune_log(
         trials = History(target, about, entries, basis_of(study, a.cell))
         progress.begin("points", budget)
         progress.note("compiling")
-        look = likelihood.evaluator(record, design)
+        look = likelihood.evaluator(p, part, design)
         before = look(at_start)
-        judged = int(before.numbers[:, 1].sum())
         _require_samples(before.tick, before.numbers[:, 1], cut, len(at_start), where)  # an observer may leave some out
         if not np.isfinite(before.each).all():
             raise tune.NoStart(
                 f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
             )
-        remarks = a.remarks
-        if left := int(brought.sum()) - judged:
-            remarks.append(
+        if left := int(brought.sum() - before.numbers[:, 1].sum()):
+            a.remarks.append(
                 f"{label} does not say what it expects of {left:,} of {int(brought.sum()):,} measured numbers, which are not "
                 "in its likelihood."
             )
         after = look(fitted := fit(trials, at_start, cut))
         refit = History(target, f"{about}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
+        progress.begin("points", budget)
         best = fit(refit, fitted, a.last + 1)
-
-        late = before.tick >= cut
-        more = after.each[late] - before.each[late]
-        many = float(before.numbers[late, 1].sum())
-        gain, se = float(more.sum() / many), float(np.std(more, ddof=1) * np.sqrt(len(more)) / many)
-        kept = "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
-        arrived = not any(refit.best.slope)
 
         def total(at: Vector) -> tuple[float, Vector]:
             samples = look(at)
             return float(samples.each.sum()), np.asarray(samples.score.sum(0))
 
+        late, arrived = before.tick >= cut, not any(refit.best.slope)
+        more, many = after.each[late] - before.each[late], float(before.numbers[late, 1].sum())
+        gain, se = float(more.sum() / many), float(np.std(more, ddof=1) * np.sqrt(len(more)) / many)
+        kept = "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
         low, high = innovation_tests.intervals(total, best) if arrived else (np.full(len(best), np.nan),) * 2
         intensities = _intensities(free, at_start, best, low, high)
-        held_out = {}
-        for what, samples in (("start", before), ("tuned", after)):
-            numbers = samples.numbers[late]
-            sums = innovation_tests.add(innovation_tests.Sums(), numbers, np.ones(len(numbers), bool))
-            held_out[what] = innovation_tests.judgement(sums)
+        held_out = {what: _judgement(each.numbers[late]) for what, each in (("start", before), ("tuned", after))}
         tuned = LogTuning(
             study=tune.with_options(study, label, {} if kept else parameters.written(free, best)),
             start=parameters.written(free, at_start),
@@ -165,10 +157,16 @@ def tune_log(
             gain=gain,
             gain_se=se,
             points=[*trials.points, *refit.points],
-            said=[*remarks, *_remarks(arrived, intensities, held_out["tuned"]["p_white"])],
+            said=[*a.remarks, *_remarks(arrived, intensities, held_out["tuned"]["p_white"])],
         )
         _write(tuned, target, about)
         return tuned
+
+
+def _judgement(numbers: Floats) -> dict[str, float | str]:
+    """What innovations say of some samples."""
+    sums = innovation_tests.add(innovation_tests.Sums(), numbers, np.ones(len(numbers), bool))
+    return innovation_tests.judgement(sums)
 
 
 def _require(entry: ObserverSpec, budget: int, where: str) -> None:
@@ -266,11 +264,5 @@ def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     said: dict[str, Any] = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
     said |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     said |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
-
-    def without_none(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: without_none(each) for key, each in value.items() if each is not None}
-        return [without_none(each) for each in value] if isinstance(value, list) else value
-
-    record = without_none(plain(said))  # TOML has no null: what is not known is left out
+    record = plain(said, nulls=False)  # TOML has none: what is not known is left out
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

@@ -7,9 +7,8 @@ not believed: every compressed part is unpacked in steps and counted before its 
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -59,12 +58,6 @@ def _sizes(packed: bytes) -> Iterator[int]:
             packed = unpack.unconsumed_tail
 
 
-@lru_cache(maxsize=64)
-def once(check: Callable[[Path, str], None], path: Path, where: str, changed: int) -> None:
-    """Apply a check to a file once, however many channels and passes there are; `changed` [ns] is when it last was."""
-    check(path, where)
-
-
 def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) -> None:
     """Raise UserError if what is packed as zstd, lz4 or bz2 into `size` bytes is too large unpacked."""
     total = 0
@@ -111,13 +104,11 @@ def _require_small_chunks(file: BinaryIO, where: str, most: int | None = None) -
 
 
 def require_small_bag(path: Path, where: str) -> None:
-    """Raise UserError if a file, a chunk or a packed message of a bag is too large unpacked."""
+    """Raise UserError if a file, a chunk (ROS 1) or a packed message (ROS 2) of a bag is too large unpacked."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    for each in path.iterdir() if path.is_dir() else [path]:
-        if not each.is_file():
-            continue
+    for each in filter(Path.is_file, path.iterdir() if path.is_dir() else [path]):
         with each.open("rb") as file:
             head = file.read(len(SQLITE))
             if not head.startswith((MCAP, SQLITE)) and each.suffix != ".bag":
@@ -127,19 +118,14 @@ def require_small_bag(path: Path, where: str) -> None:
             require_small_mcap(each, where)
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as opened:
         for reader in opened.readers:
-            _require_small_parts(reader, path, where)
-
-
-def _require_small_parts(reader: Any, path: Path, where: str) -> None:
-    """The chunks of a bag of ROS 1, the packed messages of one of ROS 2."""
-    for chunk in getattr(reader, "chunks", {}).values():
-        codec = chunk.decompressor.__module__.partition(".")[0]  # of its package
-        with path.open("rb") as file:
-            file.seek(chunk.datapos)
-            if codec in ("bz2", "lz4"):
-                require_small_stream(BytesIO(file.read(chunk.datasize)), codec, chunk.datasize, where)
-    inner = getattr(reader, "storage", reader)
-    if getattr(getattr(inner, "metadata", None), "compression_mode", None) == "message":
-        for storage in inner.storages:
-            for _, _, data in storage.messages(storage.connections):
-                require_small_stream(BytesIO(data), "zstd", len(data), where)
+            for chunk in getattr(reader, "chunks", {}).values():
+                codec = chunk.decompressor.__module__.partition(".")[0]  # of its package
+                with path.open("rb") as file:
+                    file.seek(chunk.datapos)
+                    if codec in ("bz2", "lz4"):
+                        require_small_stream(BytesIO(file.read(chunk.datasize)), codec, chunk.datasize, where)
+            inner: Any = getattr(reader, "storage", reader)
+            if getattr(getattr(inner, "metadata", None), "compression_mode", None) == "message":
+                for storage in inner.storages:
+                    for _, _, data in storage.messages(storage.connections):
+                        require_small_stream(BytesIO(data), "zstd", len(data), where)

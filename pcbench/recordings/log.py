@@ -79,7 +79,7 @@ class Source(NamedTuple):
     unit: str | None  # of times that are plain numbers; None: as the format has it
     where: str  # as a sentence names what asks for them
     topics: set[str]  # all that will be asked for of this file
-    loaded: dict[str, Any]  # what is read as a whole, for all sources of one log; filled by the first
+    loaded: dict[str, Any]  # what the first source of a log has read or checked, for all of them
 
     @property
     def place(self) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 from pcbench.errors import UserError
 from pcbench.recordings import messages
-from pcbench.recordings.decompression import once, require_small_mcap
+from pcbench.recordings.decompression import require_small_mcap
 from pcbench.recordings.log import Columns, Source, reading, require_topic
 
 
@@ -15,7 +15,9 @@ def columns(source: Source) -> Iterator[Columns]:
     from mcap.reader import make_reader
 
     with reading(source, "a whole MCAP file; mend it"):
-        once(require_small_mcap, source.path, source.place, source.path.stat().st_mtime_ns)
+        if not source.loaded:
+            require_small_mcap(source.path, source.place)
+            source.loaded["is small"] = True
         with source.path.open("rb") as file:
             reader = make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
             summary = reader.get_summary()

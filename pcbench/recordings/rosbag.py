@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from pcbench.recordings import messages
-from pcbench.recordings.decompression import once, require_small_bag
+from pcbench.recordings.decompression import require_small_bag
 from pcbench.recordings.log import Columns, Source, reading, require_topic
 
 
@@ -13,7 +13,9 @@ def columns(source: Source) -> Iterator[Columns]:
     from rosbags.typesys import Stores, get_typestore
 
     with reading(source, "a whole bag; mend or convert it"):
-        once(require_small_bag, source.path, source.place, source.path.stat().st_mtime_ns)
+        if not source.loaded:
+            require_small_bag(source.path, source.place)
+            source.loaded["is small"] = True
         with AnyReader([source.path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             require_topic(source.topic, reader.topics, source.where)
             connections = [each for each in reader.connections if each.topic == source.topic]

@@ -63,19 +63,17 @@ def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
     return out
 
 
-def largest(before: Floats, sizes: Floats, *marks: Floats | Ints, most: int = 100) -> Floats:
-    """Return the `most` rows (size, *marks) with the largest sizes of those before and some more."""
+def largest(before: Floats, sizes: Floats, *marks: Floats | Ints) -> Floats:
+    """Return the hundred rows (size, *marks) with the largest sizes of those before and some more."""
     every = np.concatenate([before, np.stack([sizes, *marks], 1)])
-    return every[np.argsort(-every[:, 0], kind="stable")[:most]]
-
-
-def line_sums(x: Floats, y: Floats) -> Floats:
-    """Return the sums [6] for the line that fits points (x, y) best; those of some points more are added."""
-    return np.array([x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), (y * y).sum()])
+    return every[np.argsort(-every[:, 0], kind="stable")[:100]]
 
 
 def slope(sums: Floats) -> tuple[float, float]:
-    """Return the slope of a line and its standard error as if residuals were independent; NaN of fewer than three points."""
+    """Return the slope of the line that fits points (x, y) best, and its standard error as if residuals were independent.
+
+    Both are NaN of fewer than three points. `sums` are those of 1, x, y, x x, x y, y y.
+    """
     many, x, y, xx, xy, yy = sums.tolist()
     if many < 3 or (xx := xx - x**2 / many) <= 0:
         return np.nan, np.nan

@@ -16,7 +16,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.recordings import readers
 from pcbench.recordings.log import Batch, Floats, Log
-from pcbench.recordings.running_stats import Spread, add, largest, line_sums, slope
+from pcbench.recordings.running_stats import Spread, add, largest, slope
 from pcbench.recordings.times import TimeColumn, require_one_clock, require_sound
 
 if TYPE_CHECKING:
@@ -119,6 +119,8 @@ def _more(c: Channel, batch: Batch) -> Channel:
     change = np.abs(np.diff(delay, prepend=c.last_delay))
     changed = np.isfinite(change)
     seen = add(c.stamps, batch.row, batch.sampled)
+    x = at - seen.kept[0, 1]  # since the first stamp
+    sums = [x.size, x.sum(), delay.sum(), (x * x).sum(), (x * delay).sum(), (delay * delay).sum()]
     return Channel(
         stamps=seen,
         arrivals=add(c.arrivals, batch.row, batch.arrived),
@@ -127,7 +129,7 @@ def _more(c: Channel, batch: Batch) -> Channel:
         out_of_order=add(c.out_of_order, batch.row[behind], batch.sampled[behind]),
         doubled=add(c.doubled, rows[doubled], stamps[doubled]),
         last_delay=float(delay[-1]) if delay.size else c.last_delay,
-        drift=c.drift + line_sums(at - seen.kept[0, 1], delay),
+        drift=c.drift + np.array(sums),
         longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
         steps=largest(c.steps, change[changed], at[changed], batch.row[came][changed]),
     )

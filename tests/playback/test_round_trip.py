@@ -136,6 +136,15 @@ def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
     assert found["kf", "angle", "final_error"] == pytest.approx(e[-1], rel=1e-10)
 
 
+def test_truth_is_read_by_the_names_of_its_columns(traced, tmp_path):
+    study, _, folder = traced["plain"]
+    shutil.copytree(folder, tmp_path / "log")
+    truth = pd.read_parquet(folder / "truth.parquet")
+    truth[truth.columns[::-1]].assign(more=0.0).to_parquet(tmp_path / "log" / "truth.parquet", index=False)
+    here, there = (pcbench.replay(log, study, OBSERVERS).metrics for log in (tmp_path / "log", folder))
+    pd.testing.assert_frame_equal(here, there, check_exact=True)
+
+
 def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     _, frame, folder = traced["wild"]
     (batch,) = tables.opened(folder).measurements()
