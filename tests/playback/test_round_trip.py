@@ -10,7 +10,7 @@ from logged import MOTOR, written
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.playback import replay as replaying
+from pcbench.playback import setup
 from pcbench.recordings import tables
 from pcbench.recordings.log import Batch
 
@@ -62,7 +62,7 @@ def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, m
     """To rounding: another length is another program. Of each observer, though each is computed by itself."""
     study, _, folder = traced["wild"]
     whole = pcbench.replay(folder, study, OBSERVERS)
-    monkeypatch.setattr(replaying, "LENGTH", 64)
+    monkeypatch.setattr(setup, "LENGTH", 64)
     found = pcbench.replay(folder, study, OBSERVERS)
     assert set(found.metrics.observer) == set(OBSERVERS)
     for what in ("estimates", "innovations", "distances", "metrics"):
