@@ -13,9 +13,8 @@ from pcbench.dataset import columns
 from pcbench.dataset.aggregate import seen_bound
 from pcbench.errors import UserError, unknown
 from pcbench.moments import exactness, stats_rows
-from pcbench.moments.items import Asked
-from pcbench.moments.solve import CellMoments, planned, solve
-from pcbench.moments.types import COVARIANCE
+from pcbench.moments.propagate import COVARIANCE
+from pcbench.moments.solve import Asked, CellMoments, planned, solve
 from pcbench.plants import signals_of
 from pcbench.runtime import config
 from pcbench.study.grid import Cell, Grid
@@ -70,9 +69,9 @@ class Exact:
         names = [name for name, _ in signals_of(cell.scenario)]
         t = _times(cell.scenario.dt, cell.times.ticks, Asked(0, 0, points=points).every(cell.times.ticks))
         for label, place in m.signals.items():
-            if m.why[label]:
+            if m.why[label] or not m.rows:
                 continue
-            means, variances = m.rows.mean[:, place], m.rows.covariance[:, place, 0]
+            means, variances = np.asarray(m.rows.mean[:, place]), np.asarray(m.rows.covariance[:, place, 0])
             middle, variance = (means[..., 0], variances[..., 0])
             if m.random:
                 middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
@@ -96,12 +95,13 @@ class Exact:
                 "its own; ask with observers=[...] of one."
             )
         m = each[0]
-        if sentence := next(filter(None, m.why.values()), ""):
-            raise UserError(f"covariance: {sentence}")
+        if not m.rows or any(m.why.values()):  # one whose numbers overflow spoils those of the others here, and not by itself
+            alone = (why for one in self.solved(chosen) for why in one.why.values())
+            raise UserError(f"covariance: {next(filter(None, (*alone, *m.why.values())))}")
         names = [name for name, _ in signals_of(chosen[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
         order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
-        mean: NDArray[Any] = m.rows.mean[:, order]
+        mean = np.asarray(m.rows.mean[:, order])
         apart = mean - mean.mean(-1, keepdims=True)
         between = np.einsum("tis,tjs->tij", apart, apart) / apart.shape[-1]
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between

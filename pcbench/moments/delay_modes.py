@@ -13,7 +13,7 @@ tick, and a mean over schedules is one over modes. Overtaking is covered: L grow
 
 Covered is one sensor whose instants are not random and whose modes are at most `MOST`, which cost no more than as many drawn
 schedules. What an observer remembers besides numbers that noise reaches (which sample was the newest, a covariance) must
-depend on the mode alone: that is looked at wherever modes meet (`merging`). A filter that puts samples in order does so, as all
+depend on the mode alone: that is looked at wherever modes meet (`events`). A filter that puts samples in order does so, as all
 that is older has arrived; one whose covariance depends on all delays (`kf-ignore-delay`) does not, and is averaged over
 drawn schedules, with the error that remains. So are losses and random instants beside such delays, and more modes.
 """
@@ -27,8 +27,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.moments import uses_last_arrival
-from pcbench.moments.realisations import Realised
+from pcbench.moments.affinity import asks_last_arrival
+from pcbench.moments.inputs import Mix
+from pcbench.moments.realisations import Mode, Realised
 from pcbench.planning.padding import Plan
 from pcbench.simulation.schedule import common_times, sampling
 from pcbench.simulation.schedule.common_times import Schedule
@@ -46,16 +47,6 @@ class Chain(NamedTuple):
     following: Values  # [m, m] from one to the next
 
 
-class Mode(NamedTuple):
-    """One mode among those of its cell."""
-
-    number: int
-    share: float  # how often it is there
-    source: tuple[int, ...]  # the modes that may have been before it
-    weight: tuple[float, ...]  # and how probable each is
-    merged: NDArray[np.bool_]  # [N+1] ticks at which it takes their place
-
-
 def over_modes(p: Plan) -> list[Realised] | None:
     """Return a cell of one observer in each of its modes; None where its schedules are averaged over, or not random."""
     clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
@@ -63,7 +54,7 @@ def over_modes(p: Plan) -> list[Realised] | None:
         return None
     chain = _chain(clock)
     layout = p.layout._replace(width=1, watch=False, lifted=0)
-    length = _length(clock, chain, ticks, uses_last_arrival.asked(layout, p.problem))
+    length = _length(clock, chain, ticks, asks_last_arrival(layout, p.problem))
     if len(chain.later) ** length > MOST:
         return None
     every = [a for a in itertools.product(range(len(chain.later)), repeat=length) if _share(chain, a) > 0]
@@ -76,6 +67,20 @@ def over_modes(p: Plan) -> list[Realised] | None:
         about = Mode(number, _share(chain, mode), source, weight, merged)
         out.append(Realised(layout, p.problem._replace(schedule=plans(mode)), (), mode=about))
     return out
+
+
+def mix_of(modes: list[Mode]) -> Mix:
+    """Lay out modes side by side: those of one cell stand together, and the last may be there more than once."""
+    many = max(len(mode.source) for mode in modes)
+    source, weight = np.zeros((many, len(modes)), int), np.zeros((many, len(modes)))
+    first = 0
+    for at, mode in enumerate(modes):
+        if mode.number == 0:
+            first = at
+        mine = [first + number for number in mode.source]
+        source[:, at] = mine + mine[:1] * (many - len(mine))
+        weight[: len(mine), at] = mode.weight
+    return Mix(source, weight, np.stack([mode.merged for mode in modes], -1))
 
 
 def delays_alone(p: Plan) -> bool:

@@ -2,13 +2,13 @@
 
 import operator
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.scipy.special import erf
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.planning.digits import EPS
 from pcbench.simulation.metrics import Weights
@@ -18,49 +18,59 @@ AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
 
 
+Numbers: TypeAlias = Array | NDArray[np.float64]  # inside a program, and outside
+
+
 class Seen(NamedTuple):
     """What is read of a run at a tick: of one lane, or of many arrays [..., C]."""
 
-    errors: Any  # [Z] of all observers, in the order of their labels
-    off: Any  # [r] set point less state, of a closed loop
-    x: Any  # [n], and
-    u: Any  # [m] of a closed loop
+    errors: Array  # [Z] of all observers, in the order of their labels
+    off: Array  # [r] set point less state, of a closed loop
+    x: Array  # [n], and
+    u: Array  # [m] of a closed loop
 
 
 class Sums(NamedTuple):
     """Of Z signals in C cells; two sums of each: over the horizon, over its tail."""
 
-    square: Array  # [2, Z, C] of E e^2
-    absolute: Array  # [2, Z, C] of E |e|
-    mean: Array  # [Z, C] at the last tick
-    std: Array
-    reach: Array  # [Z, C] the largest |m| + FAR s
-    apart: Array  # [Z, C] how far a run with noise was from where linear maps put it
-    size: Array  # [Z, C] the largest number in that comparison, of the runs themselves
-    off: Any = ()  # [2, r, C] of a closed loop
-    cost: Any = ()  # [2, C]
-    input: Any = ()  # [2, C]
+    square: Numbers  # [2, Z, C] of E e^2
+    absolute: Numbers  # [2, Z, C] of E |e|
+    mean: Numbers  # [Z, C] at the last tick
+    std: Numbers
+    reach: Numbers  # [Z, C] the largest |m| + FAR s
+    apart: Numbers  # [Z, C] how far a run with noise was from where linear maps put it
+    size: Numbers  # [Z, C] the largest number in that comparison, of the runs themselves
+    off: Numbers  # [2, r, C] of a closed loop
+    cost: Numbers  # [2, C]
+    input: Numbers  # [2, C]
 
 
 class Read(NamedTuple):
-    """What J ticks give to the sums; V numbers that are read, in the order of `Seen`."""
+    """What a tick gives to the sums; V numbers that are read, in the order of `Seen`."""
 
-    runs: Seen  # [J, 1 + P, ..., C]
-    covariance: Array  # [J, V, V, C]; of an open loop [J, V, 1, C], the variances
-    moved: Array  # [J, P, V, C] where linear maps put the runs with noise, less the run without
-
-
-def nothing(signals: int, targets: int | None, cells: int) -> Sums:
-    """Return the sums before tick 0; `targets` of a closed loop."""
-    two, one = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells))
-    sums = Sums(square=two, absolute=two, mean=one, std=one, reach=one, apart=one, size=one)
-    if targets is None:
-        return sums
-    both = jnp.zeros((2, cells))
-    return sums._replace(off=jnp.zeros((2, targets, cells)), cost=both, input=both)
+    runs: Seen  # [1 + P, ..., C]
+    covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
+    moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
 
 
-def strayed(s: Sums, mine: slice, reached: Any = ()) -> NDArray[np.float64]:
+def nothing(signals: int, targets: int, cells: int) -> Sums:
+    """Return the sums before tick 0; `targets` of a closed loop, 0 of an open one."""
+    two, one, both = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells)), jnp.zeros((2, cells))
+    return Sums(
+        square=two,
+        absolute=two,
+        mean=one,
+        std=one,
+        reach=one,
+        apart=one,
+        size=one,
+        off=jnp.zeros((2, targets, cells)),
+        cost=both,
+        input=both,
+    )
+
+
+def strayed(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
     """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
 
     An error that is 0 but for the rounding of its state has no size to compare with. `reached` as in `Found`, or ().
@@ -75,84 +85,53 @@ def strayed(s: Sums, mine: slice, reached: Any = ()) -> NDArray[np.float64]:
     return part
 
 
-def variances(read: Read) -> Array:
-    """Return the variances [J, V, C] of what was read."""
-    c = read.covariance
-    return c[:, :, 0] if c.shape[2] == 1 else jnp.einsum("jvvc->jvc", c)
-
-
-def added(s: Sums, read: Read, weight: Array, weights: Any, at: Array) -> Sums:
-    """Take ticks `at` [J] into the sums; weight [2, J]: which count, and of those which in the tail; others are the last."""
-    s = _errors(s, read, weight)
-    if isinstance(s.input, tuple):
-        return s
-    z, r = read.runs.errors.shape[2], read.runs.off.shape[2]
-    first, n = z + r, read.runs.x.shape[2]
-    square = variances(read)
-    mean_off, x, u = read.runs.off[:, 0], read.runs.x[:, 0], read.runs.u[:, 0]
-    if isinstance(weights, Weights) and weights.Q1.size:
-        state, pushed = slice(first, first + n), slice(first + n, None)
-        off, more = (_less(a, table, at) for a, table in ((x, weights.x_ref), (u, weights.u_ref)))
-        cost = _form(weights.Q1, off, read.covariance[:, state, state]) + _form(
-            weights.Q2, more, read.covariance[:, pushed, pushed]
-        )
-        s = s._replace(cost=s.cost + _over(weight, cost))
-    squares = total(u * u + square[:, first + n :], 1)
-    late = s.off + _over(weight, mean_off * mean_off + square[:, z:first])
-    return s._replace(off=late, input=s.input + _over(weight, squares))
-
-
-def _over(weight: Array, each: Array) -> Array:
-    """The sums [2, ...] over the ticks that count of numbers [J, ...], whatever stands at the others."""
-    return total(jnp.where(weight.reshape(*weight.shape, *(1 for _ in each.shape[1:])), each[None], 0.0), 1)
-
-
-def total(a: Array, axis: int) -> Array:
-    """The sum along a short axis, written out: compiled as a sum it takes twenty times as long."""
-    return reduce(operator.add, _each(a, axis))
-
-
-def largest(a: Array, axis: int) -> Array:
-    """The largest along a short axis, likewise."""
-    return reduce(jnp.maximum, _each(a, axis))
-
-
-def _each(a: Array, axis: int) -> list[Array]:
-    return [lax.index_in_dim(a, i, axis, keepdims=False) for i in range(a.shape[axis])]
-
-
-def _less(mean: Array, table: Array, at: Array) -> Array:
-    """A mean [J, z, C] less the rows `at` of a table [T, z, C], or [T, z] of all cells; of an empty one as it is."""
-    if not table.size:
-        return mean
-    return mean - (table[at] if table.ndim == 3 else table[at][..., None])
-
-
-def _form(Q: Array, mean: Array, covariance: Array) -> Array:
-    """E z'Q z [J, C], of Q [n, n, C], or [n, n] of all cells."""
-    second = covariance + mean[:, :, None] * mean[:, None]
-    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None])[None] * second, (1, 2))
-
-
-def _errors(s: Sums, read: Read, weight: Array) -> Sums:
-    runs, counts = read.runs.errors, weight[0]
-    mean, z = runs[:, 0], runs.shape[2]
-    variance, moved = variances(read)[:, :z], read.moved[:, :, :z]
-    counted = counts[:, None, None]
-    apart = largest(jnp.abs(runs[:, 1:] - (mean[:, None] + moved)), 1)
-    large = largest(jnp.abs(runs), 1)
-    size = jnp.maximum(s.size, largest(jnp.where(counted, large, 0.0), 0))
-    std = _root(variance, size[None])
-    last, any_counts = jnp.maximum(jnp.sum(counts) - 1, 0), jnp.any(counts)
-    return s._replace(
-        square=s.square + _over(weight, mean * mean + variance),
-        absolute=s.absolute + _over(weight, expected_size(mean, std)),
-        mean=jnp.where(any_counts, mean[last], s.mean),
-        std=jnp.where(any_counts, std[last], s.std),
-        reach=jnp.maximum(s.reach, largest(jnp.where(counted, jnp.abs(mean) + FAR * std, 0.0), 0)),
-        apart=jnp.maximum(s.apart, largest(jnp.where(counted, apart, 0.0), 0)),
+def added(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
+    """Take tick k into the sums; counts [2]: whether it counts, and in the tail."""
+    c, runs, mean = read.covariance, read.runs.errors, read.runs.errors[0]
+    square = c[:, 0] if c.shape[1] == 1 else jnp.einsum("vvc->vc", c)
+    Z = mean.shape[0]
+    variance = square[:Z]
+    apart, large = (
+        jnp.where(counts[0], reduce(jnp.maximum, jnp.abs(a)), 0.0)
+        for a in (runs[1:] - (mean + read.moved[:, :Z]), runs)
+    )
+    size = jnp.maximum(s.size, large)
+    std = _root(variance, size)
+    s = s._replace(
+        square=_over(counts, s.square, mean * mean + variance),
+        absolute=_over(counts, s.absolute, expected_size(mean, std)),
+        mean=jnp.where(counts[0], mean, s.mean),
+        std=jnp.where(counts[0], std, s.std),
+        reach=jnp.maximum(s.reach, jnp.where(counts[0], jnp.abs(mean) + FAR * std, 0.0)),
+        apart=jnp.maximum(s.apart, apart),
         size=size,
     )
+    off, x, u = (a[0] for a in read.runs[1:])
+    if not len(x):
+        return s
+    first = Z + len(off)
+    n = first + len(x)
+    if isinstance(weights, Weights) and weights.Q1.size:
+        cost = _form(weights.Q1, x, weights.x_ref, k, c[first:n, first:n])
+        cost = cost + _form(weights.Q2, u, weights.u_ref, k, c[n:, n:])
+        s = s._replace(cost=_over(counts, s.cost, cost))
+    return s._replace(
+        off=_over(counts, s.off, off * off + square[Z:first]),
+        input=_over(counts, s.input, reduce(operator.add, u * u + square[n:])),
+    )
+
+
+def _over(counts: Array, sums: Numbers, each: Array) -> Numbers:
+    """Sums [2, ...] with numbers [...] of a tick where it counts, whatever stands at the others."""
+    return sums + jnp.where(counts.reshape(2, *(1 for _ in each.shape)), each, 0.0)
+
+
+def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
+    """E z'Q z [C], z less row k of a path [T, z, C], or [T, z] of all cells, if any; Q [z, z, C], or [z, z] of all cells."""
+    if path.size:
+        mean = mean - (path[k] if path.ndim == 3 else path[k][:, None])
+    second = covariance + mean[:, None] * mean[None]
+    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None]) * second, (0, 1))
 
 
 def _root(variance: Array, size: Array) -> Array:
@@ -166,5 +145,5 @@ def expected_size(mean: Array, std: Array) -> Array:
     """Return E |e| of a normal e: s sqrt(2/pi) exp(-m^2/2s^2) + m (1 - 2 Phi(-m/s)); |m| where s = 0."""
     varies = std > 0
     far = mean / jnp.where(varies, std, 1.0)
-    found = std * jnp.sqrt(2 / jnp.pi) * jnp.exp(-far * far / 2) + mean * erf(far / jnp.sqrt(2.0))
-    return jnp.where(varies, found, jnp.abs(mean))
+    normal = std * jnp.sqrt(2 / jnp.pi) * jnp.exp(-far * far / 2) + mean * erf(far / jnp.sqrt(2.0))
+    return jnp.where(varies, normal, jnp.abs(mean))

@@ -21,14 +21,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
-from pcbench.moments.inputs import Event
-from pcbench.moments.merging import merged
-from pcbench.moments.nees import both, product, squared
-from pcbench.moments.noise_state import Form, slope, vector, vectors
+from pcbench.moments.inputs import Event, Given, Mix
+from pcbench.moments.noise_state import Form, OneCell, both, over_cells, product, slope, squared, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.simulate_runs import Run, select
-from pcbench.simulation.types import ArrivalInfo, Layout, present
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, present
 
 
 class Moving(NamedTuple):
@@ -41,30 +39,52 @@ class Moving(NamedTuple):
     unlike: Any = ()  # [C] of modes: by how much those that met differed in what noise does not reach
 
 
-class Means(NamedTuple):
-    """What events of a batch go by."""
+class Shape(NamedTuple):
+    """What is compiled in besides the layout."""
+
+    cells: int
+    form: Form
+    own: tuple[bool, ...]  # which arrays of the problem are each cell's own
+    recorded: str = ""  # nothing, "std" or "covariance" over time
+    every: int = 1  # ticks apart
+    written: bool = False  # whether functions of a state are written out entry by entry
+
+
+class Batch(NamedTuple):
+    """A batch of cells, and what carries functions of one over all of them."""
 
     layout: Layout
-    form: Form
-    over: Any  # over_cells
+    shape: Shape
+    given: Given
+    over: Callable[[OneCell], Callable[..., Any]]  # noise_state.over_cells
     std: Array  # [q, C] of a sample
-    chance: Array  # [C] that a sample arrives at all; 1: it does
-    mix: Any = ()  # merging.Mix, where the cells are modes
 
 
-def sense(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -> Array:
+def batch(layout: Layout, shape: Shape, given: Given) -> Batch:
+    """Return a batch."""
+    p, std = given.problem, jnp.asarray(given.problem.noise_std)
+    return Batch(
+        layout=layout._replace(width=1, watch=False),
+        shape=shape,
+        given=given,
+        over=over_cells(p, shape.own, shape.cells, shape.written),
+        std=jnp.broadcast_to(std if std.ndim == 2 else std[:, None], (len(std), shape.cells)),
+    )
+
+
+def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Any, rest: Any) -> Array:
     """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
     y = layout.plant.output(p.params, present(p, k, True), run.x)
     notes = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
-def tell(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, mask: Array) -> Run:
+def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, mask: Array) -> Run:
     """Return the run after observers were told which channels [q] are sampled now, where any is."""
     return _updated(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
 
 
-def jump(layout: Layout, p: Any, k: Array, run: Run, packet: Array, rest: Any) -> Run:
+def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, rest: Any) -> Run:
     """Return the run after a packet [f], where one arrives: `rest` is (whether, Row)."""
     there, row = rest
     found = jax.eval_shape(lambda run: simulate_runs.take_notes(layout, p, k, run.memories, run.commands), run)
@@ -89,39 +109,42 @@ def _updated(there: Array, memories: Any, run: Run) -> Run:
     return run._replace(memories=new)
 
 
-def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
+def happen(by: Batch, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     """Let everything that the schedules have for tick k happen: modes change, sense, note and tell, deliver, the oldest first.
 
     `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
     q = by.std.shape[0]
-    m = merged(by.form, by.mix, k, m) if by.mix else m
+    if mix := by.given.mix:
+        m = lax.cond(jnp.any(mix.here[k]), lambda: _merge_modes(by.shape.form, mix, k, m), lambda: m)
     number = jnp.stack([now.sense] * q + [now.snapshot] * (m.flight.shape[2] - q))
     rows = jnp.arange(m.flight.shape[1])[:, None, None]
     here = rows == _place(number, m)[None]
     for more in now.also:
         noted = rows == _place(more, m)[None, None]
         here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
-    m = taken(by, k, m, here)
-    m = told(by, k, now.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
-
-    arriving = now.arrive, now.believed, now.mask, now.index, now.ticks_since_arrival
+    m = take_samples(by, k, m, here)
+    m = _notify(by, k, now.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
 
     def deliver(slot: Array, m: Moving) -> Moving:
-        return _delivered(by, k, jax.tree.map(lambda a: a[slot], arriving), m, noise[:, slot])
+        row = ArrivalInfo(now.mask, k - now.believed, now.index, now.ticks_since_arrival)
+        number, row = jax.tree.map(lambda a: a[slot], (now.arrive, row))
+        return _deliver(
+            by, k, number, row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape)), m, noise[:, slot]
+        )
 
     slots = len(now.arrive)
     return deliver(jnp.asarray(0), m) if slots == 1 else lax.fori_loop(0, slots, deliver, m)
 
 
-def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
+def take_samples(by: Batch, k: Array, m: Moving, here: Array) -> Moving:
     """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
     nothing = jnp.zeros((0, by.std.shape[1]))
     new = jax.vmap(lambda run: by.over(partial(sense, by.layout))(k, run, nothing, ()))(m.runs)
     flight = jnp.where(here[None], new[:, None], m.flight)
-    if not by.form.flight:
+    if not by.shape.form.flight:
         return m._replace(flight=flight)
-    M = by.over(slope(by.form, partial(sense, by.layout), lambda y: y))(k, _mean(m), nothing, ())
+    M = by.over(slope(by.shape.form, partial(sense, by.layout), lambda y: y))(k, _mean(m), nothing, ())
     A, shape = M.shape[1], here.shape[:2]
 
     def rows(P: Array) -> Array:
@@ -132,11 +155,13 @@ def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
     return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def told(by: Means, k: Array, mask: Array, m: Moving) -> Moving:
+def _notify(by: Batch, k: Array, mask: Array, m: Moving) -> Moving:
     """Tell the observers of each cell what is sampled now, [q, C]."""
     nothing = jnp.zeros((0, by.std.shape[1]))
-    M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, mask)
-    runs = jax.vmap(lambda run: by.over(partial(tell, by.layout))(k, run, nothing, mask))(m.runs)
+    M = by.over(slope(by.shape.form, partial(notify, by.layout), partial(vector, by.shape.form)))(
+        k, _mean(m), nothing, mask
+    )
+    runs = jax.vmap(lambda run: by.over(partial(notify, by.layout))(k, run, nothing, mask))(m.runs)
 
     def rows(P: Array) -> Array:
         return jnp.concatenate([product(M, P[: len(M)]), P[len(M) :]])
@@ -144,13 +169,9 @@ def told(by: Means, k: Array, mask: Array, m: Moving) -> Moving:
     return m._replace(runs=runs, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> Moving:
+def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, noise: Array) -> Moving:
     """Hand one packet of each cell over."""
-    q, form = by.std.shape[0], by.form
-    number, believed, mask, index, ticks_since_arrival = arriving
-    row = ArrivalInfo(mask, k - believed, index, ticks_since_arrival)
-    row = row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape))
-    rest = number >= 0, row
+    q, form, rest = by.std.shape[0], by.shape.form, (number >= 0, row)
     place = _place(number, m)
     here = (jnp.arange(m.flight.shape[1])[:, None] == place[None])[:, None]
     packets = jnp.take_along_axis(m.flight, place[None, None, None], 1)[:, 0]
@@ -158,7 +179,7 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
     A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
     packets = packets.at[1:, :q].add(scaled)
     jumped = jax.vmap(lambda run, packet: by.over(partial(jump, by.layout))(k, run, packet, rest))(m.runs, packets)
-    runs = jax.tree.map(partial(_mixed, by.chance), jumped, m.runs)
+    runs = jax.tree.map(partial(_mixed, by.given.chance), jumped, m.runs)
     step = vectors(form, jumped) - vectors(form, m.runs)
     G = M[:, A : A + q] * by.std[None]
 
@@ -171,10 +192,10 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
 
     after = _each(rows, m.apart)
     spread = squared(jnp.moveaxis(jnp.concatenate([step[:1], (after - m.apart)[len(scaled) :, :A]]), 0, 1))
-    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.chance[None, None]
-    added = by.chance[None, None] * (squared(G) + (1 - by.chance)[None, None] * spread)
-    P = _mixed(by.chance, both(rows, m.P), m.P).at[:A, :A].add(added)
-    return m._replace(runs=runs, P=P, apart=_mixed(by.chance, after, m.apart).at[: len(scaled), :A].add(pushed))
+    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.given.chance[None, None]
+    added = by.given.chance[None, None] * (squared(G) + (1 - by.given.chance)[None, None] * spread)
+    P = _mixed(by.given.chance, both(rows, m.P), m.P).at[:A, :A].add(added)
+    return m._replace(runs=runs, P=P, apart=_mixed(by.given.chance, after, m.apart).at[: len(scaled), :A].add(pushed))
 
 
 def _mixed(chance: Array, after: Array, before: Array) -> Array:
@@ -198,3 +219,48 @@ def _each(rows: Callable[[Array], Array], apart: Array) -> Array:
 
 def _mean(m: Moving) -> Run:
     return jax.tree.map(lambda a: a[0], m.runs)
+
+
+def _merge_modes(form: Form, mix: Mix, k: Array, m: Moving) -> Moving:
+    """What moves after modes have taken over at tick k (see `delay_modes`): conditional means and covariances, mixed."""
+    here, noisy = mix.here[k], m.flight.shape[0] - 1  # with noise
+
+    def on(v: Array, a: Array) -> Array:  # numbers [C], one a mode, for products with [..., C]
+        return v.reshape(*(1 for _ in a.shape[1:]), -1)
+
+    def mean(a: Array) -> Array:
+        pairs = zip(mix.source, mix.weight, strict=True)
+        return jnp.where(on(here, a), sum(on(weight, a) * a[..., source] for source, weight in pairs), a)
+
+    z = vectors(form, m.runs)[0]
+    if form.flight:
+        z = jnp.concatenate([z, m.flight[0].reshape(-1, z.shape[-1])])
+    z = jnp.concatenate([z[None], m.apart[noisy:]])
+    middle, P = mean(z), jnp.zeros_like(m.P)
+    for source, weight in zip(mix.source, mix.weight, strict=True):
+        apart = jnp.moveaxis(z[..., source] - middle, 0, 1)
+        P = P + on(weight, P) * (m.P[..., source] + squared(apart))
+    leaves, tree = jax.tree.flatten(m.runs)
+    unlike, runs = jnp.zeros_like(m.unlike), []
+    for a, moves in zip(leaves, form.moving, strict=True):
+        runs.append(mean(a) if moves else jnp.where(on(here, a), a[..., mix.source[0]], a))
+        unlike = unlike if moves else jnp.maximum(unlike, modes_apart(mix, a))
+    return m._replace(
+        runs=jax.tree.unflatten(tree, runs),
+        flight=mean(m.flight),
+        P=jnp.where(on(here, P), P, m.P),
+        apart=mean(m.apart),
+        unlike=jnp.maximum(m.unlike, jnp.where(here, unlike, 0.0)),
+    )
+
+
+def modes_apart(mix: Mix, a: Array) -> Array:
+    """Return by how much [C] modes that give way to one differ in numbers [..., C] without noise, relative to the largest."""
+    first, out = a[..., mix.source[0]], jnp.zeros(a.shape[-1])
+    for source in mix.source[1:]:
+        other = a[..., source]
+        off = jnp.abs(other.astype(float) - first.astype(float))
+        off = jnp.where(other == first, 0.0, jnp.where(jnp.isnan(off), jnp.inf, off))
+        off, size = (jnp.max(x, tuple(range(a.ndim - 1)), initial=0.0) for x in (off, jnp.abs(first.astype(float))))
+        out = jnp.maximum(out, off / jnp.maximum(size, 1e-300))
+    return out

@@ -14,8 +14,8 @@ square (`programs`).
 
 import numpy as np
 
+from pcbench.moments.affinity import ROUNDING
 from pcbench.moments.error_sums import AMPLIFIED, strayed
-from pcbench.moments.plant_affinity import ROUNDING
 from pcbench.moments.solve import CellMoments
 from pcbench.planning.digits import EPS, amount
 from pcbench.plants import signals_of

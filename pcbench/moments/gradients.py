@@ -14,15 +14,15 @@ import jax
 import numpy as np
 from jax import Array
 
-from pcbench.engine import runner
-from pcbench.moments import programs
+from pcbench.moments.affinity import ROUNDING, bend
 from pcbench.moments.error_sums import Sums
+from pcbench.moments.events import Shape
 from pcbench.moments.inputs import Given, own_of, together
 from pcbench.moments.noise_state import form_of
-from pcbench.moments.plant_affinity import ROUNDING, bent
+from pcbench.moments.programs import compile_program
+from pcbench.moments.propagate import run
 from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
 from pcbench.moments.solve import CellMoments, refused
-from pcbench.moments.types import Shape
 from pcbench.planning.padding import Plan
 
 OFF = 1e-3  # relative
@@ -53,21 +53,21 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
     every = jax.tree.map(lambda a: np.size(a) > 0, p.problem.gains[label])
     flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
     shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
-    bend = bent(p)
-    made: list[Any] = []
+    off = bend(p)
+    compiled: list[Any] = []
 
     def sums(given: Given, others: list[Array], reals: list[Array]) -> Sums:
         left, right = iter(reals), iter(others)
         gains = jax.tree.unflatten(tree, [next(left if mine else right) for mine in real])
         problem = given.problem._replace(gains={label: gains})
-        return programs.run(one.layout, shape, given._replace(problem=problem)).sums
+        return run(one.layout, shape, given._replace(problem=problem)).sums
 
     def both(given: Given, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
         return jax.jvp(partial(sums, given, others), (reals,), (ways,))
 
     def at(gains: Any, ways: list[Direction]) -> Sloped:
-        if bend > ROUNDING:
-            nothing = refused(len(p.problem.band), bend)
+        if off > ROUNDING:
+            nothing = refused(len(p.problem.band), off)
             return Sloped(_cell(p, one, nothing), nothing)
         leaves = [np.asarray(a) for a in jax.tree.leaves(gains)]
         reals = [_beside(a, width) for a, mine in zip(leaves, real, strict=True) if mine]
@@ -75,10 +75,9 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
         empty = [np.zeros_like(a) for a, mine in zip(leaves, real, strict=True) if mine]
         tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
         call = given, others, reals, tangents
-        if not made:
-            options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
-            made.append(jax.jit(both).lower(*call).compile(options))
-        value, slopes = jax.tree.map(np.asarray, made[0](*call))
+        if not compiled:
+            compiled.append(compile_program(both, *call))
+        value, slopes = jax.tree.map(np.asarray, compiled[0](*call))
         mine = jax.tree.map(lambda a: a[..., :1], value)
         return Sloped(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))
 

@@ -48,6 +48,14 @@ class Plan(NamedTuple):
     early: Any  # [e, q, C] samples of packets taken before tick 0
 
 
+class Mix(NamedTuple):
+    """From which of C modes, side by side, each takes over; s sources at most."""
+
+    source: Any  # [s, C]
+    weight: Any  # [s, C], 0 of one that is there for the room alone
+    here: Any  # [N+1, C] whether it does at a tick
+
+
 class Given(NamedTuple):
     """The numbers of C cells."""
 
@@ -58,7 +66,7 @@ class Given(NamedTuple):
     start: Any  # [P, 2 n] of the start
     chance: Any  # [C] that a sample arrives at all
     network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
-    mix: Any = ()  # merging.Mix, where the cells are modes
+    mix: Mix | tuple[()] = ()  # where the cells are modes
 
 
 def plan_of(schedules: list[Schedule]) -> Plan:

@@ -7,77 +7,67 @@ same in all runs, a filter's covariance or a counter, stays out of the vector; a
 import itertools
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float, PyTree
 
 from pcbench.engine import initial_state, interpreter
 from pcbench.engine.lane_array import is_lanes, join, split
 from pcbench.engine.products.affine_detection import reach
-from pcbench.moments.inputs import SMALL
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout
 
 WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go entry by entry: half the time, but
 # twice as long to compile
+TERMS = 16  # of a sum that are written one by one, which runs fastest; longer ones are compiled as products
+Rows = Callable[[Array], Array]  # [D, X, C] -> [D, X, C], linear
 OneCell = Callable[..., Any]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
+
+
+Look = TypeVar("Look")
 
 
 class Form(NamedTuple):
     """Of the states of a layout."""
 
     moving: tuple[bool, ...]  # leaves of a state that noise reaches
+    other: tuple[bool, ...]  # those that differ between runs in another way
     flight: bool  # whether it reaches what is on the network, besides the noise of the samples themselves
     many: int  # numbers of a state
 
 
-def form_of(layout: Layout, problem: GridPointParams) -> Form:
+def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layout, GridPointParams], Look]:
+    """Have a look at a layout once for all problems whose arrays have the same shapes: it sees no numbers and no schedule."""
+
+    @lru_cache(256)
+    def once(layout: Layout, tree: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> Look:
+        return look(layout, jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes]))
+
+    def call(layout: Layout, problem: GridPointParams) -> Look:
+        leaves, tree = jax.tree.flatten(problem._replace(weights=()))
+        layout = layout._replace(width=1, ring=1, lifted=0)  # what no beginning looks at
+        return once(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
+
+    return call
+
+
+@by_shapes
+def form_of(layout: Layout, p: GridPointParams) -> Form:
     """Return what noise reaches."""
-    return _form(*_kind(layout, problem))
-
-
-def forms(layout: Layout, problem: GridPointParams) -> tuple[str, ...]:
-    """Return of each leaf of a state whether it moves with the noise, is the same in all runs, or differs in another way."""
-    return _forms(*_kind(layout, problem))
-
-
-Kind = tuple[Layout, Any, tuple[Any, ...]]  # of cells that begin alike: their layout, and the shapes of their numbers
-
-
-def _kind(layout: Layout, problem: GridPointParams) -> Kind:
-    leaves, tree = jax.tree.flatten(problem._replace(weights=()))
-    layout = layout._replace(width=1, ring=1, lifted=0)  # what no beginning looks at
-    return layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves)
-
-
-@lru_cache(256)
-def _form(*kind: Any) -> Form:
-    begun, found = _begun(*kind), _forms(*kind)
-    notes = any(is_lanes(each) for each in begun.flight.notes.values())
-    many = sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in _bare(begun))
-    return Form(tuple(kind == "moves" for kind in found), is_lanes(begun.x) or notes, many)
-
-
-@lru_cache(256)
-def _forms(*kind: Any) -> tuple[str, ...]:
-    leaves = _bare(_begun(*kind))
+    begun = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())  # as moments have it
+    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs as entries
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
-    return tuple("same" if not is_lanes(a) else "moves" if f else "other" for a, f in zip(leaves, floats, strict=True))
-
-
-def _bare(begun: Any) -> list[Any]:
-    """The arrays of a state that moments have, those that differ between runs as entries."""
-    bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())
-    return jax.tree.leaves(bare, is_leaf=is_lanes)
-
-
-@lru_cache(256)
-def _begun(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
-    p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
-    return jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    return Form(
+        moving=tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True)),
+        other=tuple(is_lanes(a) and not f for a, f in zip(leaves, floats, strict=True)),
+        flight=is_lanes(begun.x) or any(is_lanes(each) for each in begun.flight.notes.values()),
+        many=sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves),
+    )
 
 
 def vector(form: Form, state: Run) -> Array:
@@ -127,30 +117,40 @@ def slope(form: Form, f: OneCell, flat: Callable[[Any], Array]) -> OneCell:
     return matrix
 
 
-def steady(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
+def product(M: Float[Array, "i j C"], X: Float[Array, "j k C"]) -> Float[Array, "i k C"]:
+    """Return M X, cell by cell."""
+    if M.shape[1] > TERMS:
+        return jnp.moveaxis(jnp.moveaxis(M, -1, 0) @ jnp.moveaxis(X, -1, 0), 0, -1)
+    total = jnp.zeros((M.shape[0], *X.shape[1:]))
+    for j in range(M.shape[1]):
+        total = total + M[:, j, None] * X[j][None]
+    return total
+
+
+def turned(P: Array) -> Array:
+    """Return the transpose of each cell's matrix."""
+    return jnp.swapaxes(P, 0, 1)
+
+
+def squared(G: Float[Array, "D j C"]) -> Float[Array, "D D C"]:
+    """Return G G'."""
+    return product(G, turned(G))
+
+
+def both(move: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
+    """Return T P T', T what `move` does to rows."""
+    return turned(move(turned(move(P))))
+
+
+def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
     """Return whether a function over cells gives the same at every tick and in every state: whether it reads p alone.
 
     `each` is what it is given besides p and the tick, for all cells.
     """
-    return max(_read(p, own, f, *each), default=-1) < len(own)
-
-
-def timed(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
-    """Return whether a function over cells gives the same in every state, and changes at few ticks.
-
-    It may read p and the tick, but no long table, whose rows are as many as ticks.
-    """
-    found = _read(p, own, f, *each)
-    long = {i for i, (a, mine) in enumerate(zip(jax.tree.leaves(p), own, strict=True)) if not mine and a.size > SMALL}
-    return max(found, default=-1) <= len(own) and not found & long
-
-
-def _read(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> frozenset[int]:
-    """The numbers of the arguments that a function reads: leaves of p, the tick, and then leaves of the others."""
     leaves, tree = jax.tree.flatten(p)
     alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
-    found, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
-    return frozenset(found)
+    read, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
+    return max(read, default=-1) < len(own)  # the tick is behind p, and then the others
 
 
 def _alone(a: Any) -> Any:

@@ -4,7 +4,7 @@ Given those an error is affine in normals, and moments are exact; over them mome
 """
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,24 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from pcbench.moments import uses_last_arrival
-from pcbench.moments.noise_state import forms
+from pcbench.moments.affinity import asks_last_arrival
+from pcbench.moments.noise_state import form_of
 from pcbench.planning import alone
 from pcbench.planning.padding import Plan
 from pcbench.simulation import rng
 from pcbench.simulation.schedule import common_times
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import GridPointParams, Layout
+
+
+class Mode(NamedTuple):
+    """One mode among those of its cell (see `delay_modes`)."""
+
+    number: int
+    share: float  # how often it is there
+    source: tuple[int, ...]  # the modes that may have been before it
+    weight: tuple[float, ...]  # and how probable each is
+    merged: NDArray[np.bool_]  # [N+1] ticks at which it takes their place
 
 
 class Realised(NamedTuple):
@@ -29,7 +39,7 @@ class Realised(NamedTuple):
     problem: GridPointParams
     network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
     chance: float = 1.0  # that a sample arrives at all
-    mode: Any = None  # modes.Mode, of a cell that is there once for each of its modes
+    mode: Mode | None = None  # of a cell that is there once for each of its modes
 
 
 def random(p: Plan) -> bool:
@@ -88,8 +98,8 @@ def over_losses(p: Plan) -> Realised | None:
     )
     one = p.problem._replace(schedule=sure)
     layout = p.layout._replace(width=1, watch=False, lifted=0)
-    known = forms(layout, one)
-    if forms(layout, p.problem) != known or "other" in known or uses_last_arrival.asked(layout, one):
+    form, drawn = form_of(layout, one), form_of(layout, p.problem)
+    if (drawn.moving, drawn.other) != (form.moving, form.other) or any(form.other) or asks_last_arrival(layout, one):
         return None
     ring = max(layout.ring, common_times.in_flight(sure))
     return Realised(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -120,7 +120,7 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Est
         pooled = root(squares)
         out |= {prefix + "mae": _over(cell, s.absolute[i, mine] / count), prefix + "mse": squares}
         out |= {prefix + "pooled_rmse": pooled}
-        if len(s.off):
+        if cell.planned.layout.controller:
             out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
             out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
             if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):

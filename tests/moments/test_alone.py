@@ -27,12 +27,16 @@ def stats():
 
 @pytest.mark.nightly
 def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_program(monkeypatch):
-    together = stats()
-    assert together["kf", "a", "mse"] != together["kf-wary", "a", "mse"]
-    monkeypatch.setattr(solve, "LARGE", 0)
-    monkeypatch.setattr(programs, "_MADE", program_cache.Programs())
-    np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
-    assert len(programs._MADE) == 2, "kf and kf-wary are one"
+    exact = pcbench.exact_moments(STUDY)
+    joint, apart = exact.covariance(), exact.moments()
+    monkeypatch.setattr(programs, "_PROGRAMS", program_cache.Programs())
+    own = stats()
+    assert own["kf", "a", "mse"] != own["kf-wary", "a", "mse"]
+    assert len(programs._PROGRAMS) == 2, "kf and kf-wary are one"
+    for i, (observer, _) in enumerate(joint.errors):
+        mine = apart[apart["observer"] == observer]
+        np.testing.assert_allclose(mine["mean"], joint.mean[:, i], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(mine["std"], np.sqrt(joint.covariance[:, i, i]), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.ci
@@ -40,15 +44,15 @@ def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatc
     """Delays of one and of seven samples, so that the small ring is gone round many times beside the large one."""
     study = STUDY | {"axes": {"delay": [0.4, 2.8]}, "observers": ["kf"], "options": {"kf": {"R": 0.1}}}
     study |= {"lti": STUDY["lti"] | {"process_std": 0.2, "duration": 6.0}}
-    rings, computed = [], solve.computed
+    rings, compute = [], solve.compute
 
     def noted(ones, *how):
         rings.append(ones[0].layout.ring)
-        return computed(ones, *how)
+        return compute(ones, *how)
 
-    monkeypatch.setattr(solve, "computed", noted)
+    monkeypatch.setattr(solve, "compute", noted)
     own = pcbench.exact_moments(study).stats
     assert sorted(rings) == [2, 8]
-    monkeypatch.setattr(solve, "_carried", lambda p: False)
+    monkeypatch.setattr(solve, "_flight", lambda p: False)
     np.testing.assert_allclose(pcbench.exact_moments(study).stats["mean"], own["mean"], rtol=1e-12, atol=1e-15)
     assert sorted(rings) == [2, 8, 8]

@@ -8,10 +8,10 @@ from reference import delays, irregular, linear, moments
 
 import pcbench
 from pcbench import planning
-from pcbench.moments import delay_modes, merging, uses_last_arrival
-from pcbench.moments.delay_modes import Mode, over_modes
-from pcbench.moments.merging import Mix
-from pcbench.moments.realisations import over_losses
+from pcbench.moments import delay_modes, events
+from pcbench.moments.delay_modes import over_modes
+from pcbench.moments.inputs import Mix
+from pcbench.moments.realisations import Mode, over_losses
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import parse
 
@@ -113,7 +113,7 @@ SHAPES = {
 @pytest.mark.parametrize("asked", [False, True], ids=["", "with the last arrival"])
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape, asked, monkeypatch):
-    monkeypatch.setattr(uses_last_arrival, "asked", lambda layout, problem: asked)
+    monkeypatch.setattr(delay_modes, "asks_last_arrival", lambda layout, problem: asked)
     monkeypatch.setattr(delay_modes, "MOST", 5000)
     p = plan(**SHAPES[shape])
     clock = p.cell.times.clocks[0]
@@ -178,17 +178,17 @@ def test_modes_of_several_cells_take_over_each_in_their_own():
         [Mode(i, 0.5, (1 - i,), (1.0,), none) for i in range(2)],
         [Mode(i, 0.5, (0, 1), (0.3, 0.7), none) for i in range(2)],
     )
-    mix = merging.mix_of([*a, *b, b[-1], b[-1]])
+    mix = delay_modes.mix_of([*a, *b, b[-1], b[-1]])
     assert mix.source.tolist() == [[1, 0, 2, 2, 2, 2], [1, 0, 3, 3, 3, 3]]
     assert mix.weight.tolist() == [[1.0, 1.0, 0.3, 0.3, 0.3, 0.3], [0.0, 0.0, 0.7, 0.7, 0.7, 0.7]]
 
 
 def test_modes_that_meet_differ_by_how_much_the_largest_number_does():
     mix = Mix(np.array([[0, 0, 2], [1, 0, 2]]), np.ones((2, 3)), ())
-    off = merging._unlike(mix, np.array([[1.0, 1.0, np.nan], [-4.0, -4.002, 1.0]]))
+    off = events.modes_apart(mix, np.array([[1.0, 1.0, np.nan], [-4.0, -4.002, 1.0]]))
     np.testing.assert_allclose(off[:2], [0.0005, 0.0], rtol=1e-12)
     assert not off[2] <= 1.0
-    assert merging._unlike(mix, np.array([[3, 4, 5]])).tolist() == [1 / 3, 0.0, 0.0]
+    assert events.modes_apart(mix, np.array([[3, 4, 5]])).tolist() == [1 / 3, 0.0, 0.0]
 
 
 RESTLESS = """

@@ -8,7 +8,7 @@ import pytest
 
 import pcbench
 from pcbench.moments import programs
-from pcbench.moments.noise_state import steady, timed
+from pcbench.moments.noise_state import steady
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -49,17 +49,6 @@ def test_a_matrix_is_the_same_at_every_tick_where_it_reads_neither_the_tick_nor_
     assert steady(p, own, lambda p, k, state: p["own"] * p["common"][0], state)
     assert not steady(p, own, lambda p, k, state: p["own"] * p["common"][k], state), "it looks numbers up by the tick"
     assert not steady(p, own, lambda p, k, state: p["own"] * state, state)
-
-
-def test_where_a_matrix_changes_is_known_beforehand_where_it_reads_the_tick_but_no_state():
-    p = {"own": jnp.ones((2, 3)), "common": jnp.ones((4, 2))}
-    state, own = jnp.ones((2, 3)), (False, True)
-    assert timed(p, own, lambda p, k, state: p["own"] * p["common"][k], state)
-    assert not timed(p, own, lambda p, k, state: p["own"] * p["common"][k] * state, state)
-    long = p | {"common": jnp.ones((1000, 2))}
-    assert not timed(long, own, lambda p, k, state: p["own"] * p["common"][k], state), (
-        "it has another row at every tick"
-    )
 
 
 def test_how_many_go_side_by_side_depends_on_the_cells_of_a_study_alone(monkeypatch):

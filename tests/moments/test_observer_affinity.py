@@ -8,7 +8,7 @@ import pytest
 import pcbench
 from pcbench import planning
 from pcbench.moments import solve
-from pcbench.moments.observer_affinity import curved
+from pcbench.moments.affinity import is_curved
 from pcbench.moments.realisations import realised
 from pcbench.simulation import rng
 from pcbench.study import parse
@@ -53,13 +53,13 @@ def study(folder, **lines):
 @pytest.fixture
 def gone(monkeypatch):
     """How many realisations each call had."""
-    calls, computed = [], solve.computed
+    calls, compute = [], solve.compute
 
     def noted(ones, *how):
         calls.append(len(ones))
-        return computed(ones, *how)
+        return compute(ones, *how)
 
-    monkeypatch.setattr(solve, "computed", noted)
+    monkeypatch.setattr(solve, "compute", noted)
     return calls
 
 
@@ -119,4 +119,4 @@ def test_plants_that_each_run_draws_are_those_of_its_seed():
 def test_doubted_is_who_goes_by_a_slope_that_noise_moves(scenario, observer, doubted):
     p = planned(observer, scenario)
     one = realised(p, 0, 0)
-    assert curved(one.layout, one.problem) is doubted
+    assert is_curved(one.layout, one.problem) is doubted

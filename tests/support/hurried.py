@@ -71,7 +71,7 @@ def programs():
     from pcbench.runtime import program_cache
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(of_moments, "_MADE", program_cache.Programs())
+        patch.setattr(of_moments, "_PROGRAMS", program_cache.Programs())
         patch.setattr(runner, "WIDTH", LANES)
         patch.setattr(runner, "HEAVY", LANES)
         patch.setattr(runner, "OPTIONS", runner.OPTIONS | options())

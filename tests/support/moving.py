@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from pcbench.moments.programs import compute
+from pcbench.moments.propagate import COVARIANCE
 from pcbench.moments.realisations import Realised
-from pcbench.moments.types import COVARIANCE
 from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import command_network

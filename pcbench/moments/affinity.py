@@ -1,0 +1,103 @@
+"""Looks at a cell before a program is made for it: its functions are traced, or run at a few points.
+
+* `bend`: is a plant's tick affine in its state? No cell whose plant is not can be exact.
+* `is_curved`: does what noise reaches decide how it moves on? Where the slope of a tick reads the state that it is taken at, an
+  observer is hardly affine. Whether it is, one realisation of a cell says, so that the others are not gone through for nothing.
+  Too much may be found here, as where a limit is never met, but hardly too little.
+* `asks_last_arrival`: does an observer ask when the last arrival was (`ticks_since_arrival`)? Then what it makes of an arrival
+  depends on which sample came before, on losses too.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import PyTree
+
+from pcbench.engine.products.affine_detection import reach
+from pcbench.moments.events import jump, sense
+from pcbench.moments.inputs import begin
+from pcbench.moments.noise_state import OneCell, by_shapes, form_of, slope, vector
+from pcbench.moments.propagate import flat, one_cell
+from pcbench.planning.padding import Plan
+from pcbench.protocols import Arrival, Now
+from pcbench.simulation import simulate_runs
+from pcbench.simulation.simulate_runs import Run
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
+
+ROUNDING = 1e-9  # of the largest number in a comparison; found on affine cells: below 1e-12
+KEY = 20190131  # of where a plant is looked at: no result depends on it
+
+
+def bend(p: Plan) -> float:
+    """Return f(x + d) + f(x - d) - 2 f(x) of a tick as a part of its size, the largest of some; 0 where no noise reaches x."""
+    layout, problem = p.layout, p.problem
+    reached = layout.controller or layout.random_initial_state or len(problem.process_std)
+    if not reached or layout.drifting:
+        return 0.0
+    n, m, params = len(problem.x0), problem.inputs.shape[1], jax.tree.map(jnp.asarray, problem.params)
+    u, worst = jnp.zeros(m), 0.0
+    now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(problem.dt), u, lambda age: u)
+    wide = np.abs(problem.x0) + np.sqrt(np.sum(np.square(problem.spread0), 1)) + problem.band[:n]
+    for d in np.random.default_rng(KEY).normal(size=(3, n)) * wide:
+        up, down, middle = (
+            np.asarray(layout.plant.step(params, now, jnp.asarray(problem.x0 + s * d))) for s in (1, -1, 0)
+        )
+        size = np.abs([up, down, middle]).max()
+        part = np.abs(up + down - 2 * middle).max() / size if size else 0.0
+        worst = max(worst, float(part) if np.isfinite(part) else np.inf)
+    return worst
+
+
+def is_curved(layout: Layout, problem: GridPointParams) -> bool:
+    """Return whether in an open loop a slope may depend on what noise reaches."""
+    return not layout.controller and _is_curved(layout, problem._replace(schedule=()))
+
+
+@by_shapes
+def _is_curved(layout: Layout, p: GridPointParams) -> bool:
+    form = form_of(layout, p)
+    if not any(form.moving):
+        return False
+    zero, q = jnp.asarray(0), p.noise_std.shape[0]
+    state = _before(layout, p)
+    packet = jax.eval_shape(lambda p, state: sense(layout, p, zero, state, (), ()), p, state)
+    row = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
+
+    def reads(f: OneCell, flat: Callable[..., Array], entering: PyTree, rest: PyTree) -> bool:
+        def matrix(state: Run, p: GridPointParams, k: Array, entering: PyTree) -> Array:
+            return slope(form, f, flat)(p, k, state, entering, rest)
+
+        leaves, _ = reach(matrix, state, p, zero, entering)
+        return any(moves and leaf in leaves for leaf, moves in enumerate(form.moving))
+
+    process = jax.ShapeDtypeStruct(p.process_std.shape, float)
+    arrival = partial(jump, layout), partial(vector, form), packet, (jnp.asarray(True), row)
+    return reads(partial(one_cell, layout), partial(flat, form), process, ()) or reads(*arrival)
+
+
+def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
+    """Return whether an observer may ask how long ago the last arrival was."""
+    return _asks_last_arrival(layout, problem._replace(schedule=()))
+
+
+@by_shapes
+def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
+    zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _before(layout, p)
+    notes = jax.eval_shape(lambda p, r: simulate_runs.take_notes(layout, p, zero, r.memories, r.commands), p, run)
+
+    def arrive(since: Array, p: GridPointParams, run: Run, notes: dict[str, Array]) -> PyTree:
+        none = jnp.zeros(q, int)
+        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, ticks_since_arrival=since)
+        return simulate_runs.jump(layout, p, zero, run, notes, arrival)
+
+    jaxpr = jax.make_jaxpr(arrive)(zero, p, run, notes).jaxpr
+    return any(v is jaxpr.invars[0] for v in [*jaxpr.outvars, *(v for e in jaxpr.eqns for v in e.invars)])
+
+
+def _before(layout: Layout, p: GridPointParams) -> Run:
+    """The shapes of a state before tick 0."""
+    return jax.eval_shape(lambda p: begin(layout, p, jnp.asarray(0), (), jnp.zeros(2 * p.x0.shape[0]), ()), p)
