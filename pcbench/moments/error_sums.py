@@ -73,7 +73,7 @@ def nothing(signals: int, targets: int, cells: int) -> Sums:
 def strayed(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
     """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
 
-    An error that is 0 but for the rounding of its state has no size to compare with. `reached` as in `Found`, or ().
+    An error that is 0 but for the rounding of its state has no size to compare with. `reached` as in `propagate.Outcome`, or ().
     """
     apart, size = (np.asarray(a)[mine].max(-1) for a in (s.apart, s.size))
     with np.errstate(invalid="ignore"):
@@ -93,7 +93,7 @@ def added(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: A
     variance = square[:Z]
     apart, large = (
         jnp.where(counts[0], reduce(jnp.maximum, jnp.abs(a)), 0.0)
-        for a in (runs[1:] - (mean + read.moved[:, :Z]), runs)
+        for a in (runs[1:] - (mean[None] + read.moved[:, :Z]), runs)
     )
     size = jnp.maximum(s.size, large)
     std = _root(variance, size)
@@ -123,7 +123,7 @@ def added(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: A
 
 def _over(counts: Array, sums: Numbers, each: Array) -> Numbers:
     """Sums [2, ...] with numbers [...] of a tick where it counts, whatever stands at the others."""
-    return sums + jnp.where(counts.reshape(2, *(1 for _ in each.shape)), each, 0.0)
+    return sums + jnp.where(counts.reshape(2, *(1 for _ in each.shape)), each[None], 0.0)
 
 
 def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
