@@ -73,7 +73,7 @@ def nothing(signals: int, targets: int, cells: int) -> Sums:
 def strayed(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
     """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
 
-    An error that is 0 but for the rounding of its state has no size to compare with. `reached` as in `propagate.Outcome`, or ().
+    An error that is 0 but for the rounding of its state has no size to compare with. `reached`: that of `Outcome`, or ().
     """
     apart, size = (np.asarray(a)[mine].max(-1) for a in (s.apart, s.size))
     with np.errstate(invalid="ignore"):

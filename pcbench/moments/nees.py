@@ -14,7 +14,6 @@ import numpy as np
 
 from pcbench.simulation.innovation_stats import KNOWN, RANK
 from pcbench.statistics.consistency import SIGMAS
-from pcbench.statistics.distributions import normal_below
 from pcbench.statistics.estimates import Values
 
 
@@ -59,9 +58,11 @@ def _normalised(P: Values, second: Values) -> tuple[float, int]:
 
 def inside(b: Believed) -> list[Values]:
     """Return for each of SIGMAS the share [n, S] of normal errors that lies within so many, NaN of a state that is known."""
+    from scipy.special import ndtr
+
     sigma, std = np.sqrt(_variances(b)), np.sqrt(np.maximum(_diagonal(b.covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [[normal_below((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
+        ends = [[ndtr((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
     still = [np.where(np.isnan(sigma), np.nan, (np.abs(b.mean) <= k * sigma) * 1.0) for k in SIGMAS]
     return [np.where(std > 0, high - low, alone) for (high, low), alone in zip(ends, still, strict=True)]
 

@@ -33,7 +33,6 @@ DESCRIBED = (
     *consistency.INSIDE,
 )
 ESTIMATED = Estimate._fields[1:]
-BLANK = dict.fromkeys(COLUMNS, float("nan"))
 
 
 class Aggregate(NamedTuple):
@@ -149,17 +148,6 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
         shown[:, [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]] = ~np.isnan(bounds[:, :many])
     n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
     return Described(names, n, s.diverged, values, shown)
-
-
-def rows(d: Described, cell: int = 0) -> list[Row]:
-    """Return what is known of one of the cells as rows."""
-    each = zip(d.names, d.n.tolist(), d.values[cell].tolist(), d.shown[cell], strict=True)
-    return [
-        {"signal": i, "metric": metric, "n": n, "diverged": d.diverged}
-        | dict(zip((*ESTIMATED, *COLUMNS), row, strict=True))
-        for (metric, i), n, row, shown in each
-        if shown
-    ]
 
 
 def _means(s: Aggregate) -> Estimate:

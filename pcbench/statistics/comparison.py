@@ -10,12 +10,11 @@ Every two observers of a cell against each other, metric by metric: rows of the 
 """
 
 import itertools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics.distributions import student_below
 from pcbench.statistics.estimates import Estimate, Moments, Values, merge, moments, student
 from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, kept
 
@@ -64,13 +63,15 @@ def judged(c: Contest) -> tuple[Estimate, Values, Values]:
 
     Of all runs: a diverged run loses against one that did not, and a tie, or both diverged, counts half.
     """
+    from scipy.special import stdtr
+
     d = student(c.difference)
     runs = d.n + sum(c.only) + c.neither
     better = (c.wins + 0.5 * c.ties + c.only[1] + 0.5 * c.neither) / max(runs, 1)
     better = better if d.n or any(c.only) else np.full(len(c.wins), np.nan)
     varies = (d.n > 1) & (d.se > 0) & (c.ties < d.n)
     t = np.abs(d.mean) / np.where(varies, d.se, 1.0)
-    return d, better, np.where(varies, 2 * student_below(max(d.n - 1, 1), -t), np.nan)
+    return d, better, np.where(varies, 2 * stdtr(max(d.n - 1, 1), -t), np.nan)
 
 
 def holm(p_values: Values) -> Values:
@@ -87,7 +88,6 @@ ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
 BLOCK = 4 * 4096  # values at a time: what is computed on the way stays in the cache; measured 2 times faster
 
 VERDICT = ("mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value")
-Row = dict[str, Any]
 Pair = tuple[str, str]  # labels of two observers
 
 
@@ -124,30 +124,11 @@ def meet(before: dict[Pair, Meeting], stacks: dict[str, Stack], sizes: tuple[flo
     return out
 
 
-def verdicts(met: dict[Pair, Meeting], signals: list[str]) -> list[Row]:
-    """Return a row for every pair of observers, signal and metric, of one cell."""
-    rows = []
-    for (a, b), m in met.items():
-        for (metric, i), row in zip(m.names, verdict(m.contest), strict=True):
-            rows.append({"observer_a": a, "observer_b": b, "signal": signals[i], "metric": metric} | row)
-    return rows
-
-
 def settled(met: dict[Pair, Meeting]) -> dict[Pair, Judged]:
-    """Return the same as columns, of all cells."""
+    """Return the rows of every pair of observers as columns, of all cells."""
     out = {}
     for pair, m in met.items():
-        n, table = _table(m.contest)
-        out[pair] = Judged(m.names, n, table.reshape(-1, len(m.names), len(VERDICT)))
+        d, better, p = judged(m.contest)
+        table = np.stack([*d[1:], better, p], 1)
+        out[pair] = Judged(m.names, d.n, table.reshape(-1, len(m.names), len(VERDICT)))
     return out
-
-
-def verdict(c: Contest) -> list[Row]:
-    """Return what is known of each metric [K] of a contest."""
-    n, table = _table(c)
-    return [{"n": n} | dict(zip(VERDICT, row, strict=True)) for row in table.tolist()]
-
-
-def _table(c: Contest) -> tuple[int, Values]:
-    d, better, p = judged(c)
-    return d.n, np.stack([*d[1:], better, p], 1)

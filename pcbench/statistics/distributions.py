@@ -1,4 +1,4 @@
-"""Normal, Student, binomial, chi-square distributions. SciPy is imported by who asks first; quantiles are found once.
+"""Normal, Student and chi-square distributions. SciPy is imported by who asks first; quantiles are computed once.
 
 How well a delay can be known from samples of a signal that is known: the bound of Cramer and Rao.
 
@@ -12,17 +12,9 @@ Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1
 """
 
 from functools import cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-
-def normal_below(x: NDArray[Any]) -> NDArray[Any]:
-    """Return P(X <= x) of the standard normal distribution."""
-    from scipy.special import ndtr
-
-    return ndtr(x)
+from numpy.typing import ArrayLike
 
 
 @cache
@@ -33,26 +25,12 @@ def normal_quantile(p: float) -> float:
     return float(ndtri(p))
 
 
-def student_below(df: int, t: NDArray[Any]) -> NDArray[Any]:
-    """Return P(T <= t) of Student's t with `df` degrees of freedom."""
-    from scipy.special import stdtr
-
-    return stdtr(df, t)
-
-
 @cache
 def student_quantile(df: int, p: float) -> float:
     """Return the t below which Student's t lies with probability p."""
     from scipy.special import stdtrit
 
     return float(stdtrit(df, p))
-
-
-def binomial_above(k: Any, n: int, q: Any) -> NDArray[Any]:
-    """Return P(N > k) of N successes in n trials that succeed with probability q each."""
-    from scipy.special import bdtrc
-
-    return bdtrc(k, n, q)
 
 
 @cache

@@ -92,11 +92,6 @@ def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> s
     return "no value" if exceeds is not None and verdicts <= {*FAILS, REFUSED} else "undecided"
 
 
-def answers(rows: pd.DataFrame, axis: str, limit: float) -> pd.DataFrame:
-    """Return what suffices, a row for each observer, from the values of an axis that were run; see `points` and `table`."""
-    return table({observer: answer(each) for observer, each in points(rows, axis, limit).items()}, axis)
-
-
 def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
     """Return answers as a frame, a row for each observer.
 

@@ -43,7 +43,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics.distributions import binomial_above
 from pcbench.statistics.estimates import Values
 
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
@@ -81,23 +80,19 @@ def read(where: Positions, found: Values) -> Values:
 
 def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
     """Rank (from 0) and weight of the point that is at or below the quantiles q with probability g; weight NaN: none."""
-    r = _last(n, q, g)
+    from scipy.special import bdtrc  # bdtrc(k, n, q) = P(N > k)
+
+    r, above = np.zeros(len(q), np.int64), np.full(len(q), n + 1)
+    while (above - r > 1).any():  # the largest r in 0 .. n with P(N >= r) >= g, by bisection
+        middle = (r + above) // 2
+        enough = bdtrc(middle - 1, n, q) >= g
+        r, above = np.where(enough, middle, r), np.where(enough, above, middle)
     closed = (r >= 1) & (r < n)
     r = np.where(closed, r, 1)
-    beyond, here = binomial_above(r, n, q), binomial_above(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
+    beyond, here = bdtrc(r, n, q), bdtrc(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
     # a / (1 - a) of step 3, times (1 - q) r / (q (n - r))
     odds = (g - beyond) * (1 - q) * r / ((here - g) * q * np.maximum(n - r, 1) + np.finfo(float).tiny)
     return r - 1, np.where(closed, 1 / (1 + odds), np.nan)
-
-
-def _last(n: int, q: Values, g: float) -> NDArray[np.int64]:
-    """The largest r in 0 .. n with P(N >= r) >= g, by bisection."""
-    low, high = np.zeros(len(q), np.int64), np.full(len(q), n + 1)
-    while (high - low > 1).any():
-        middle = (low + high) // 2
-        enough = binomial_above(middle - 1, n, q) >= g
-        low, high = np.where(enough, middle, low), np.where(enough, high, middle)
-    return low
 
 
 HELD = 4096  # with no more values than this there are no splitters and no second pass

@@ -179,6 +179,11 @@ def test_two_neighbouring_ticks_are_as_close_as_can_be():
     assert not PERIODS.near(0.01, 0.012)
 
 
+def answers(rows, axis, limit):
+    found = limit_search.points(rows, axis, limit)
+    return limit_search.table({observer: answer(each) for observer, each in found.items()}, axis)
+
+
 def test_the_answer_of_values_that_were_run_is_read_from_a_frame():
     """For a page over a study: no search, the rows of stats alone."""
     values, rng = np.array([0.1, 0.2, 0.3, 0.4]), np.random.default_rng(3)
@@ -190,11 +195,11 @@ def test_the_answer_of_values_that_were_run_is_read_from_a_frame():
                  "ci_low": mean - 0.01, "ci_high": mean + 0.01}
             )  # fmt: skip
     frame = pd.DataFrame(rows).sample(frac=1, random_state=rng.bit_generator)
-    found = limit_search.answers(frame, "period", LIMIT).set_index("observer")
+    found = answers(frame, "period", LIMIT).set_index("observer")
     assert found.answer.to_dict() == {"a": "up to", "b": "no value"}
     assert (found.largest["a"], found.exceeds["a"], found.exceeds["b"]) == (0.2, 0.4, 0.1)
     assert (found.ci_high["a"], found["mean"]["a"]) == (0.09, 0.08)
     assert found.said["a"].startswith("period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; at 0.3 it is not decided")
     diverged = frame.assign(diverged=(frame.period == 0.1).astype(int))
-    assert limit_search.answers(diverged, "period", LIMIT).set_index("observer").fails_below["a"] == 0.1
-    assert limit_search.answers(diverged.assign(metric="divergence_rate"), "period", LIMIT).fails_below.isna().all()
+    assert answers(diverged, "period", LIMIT).set_index("observer").fails_below["a"] == 0.1
+    assert answers(diverged.assign(metric="divergence_rate"), "period", LIMIT).fails_below.isna().all()

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+import runs_as_rows
 from commands import call
 from helicopters import estimate, planned, record
 from scipy.stats import binomtest
 
 import pcbench
-from pcbench import statistics
 from pcbench.cli.render import results
 from pcbench.cli.render.tables import Screen
 from pcbench.engine import runner
@@ -115,11 +115,11 @@ def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(obser
 
 @pytest.mark.parametrize(("k", "n"), [(0, 256), (1, 7), (39, 256), (128, 256), (300, 300)])
 def test_fractions_have_wilsons_interval(k, n):
-    row = statistics.fraction(np.arange(n) < k)
+    row = runs_as_rows.fraction(np.arange(n) < k)
     want = binomtest(k, n).proportion_ci(0.95, "wilson")
     assert (row["n"], row["mean"]) == (n, k / n)
     assert (row["ci_low"], row["ci_high"]) == pytest.approx((want.low, want.high), abs=1e-12)
-    assert np.isnan(statistics.fraction(np.zeros(0, bool))["mean"])
+    assert np.isnan(runs_as_rows.fraction(np.zeros(0, bool))["mean"])
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Rows of several cells that are made together are those of each by itself, to the bit."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,21 +43,3 @@ def test_cells_together_have_the_bits_of_each_alone(seed, many, n, told):
         for pair, j in judged.items():
             assert (j.names, j.n) == (pairs[pair].names, pairs[pair].n)
             assert j.values[i].tobytes() == pairs[pair].values[0].tobytes()
-
-
-@pytest.mark.parametrize("told", [False, True])
-def test_columns_hold_what_rows_say(told):
-    """The rows are tested against their reference in test_statistics."""
-    (one,) = cells(1, 1, 40, told)
-    one["b"]["diverged"][:3] = True
-    bounds = {"a": np.array([0.2, np.nan]), "b": None, "c": np.array([0.1, 0.3])}
-    described, judged = statistics.summary(lambda: [one], bounds, SIZES)
-    rows, pairs = statistics.summarise(lambda: [one], bounds, ["x", "y"], SIZES)
-    assert len(rows["a"]) == described["a"].shown.sum() == len(described["a"].names) - 1
-    for o, d in described.items():
-        each = [d.values[0, r].tolist() for r in np.flatnonzero(d.shown[0])]
-        names = (*statistics.ESTIMATED, *statistics.COLUMNS)
-        np.testing.assert_array_equal([[row[name] for name in names] for row in rows[o]], each)
-        assert {row["diverged"] for row in rows[o]} == {d.diverged} == {3 if o == "b" else 0}
-    flat = [row for j in judged.values() for row in j.values[0].tolist()]
-    np.testing.assert_array_equal([[row[name] for name in statistics.VERDICT] for row in pairs], flat)
