@@ -95,7 +95,8 @@ class Exact:
                 "its own; ask with observers=[...] of one."
             )
         m = each[0]
-        if not m.rows or any(m.why.values()):  # one whose numbers overflow spoils those of the others here, and not by itself
+        if not m.rows or any(m.why.values()):
+            # One whose numbers overflow spoils those of the others here, and not by itself.
             alone = (why for one in self.solved(chosen) for why in one.why.values())
             raise UserError(f"covariance: {next(filter(None, (*alone, *m.why.values())))}")
         names = [name for name, _ in signals_of(chosen[0].scenario)]

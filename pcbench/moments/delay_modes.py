@@ -20,7 +20,8 @@ drawn schedules, with the error that remains. So are losses and random instants 
 
 import itertools
 import math
-from functools import lru_cache, partial
+from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -58,14 +59,18 @@ def over_modes(p: Plan) -> list[Realised] | None:
     if len(chain.later) ** length > MOST:
         return None
     every = [a for a in itertools.product(range(len(chain.later)), repeat=length) if _share(chain, a) > 0]
+    number = {mode: i for i, mode in enumerate(every)}
     taken = sampling.instants(clock, ticks)[:-1]
     merged = np.isin(np.arange(ticks + 1), taken[1:])
-    plans = _schedules(p, clock, chain, length, taken)
+    schedule_of = _schedules(p, clock, chain, length, taken)
     out = []
-    for number, mode in enumerate(every):
-        source, weight = _before(chain, every, mode)
-        about = Mode(number, _share(chain, mode), source, weight, merged)
-        out.append(Realised(layout, p.problem._replace(schedule=plans(mode)), (), mode=about))
+    for mode in every:
+        before = [(*mode[1:], oldest) for oldest in range(len(chain.later))]
+        before = [each for each in before if each in number and chain.following[each[0], mode[0]] > 0]
+        weight = np.array([_share(chain, each) * chain.following[each[0], mode[0]] for each in before])
+        source = tuple(number[each] for each in before)
+        about = Mode(number[mode], _share(chain, mode), source, tuple((weight / weight.sum()).tolist()), merged)
+        out.append(Realised(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=about))
     return out
 
 
@@ -130,25 +135,16 @@ def _share(chain: Chain, mode: tuple[int, ...]) -> float:
     return float(chain.often[old[0]] * math.prod(chain.following[a, b] for a, b in itertools.pairwise(old)))
 
 
-def _before(
-    chain: Chain, every: list[tuple[int, ...]], mode: tuple[int, ...]
-) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Which modes may have been before one, and how probable each is."""
-    number = {each: i for i, each in enumerate(every)}
-    each = [(*mode[1:], oldest) for oldest in range(len(chain.later))]
-    each = [before for before in each if before in number and chain.following[before[0], mode[0]] > 0]
-    weight = np.array([_share(chain, before) * chain.following[before[0], mode[0]] for before in each])
-    return tuple(number[before] for before in each), tuple((weight / weight.sum()).tolist())
-
-
-def _schedules(p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int]) -> Any:
+def _schedules(
+    p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int]
+) -> Callable[[tuple[int, ...]], Schedule]:
     """Return what gives the schedule of a mode: at every tick what happens if the newest samples are as late as it says.
 
     Samples that are late by L values in turn have, in every L-th interval, what one mode says.
     """
     ticks, channels, error = p.cell.times.ticks, len(p.problem.noise_std), p.cell.times.error
 
-    @lru_cache(None)
+    @cache
     def in_turn(values: tuple[int, ...]) -> Schedule:
         turns = tuple(chain.later[v] for v in values)
         return common_times.schedule(
@@ -157,17 +153,13 @@ def _schedules(p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int
 
     newest = np.searchsorted(taken, np.arange(ticks + 1), "right") - 1
 
+    def by_interval(*each: NDArray[Any]) -> NDArray[Any]:  # what has no ticks is the same in all
+        return each[0] if len(each[0]) != ticks + 1 else np.stack(each)[newest % length, np.arange(ticks + 1)]
+
     def of(mode: tuple[int, ...]) -> Schedule:
         each = [in_turn(tuple(mode[(last - i) % length] for i in range(length))) for last in range(length)]
         slots = max(one.arrive.shape[1] for one in each)
         each = [common_times.pad_slots(one, slots) for one in each]
-        return jax.tree.map(partial(_interval_by_interval, newest % length), *each)
+        return jax.tree.map(by_interval, *each)
 
     return of
-
-
-def _interval_by_interval(which: NDArray[Any], *each: Any) -> Any:
-    """Put tables of ticks together: at each tick that of the schedule asked for; what has no ticks is the same in all."""
-    if len(each[0]) != len(which):
-        return each[0]
-    return np.stack(each)[which, np.arange(len(which))]

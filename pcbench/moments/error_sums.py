@@ -2,7 +2,7 @@
 
 import operator
 from functools import reduce
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,15 +10,13 @@ from jax import Array, lax
 from jax.scipy.special import erf
 from numpy.typing import ArrayLike, NDArray
 
+from pcbench.moments.inputs import Numbers
 from pcbench.planning.digits import EPS
 from pcbench.simulation.metrics import Weights
 
 STILL = 1e-12  # of the largest number: a standard deviation below it is rounding
 AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise may be off by
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
-
-
-Numbers: TypeAlias = Array | NDArray[np.float64]  # inside a program, and outside
 
 
 class Seen(NamedTuple):

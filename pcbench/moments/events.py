@@ -14,14 +14,14 @@ at all where the plant has no noise of its own.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
-from pcbench.moments.inputs import Event, Given, Mix
+from pcbench.moments.inputs import Event, Given, Mix, Numbers
 from pcbench.moments.noise_state import Form, OneCell, both, over_cells, product, slope, squared, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
@@ -36,7 +36,7 @@ class Moving(NamedTuple):
     flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
     P: Float[Array, "D D C"]  # covariance without the start
     apart: Float[Array, "P+s D C"]  # where linear maps put runs with noise, less the run without; effects of the start
-    unlike: Any = ()  # [C] of modes: by how much those that met differed in what noise does not reach
+    unlike: Array  # [C] of modes: by how much those that met differed in what noise does not reach
 
 
 class Shape(NamedTuple):
@@ -56,7 +56,7 @@ class Batch(NamedTuple):
     layout: Layout
     shape: Shape
     given: Given
-    over: Callable[[OneCell], Callable[..., Any]]  # noise_state.over_cells
+    over: Callable[[OneCell], Callable[..., PyTree]]  # noise_state.over_cells
     std: Array  # [q, C] of a sample
 
 
@@ -72,7 +72,7 @@ def batch(layout: Layout, shape: Shape, given: Given) -> Batch:
     )
 
 
-def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Any, rest: Any) -> Array:
+def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: PyTree, rest: PyTree) -> Array:
     """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
     y = layout.plant.output(p.params, present(p, k, True), run.x)
     notes = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
@@ -84,7 +84,7 @@ def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Arra
     return _updated(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
 
 
-def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, rest: Any) -> Run:
+def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, rest: tuple[Array, ArrivalInfo]) -> Run:
     """Return the run after a packet [f], where one arrives: `rest` is (whether, Row)."""
     there, row = rest
     found = jax.eval_shape(lambda run: simulate_runs.take_notes(layout, p, k, run.memories, run.commands), run)
@@ -103,7 +103,7 @@ def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, 
     return _updated(there, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
 
 
-def _updated(there: Array, memories: Any, run: Run) -> Run:
+def _updated(there: Array, memories: PyTree, run: Run) -> Run:
     """The run with new memories, where they are `there`; of the types that they had."""
     new = jax.tree.map(lambda a, b: a.astype(b.dtype), select(there, memories, run.memories), run.memories)
     return run._replace(memories=new)
@@ -127,7 +127,7 @@ def happen(by: Batch, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     m = _notify(by, k, now.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
 
     def deliver(slot: Array, m: Moving) -> Moving:
-        row = ArrivalInfo(now.mask, k - now.believed, now.index, now.ticks_since_arrival)
+        row = ArrivalInfo(now.mask, k - now.believed, now.number, now.ticks_since_arrival)
         number, row = jax.tree.map(lambda a: a[slot], (now.arrive, row))
         return _deliver(
             by, k, number, row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape)), m, noise[:, slot]
@@ -155,7 +155,7 @@ def take_samples(by: Batch, k: Array, m: Moving, here: Array) -> Moving:
     return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def _notify(by: Batch, k: Array, mask: Array, m: Moving) -> Moving:
+def _notify(by: Batch, k: Array, mask: Numbers, m: Moving) -> Moving:
     """Tell the observers of each cell what is sampled now, [q, C]."""
     nothing = jnp.zeros((0, by.std.shape[1]))
     M = by.over(slope(by.shape.form, partial(notify, by.layout), partial(vector, by.shape.form)))(
@@ -198,7 +198,7 @@ def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, no
     return m._replace(runs=runs, P=P, apart=_mixed(by.given.chance, after, m.apart).at[: len(scaled), :A].add(pushed))
 
 
-def _mixed(chance: Array, after: Array, before: Array) -> Array:
+def _mixed(chance: Numbers, after: Array, before: Array) -> Array:
     """The mean of what is so with a chance, and as before otherwise; to the bit what is so where that is sure."""
     if not jnp.issubdtype(before.dtype, jnp.floating):
         return after

@@ -8,11 +8,13 @@ unchanged whose derivative alone differs, at a gain of 0, the last place has gai
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from pcbench.moments.affinity import ROUNDING, bend
 from pcbench.moments.error_sums import Sums
@@ -26,7 +28,7 @@ from pcbench.moments.solve import CellMoments, refused
 from pcbench.planning.padding import Plan
 
 OFF = 1e-3  # relative
-Direction = list[Any]  # of every array of real numbers among the gains
+Direction = list[NDArray[np.float64]]  # of every array of real numbers among the gains
 
 
 class Sloped(NamedTuple):
@@ -42,7 +44,7 @@ def single(p: Plan) -> Realised | None:
     return mixed or (None if random(p) else realised(p, 0, 0))
 
 
-def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direction]], Sloped]:
+def sloped(p: Plan, one: Realised, directions: int) -> Callable[[PyTree, list[Direction]], Sloped]:
     """Return a function of gains and of so many directions among them; it is compiled when it is first called."""
     (label, _), *_ = p.layout.observers
     tree = jax.tree.structure(p.problem.gains[label])
@@ -54,7 +56,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
     flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
     shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
     off = bend(p)
-    compiled: list[Any] = []
+    compiled: list[Callable[..., PyTree]] = []
 
     def sums(given: Given, others: list[Array], reals: list[Array]) -> Sums:
         left, right = iter(reals), iter(others)
@@ -65,7 +67,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
     def both(given: Given, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
         return jax.jvp(partial(sums, given, others), (reals,), (ways,))
 
-    def at(gains: Any, ways: list[Direction]) -> Sloped:
+    def at(gains: PyTree, ways: list[Direction]) -> Sloped:
         if off > ROUNDING:
             nothing = refused(len(p.problem.band), off)
             return Sloped(_cell(p, one, nothing), nothing)
@@ -84,7 +86,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
     return at
 
 
-def _beside(a: Any, width: int) -> Any:
+def _beside(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     """An array of gains for each place, the last a little off; an empty one as it is."""
     if not a.size:
         return a

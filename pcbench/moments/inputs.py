@@ -7,12 +7,14 @@ The joint state before tick 0, as a function of what a run draws for its start.
 """
 
 import itertools
-from typing import Any, NamedTuple
+from collections.abc import Hashable
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from pcbench.simulation.closed_loop import before
@@ -24,36 +26,37 @@ KEY = 20170607  # of the noise in runs that test whether a cell is affine: no re
 SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
 SMALL = 256  # numbers of an array that each cell may have its own of,
 TIMES = ("windows", "jumps", "network")  # but for these
+Numbers: TypeAlias = Array | NDArray[Any]  # inside a program, and outside
 
 
 class Event(NamedTuple):
     """What happens in C cells at one tick; of E of them, [E, ...]."""
 
-    sense: Any  # [C] the packet taken; -1: none
-    snapshot: Any  # [C]
-    sampled: Any  # [q, C] which channels are
-    arrive: Any  # [S, C]
-    believed: Any  # [S, C]
-    mask: Any  # [S, q, C]
-    index: Any  # [S, q, C]
-    ticks_since_arrival: Any  # [S, C]
-    also: Any  # [M, C] more packets that are noted
+    sense: Numbers  # [C] the packet taken; -1: none
+    snapshot: Numbers  # [C]
+    sampled: Numbers  # [q, C] which channels are
+    arrive: Numbers  # [S, C]
+    believed: Numbers  # [S, C]
+    mask: Numbers  # [S, q, C]
+    number: Numbers  # [S, q, C]
+    ticks_since_arrival: Numbers  # [S, C]
+    also: Numbers  # [M, C] more packets that are noted
 
 
 class Plan(NamedTuple):
     """Schedules of C cells, by event: a tick at which something happens in any of them, and tick 0."""
 
-    at: Any  # [E] ticks, beyond N + 1 behind the last
+    at: Numbers  # [E] ticks, beyond N + 1 behind the last
     events: Event
-    early: Any  # [e, q, C] samples of packets taken before tick 0
+    early: Numbers  # [e, q, C] samples of packets taken before tick 0
 
 
 class Mix(NamedTuple):
     """From which of C modes, side by side, each takes over; s sources at most."""
 
-    source: Any  # [s, C]
-    weight: Any  # [s, C], 0 of one that is there for the room alone
-    here: Any  # [N+1, C] whether it does at a tick
+    source: Numbers  # [s, C]
+    weight: Numbers  # [s, C], 0 of one that is there for the room alone
+    here: Numbers  # [N+1, C] whether it does at a tick
 
 
 class Given(NamedTuple):
@@ -61,11 +64,13 @@ class Given(NamedTuple):
 
     problem: GridPointParams  # own arrays of each cell are [..., C]; its schedule stands in `plan`
     plan: Plan
-    arrivals: Any  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
-    ticks: Any  # [N+1, P, w] of the process and of commands
-    start: Any  # [P, 2 n] of the start
-    chance: Any  # [C] that a sample arrives at all
-    network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
+    arrivals: Numbers  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
+    ticks: Numbers  # [N+1, P, w] of the process and of commands
+    start: Numbers  # [P, 2 n] of the start
+    chance: Numbers  # [C] that a sample arrives at all
+    network: tuple[
+        Numbers, ...
+    ]  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
     mix: Mix | tuple[()] = ()  # where the cells are modes
 
 
@@ -98,7 +103,7 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
         arrive=s.arrive[at],
         believed=s.believed[at],
         mask=s.mask[at],
-        index=s.number[at],
+        number=s.number[at],
         ticks_since_arrival=s.ticks_since_arrival[at],
         also=s.also[at],
     )
@@ -112,7 +117,7 @@ def own_of(problem: GridPointParams) -> tuple[bool, ...]:
     )
 
 
-def shared_of(problem: GridPointParams) -> tuple[Any, ...]:
+def shared_of(problem: GridPointParams) -> Hashable:
     """Return what must be equal in two cells that share a batch: every array that is not each cell's own."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     common = [np.asarray(a) for a, own in zip(leaves, own_of(problem), strict=True) if not own]
@@ -144,7 +149,7 @@ def together(
     )
 
 
-def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any) -> Run:
+def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, drawn: Array, rest: PyTree) -> Run:
     """Return the state before tick 0 of one cell; drawn [2 n], of mean 0 and variance 1, for the plant and for the estimate."""
     n = p.x0.shape[0]
     x = p.x0 + p.spread0 @ drawn[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0

@@ -7,7 +7,7 @@ same in all runs, a filter's covariance or a counter, stays out of the vector; a
 import itertools
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go en
 # twice as long to compile
 TERMS = 16  # of a sum that are written one by one, which runs fastest; longer ones are compiled as products
 Rows = Callable[[Array], Array]  # [D, X, C] -> [D, X, C], linear
-OneCell = Callable[..., Any]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
+OneCell = Callable[..., PyTree]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
 
 
 Look = TypeVar("Look")
@@ -94,8 +94,8 @@ def put(form: Form, state: Run, z: Array) -> Run:
 def along(form: Form, f: OneCell) -> OneCell:
     """Return f with its derivative: (problem, tick, state, entering, rest, dz, d entering) -> (value, tangent)."""
 
-    def both(p: Any, k: Array, state: Run, entering: Array, rest: Any, dz: Array, de: Array) -> Any:
-        def moved(z: Array, e: Array) -> Any:
+    def both(p: PyTree, k: Array, state: Run, entering: Array, rest: PyTree, dz: Array, de: Array) -> PyTree:
+        def moved(z: Array, e: Array) -> PyTree:
             return f(p, k, put(form, state, z), e, rest)
 
         return jax.jvp(moved, (vector(form, state), entering), (dz, de))
@@ -103,10 +103,10 @@ def along(form: Form, f: OneCell) -> OneCell:
     return both
 
 
-def slope(form: Form, f: OneCell, flat: Callable[[Any], Array]) -> OneCell:
+def slope(form: Form, f: OneCell, flat: Callable[[PyTree], Array]) -> OneCell:
     """Return the matrix of f: (problem, tick, state, entering, rest) -> [numbers of f, numbers of the state and entering]."""
 
-    def matrix(p: Any, k: Array, state: Run, entering: Array, rest: Any) -> Array:
+    def matrix(p: PyTree, k: Array, state: Run, entering: Array, rest: PyTree) -> Array:
         z = vector(form, state)
 
         def moved(both: Array) -> Array:
@@ -153,12 +153,14 @@ def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
     return max(read, default=-1) < len(own)  # the tick is behind p, and then the others
 
 
-def _alone(a: Any) -> Any:
+def _alone(a: PyTree) -> PyTree:
     """The shape of one cell's array."""
     return jax.ShapeDtypeStruct(a.shape[:-1], a.dtype)
 
 
-def over_cells(p: Any, own: tuple[bool, ...], cells: int, written: bool) -> Callable[[OneCell], Callable[..., Any]]:
+def over_cells(
+    p: PyTree, own: tuple[bool, ...], cells: int, written: bool
+) -> Callable[[OneCell], Callable[..., PyTree]]:
     """Return what carries a function of one cell over cells, on the last axis; each has its own of the arrays `own` of p.
 
     Functions that are `written` out, entry by entry, leave the compiled loop nothing to transpose.
@@ -166,12 +168,12 @@ def over_cells(p: Any, own: tuple[bool, ...], cells: int, written: bool) -> Call
     axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if mine else None for mine in own])
     parted = jax.tree.map(lambda a, axis: a if axis is None else split(a), p, axes) if written else ()
 
-    def over(f: OneCell) -> Callable[..., Any]:
-        def by_entries(k: Any, *each: Any) -> Any:
+    def over(f: OneCell) -> Callable[..., PyTree]:
+        def by_entries(k: PyTree, *each: PyTree) -> PyTree:
             found = interpreter.vmap_entrywise(f)(parted, k, *jax.tree.map(_entries, each))
             return jax.tree.map(partial(_joined, cells), found, is_leaf=is_lanes)
 
-        def mapped(k: Any, *each: Any) -> Any:
+        def mapped(k: PyTree, *each: PyTree) -> PyTree:
             return jax.vmap(f, (axes, None, *(-1 for _ in each)), -1)(p, k, *each)
 
         return by_entries if written else mapped
@@ -179,11 +181,11 @@ def over_cells(p: Any, own: tuple[bool, ...], cells: int, written: bool) -> Call
     return over
 
 
-def _entries(a: Any) -> Any:
+def _entries(a: PyTree) -> PyTree:
     """An array [..., C] as its entries; one cell's empty one."""
     return split(a) if a.size else jnp.zeros(a.shape[:-1], a.dtype)
 
 
-def _joined(cells: int, a: Any) -> Array:
+def _joined(cells: int, a: PyTree) -> Array:
     """An array [..., C] again, of what is the same in all cells too."""
     return join(a) if is_lanes(a) else jnp.broadcast_to(jnp.asarray(a)[..., None], (*jnp.shape(a), cells))

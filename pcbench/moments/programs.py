@@ -4,6 +4,7 @@ from collections.abc import Callable, Hashable
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from pcbench.engine import runner
 from pcbench.moments.delay_modes import mix_of
@@ -38,7 +39,7 @@ def compute(ones: list[Realised], recorded: str, every: int = 1, width: int | No
     return outcome
 
 
-def compile_program(f: Callable[..., object], *given: object) -> Callable[..., object]:
+def compile_program(f: Callable[..., PyTree], *given: PyTree) -> Callable[..., PyTree]:
     """Return f compiled for arrays of the shapes of `given`, with the engine's options on a CPU."""
     return jax.jit(f).lower(*given).compile(runner.OPTIONS if jax.devices()[0].platform == "cpu" else None)
 

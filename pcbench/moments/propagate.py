@@ -20,9 +20,9 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.moments import error_sums
-from pcbench.moments.error_sums import Numbers, Read, Seen, Sums
+from pcbench.moments.error_sums import Read, Seen, Sums
 from pcbench.moments.events import Batch, Moving, Shape, batch, happen, sense, take_samples
-from pcbench.moments.inputs import SCALES, Given, begin
+from pcbench.moments.inputs import SCALES, Given, Numbers, begin
 from pcbench.moments.noise_state import Form, along, product, slope, squared, steady, turned, vector
 from pcbench.simulation import command_network, innovation_stats, simulate_runs
 from pcbench.simulation.closed_loop import off_target, pushed
@@ -116,7 +116,7 @@ def first(by: Batch) -> Carried:
         flight=jnp.zeros((1 + many, places, f, cells)),
         P=jnp.zeros((D, D, cells)),
         apart=jnp.zeros((len(shifts), D, cells)).at[:, :A].set(shifts),
-        unlike=jnp.zeros(cells) if given.mix else (),
+        unlike=jnp.zeros(cells),
     )
     m = take_samples(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (places, f, cells)))
     for place in range(given.plan.early.shape[0]):

@@ -52,24 +52,19 @@ def random(p: Plan) -> bool:
 def realised(p: Plan, root_seed: int, seed: int) -> Realised:
     """Return a cell as one run has it, but for its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
-    layout, problem = one.layout._replace(width=1, watch=False, lifted=0), one.problem
-    plant = layout.plant
-    if not (layout.pending or (layout.drifting and plant.of_run)):
-        return Realised(layout, problem, ())
-    root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
+    layout, problem, plant = one.layout._replace(width=1, watch=False, lifted=0), one.problem, one.layout.plant
+    network: tuple[NDArray[np.float64], ...] = ()
     if layout.drifting and plant.of_run:
-        problem = problem._replace(
-            params=jax.tree.map(np.asarray, plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn)))
+        params = plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn))
+        layout, problem = layout._replace(drifting=False), problem._replace(params=jax.tree.map(np.asarray, params))
+    if layout.pending:
+        decisions = -(-len(problem.schedule.event) // int(problem.network.every))
+        root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
+        network = tuple(
+            np.asarray(rng.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]
+            for stream in ("command_jitter", "command_loss")
         )
-        layout = layout._replace(drifting=False)
-    if not layout.pending:
-        return Realised(layout, problem, ())
-    decisions = -(-len(problem.schedule.event) // int(problem.network.every))
-    late, lost = (
-        np.asarray(rng.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]
-        for stream in ("command_jitter", "command_loss")
-    )
-    return Realised(layout, problem, (late, lost))
+    return Realised(layout, problem, network)
 
 
 @lru_cache(1024)

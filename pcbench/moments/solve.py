@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pcbench.engine import runner
 from pcbench.moments.affinity import ROUNDING, bend, is_curved
 from pcbench.moments.delay_modes import over_modes
-from pcbench.moments.error_sums import Numbers, Sums, nothing, strayed
-from pcbench.moments.inputs import shared_of
+from pcbench.moments.error_sums import Sums, nothing, strayed
+from pcbench.moments.inputs import Numbers, shared_of
 from pcbench.moments.nees import Believed
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import MANY, compute, width_of

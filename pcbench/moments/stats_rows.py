@@ -1,13 +1,12 @@
 """The rows of `stats` that need no seeds: expected values without a standard error, and for the others why they are missing.
 
-Rows of one observer in one cell are columns; which rows there are is found once for all cells that know the same.
+Rows of one observer in one cell are columns.
 """
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from pcbench.moments import nees
 from pcbench.moments.solve import CellMoments
@@ -44,21 +43,11 @@ ALWAYS = (
     "steady_mae",
     "steady_mse",
     *POOLED,
-)  # of every signal that has an exact answer at all
+)  # of every signal with an exact answer at all
 NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
 
 
 Columns = dict[str, list[Any]]
-
-
-class Which(NamedTuple):
-    """The rows of an observer in a cell: of each its signal (by number), its metric, and why it has no number, or None."""
-
-    signal: list[int]
-    metric: list[str]
-    reason: list[str | None]
-    places: NDArray[np.intp]  # among the numbers of all metrics and signals, and behind them blank ones
-    final: tuple[int, ...]  # rows of last errors that are normal
 
 
 def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
@@ -67,50 +56,30 @@ def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> 
     `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
     there is none.
     """
-    found = _found(cell, label, bound)
+    estimates, mine, quantiles = _estimates(cell, label, bound), cell.signals[label], _quantiles(cell, label)
     normal = not cell.planned.layout.scattered and not cell.mixture
-    many = cell.signals[label].stop - cell.signals[label].start
     jumps = bool((cell.planned.problem.jumps < cell.planned.cell.times.ticks).any())
-    numbers = np.full((len(found) + 1, many, len(NUMBERS)), np.nan)
-    for at, e in enumerate(found.values()):
-        numbers[at, : len(e.mean)] = np.array(e[1:]).T[:many]
-    known = tuple(tuple(row) for row in (~np.isnan(numbers[:-1, :, 0])).tolist())
-    which = _which(tuple(found), known, many, why, normal, jumps)
-    values = numbers.reshape(-1, len(NUMBERS))[which.places]
-    out: Columns = {"signal": which.signal, "metric": which.metric, "diverged": [0] * len(which.metric)}
-    n = np.array([*(e.n for e in found.values()), 0])[which.places // many]
-    out |= {"n": n.tolist()} | dict(zip(NUMBERS, values.T.tolist(), strict=True))
-    spread = np.full((len(COLUMNS), len(which.metric)), np.nan)
-    if which.final and not cell.random:
-        spread[:, list(which.final)] = _quantiles(cell, label)[:, [which.signal[row] for row in which.final]]
-    out |= dict(zip(COLUMNS, spread.tolist(), strict=True))
-    return out | {"method": ["none" if reason else "exact" for reason in which.reason], "reason": which.reason}
-
-
-@lru_cache(256)
-def _which(
-    found: tuple[str, ...], known: tuple[tuple[bool, ...], ...], many: int, why: str, normal: bool, jumps: bool
-) -> Which:
-    """Return the rows there are where so many signals have so much `found`, and of that `known`."""
-    rows: list[tuple[int, str, str | None, int]] = []
-    final: list[int] = []
-    for i in range(many):
+    names = ("signal", "metric", "diverged", "n", *NUMBERS, *COLUMNS, "method", "reason")
+    out: Columns = {name: [] for name in names}
+    for i in range(mine.stop - mine.start):
         for metric in ORDER:
-            said = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
-            there = metric in found and known[found.index(metric)][i]
-            if metric == "recovery_time" and not jumps:
+            e = estimates.get(metric)
+            known = e is not None and i < len(e.mean) and not np.isnan(e.mean[i])
+            if not (known or metric in RUNS_ONLY or (why and metric in ALWAYS)) or (
+                metric == "recovery_time" and not jumps
+            ):
                 continue
-            if not (there or metric in RUNS_ONLY or (why and metric in ALWAYS)):
-                continue
-            blank = bool(said) or metric not in found
-            if metric == "final_error" and not said and normal:
-                final.append(len(rows))
-            rows.append((i, metric, said or None, (len(found) if blank else found.index(metric)) * many + i))
-    signal, metrics, reason, places = map(list, zip(*rows, strict=True))
-    return Which(signal, metrics, reason, np.array(places), tuple(final))
+            reason = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
+            row: list[object] = [i, metric, 0]
+            row += [0, *(np.nan for _ in NUMBERS)] if reason or e is None else [e.n, *(float(v[i]) for v in e[1:])]
+            spread = metric == "final_error" and not reason and normal and not cell.random
+            row += quantiles[:, i].tolist() if spread else [np.nan] * len(COLUMNS)
+            for name, value in zip(names, (*row, "none" if reason else "exact", reason or None), strict=True):
+                out[name].append(value)
+    return out
 
 
-def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
+def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
     """Every metric that is exact, of signals."""
     mine, s = cell.signals[label], cell.sums
     n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
@@ -135,8 +104,9 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Est
     return out
 
 
-def _over(cell: CellMoments, values: Any, signed: bool = False) -> Estimate:
+def _over(cell: CellMoments, values: ArrayLike, signed: bool = False) -> Estimate:
     """Values [K, S] averaged over what is random besides the noise; without an error where nothing is."""
+    values = np.asarray(values)
     if cell.random:
         return (student if signed else positive)(moments(values))
     value, nothing = values[:, 0], np.zeros(len(values))
