@@ -4,7 +4,7 @@ A product of floats is counted as `planning.operation_counts` does: once for eac
 through a function.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
 
@@ -13,35 +13,38 @@ import numpy as np
 from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
+from pcbench.engine.jaxpr_compat import Equation
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
 from pcbench.planning.operation_counts import ONCE
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
 INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}
-CALLED = set(
-    """sqrt cbrt exp exp2 expm1 log log1p sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh
-    floor ceil erf erfc nextafter""".split()  # noqa: SIM905
-)
-MACRO = {"max": "LARGER", "min": "SMALLER", "sign": "SIGN"}
+INFIX |= {"shift_right_arithmetic": ">>"}
+CALLED = "sqrt cbrt exp exp2 expm1 log log1p floor ceil erf erfc"
+CALLED += " sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
+TEXTS = {name: f"{{0}} {sign} {{1}}" for name, sign in INFIX.items()}  # of operations, by their arguments
+TEXTS |= {name: f"F({name})({{0}})" for name in CALLED.split()}
+TEXTS |= {name: f"F({name})({{0}}, {{1}})" for name in ("atan2", "nextafter")}
+TEXTS |= {
+    "max": "LARGER({0}, {1})",
+    "min": "SMALLER({0}, {1})",
+    "sign": "SIGN({0})",
+    "neg": "-{0}",
+    "pow": "F(pow)({0}, (real){1})",
+    "square": "{0} * {0}",
+    "rsqrt": "R(1.0) / F(sqrt)({0})",
+    "logistic": "R(1.0) / (R(1.0) + F(exp)(-{0}))",
+    "is_finite": "isfinite({0}) != 0",
+    "clamp": "CLAMPED({0}, {1}, {2})",
+}
 SAME = {"copy", "copy_p", "stop_gradient"}
-CONVERTS = {"convert_element_type"}
 FOLDS = dict(zip(jaxpr_compat.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
 UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
 MANY = 16  # choices that are written as a loop: a compiler takes minutes for thousands of branches one by one
 MOST = 8  # a whole power up to here is written as a product
 
 
-def _by_name(name: str, params: dict[str, Any], kind: str, a: list[str]) -> str | None:
-    """An operation whose name says what it is."""
-    if name in INFIX:
-        return f"{a[0]} {INFIX[name]} {a[1]}"
-    if name in CALLED:
-        return f"F({name})({', '.join(a)})"
-    return f"{MACRO[name]}({', '.join(a)})" if name in MACRO else None
-
-
-def _power(params: dict[str, Any], a: list[str]) -> str:
-    y = int(params["y"])
+def _power(y: int, a: list[str]) -> str:
     if abs(y) > MOST:
         return f"F(pow)({a[0]}, R({y}.0))"
     text = " * ".join([a[0]] * abs(y)) or "R(1.0)"
@@ -54,13 +57,11 @@ def _converted(kind: str, a: list[str], source: str) -> str:
         return f"{a[0]} != 0"
     if source != "real" or kind == "real":
         return f"({kind}){a[0]}"
-    least, most = (
-        (f"{kind[:-2].upper()}_MIN", f"{kind[:-2].upper()}_MAX")
-        if kind[0] == "i"
-        else ("0", f"{kind[:-2].upper()}_MAX")
+    name, signed = kind[:-2].upper(), kind[0] == "i"
+    bits = int("".join(filter(str.isdigit, kind))) - signed
+    least, low, most = (
+        (f"{name}_MIN", f"(-R({2.0**bits!r}))", f"{name}_MAX") if signed else ("0", "R(0.0)", f"{name}_MAX")
     )
-    bits = int("".join(filter(str.isdigit, kind))) - (kind[0] == "i")
-    low = f"(-R({2.0**bits!r}))" if kind[0] == "i" else "R(0.0)"
     return f"{a[0]} != {a[0]} ? 0 : {a[0]} <= {low} ? {least} : {a[0]} >= R({2.0**bits!r}) ? {most} : ({kind}){a[0]}"
 
 
@@ -79,34 +80,25 @@ def _divided(kind: str, a: list[str], sign: str) -> str:
     return f"{a[1]} != 0 ? {a[0]} {sign} {a[1]} : {nothing}"
 
 
-OTHERS: dict[str, Callable[[dict[str, Any], str, list[str]], str]] = {
-    "neg": lambda params, kind, a: f"-{a[0]}",
+def _rounded(params: Mapping[str, object], a: list[str]) -> str:
+    nearest_even = params["rounding_method"] == RoundingMethod.TO_NEAREST_EVEN
+    return f"F({'nearbyint' if nearest_even else 'round'})({a[0]})"
+
+
+OTHERS: dict[str, Callable[[Mapping[str, Any], str, list[str]], str]] = {
     "not": lambda params, kind, a: f"!{a[0]}" if kind == "bool" else f"~{a[0]}",
     "abs": lambda params, kind, a: f"F(fabs)({a[0]})" if kind == "real" else f"{a[0]} < 0 ? -{a[0]} : {a[0]}",
     "div": lambda params, kind, a: _divided(kind, a, "/"),
     "rem": lambda params, kind, a: _divided(kind, a, "%"),
-    "pow": lambda params, kind, a: f"F(pow)({a[0]}, (real){a[1]})",
-    "square": lambda params, kind, a: f"{a[0]} * {a[0]}",
-    "rsqrt": lambda params, kind, a: f"R(1.0) / F(sqrt)({a[0]})",
-    "logistic": lambda params, kind, a: f"R(1.0) / (R(1.0) + F(exp)(-{a[0]}))",
-    "integer_pow": lambda params, kind, a: _power(params, a),
-    "is_finite": lambda params, kind, a: f"isfinite({a[0]}) != 0",
-    "clamp": lambda params, kind, a: f"CLAMPED({a[0]}, {a[1]}, {a[2]})",
+    "integer_pow": lambda params, kind, a: _power(int(params["y"]), a),
     "select_n": lambda params, kind, a: _chosen(a),
-    "round": lambda params, kind, a: (
-        f"F({'nearbyint' if params['rounding_method'] == RoundingMethod.TO_NEAREST_EVEN else 'round'})({a[0]})"
-    ),
-    "shift_right_arithmetic": lambda params, kind, a: f"{a[0]} >> {a[1]}",
+    "round": lambda params, kind, a: _rounded(params, a),
     "shift_right_logical": lambda params, kind, a: f"({kind})(({UNSIGNED.get(kind, kind)}){a[0]} >> {a[1]})",
 }
+ELEMENTWISE = TEXTS.keys() | OTHERS.keys() | SAME | {"convert_element_type"}
 
 
-def is_elementwise(name: str) -> bool:
-    """Say whether C has an operation on each number alone."""
-    return name in INFIX or name in CALLED or name in MACRO or name in OTHERS or name in SAME or name in CONVERTS
-
-
-def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+def elementwise(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     """Write an operation on each entry."""
     name, aval = eqn.primitive.name, eqn.outvars[0].aval
     if name in SAME or (name == "convert_element_type" and eqn.invars[0].aval.dtype == aval.dtype):
@@ -121,13 +113,14 @@ def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         if name == "select_n" and not isinstance(mine[0], Term):
             out[i] = mine[1 + int(mine[0])]
         elif not any(isinstance(x, Term) for x in mine):
-            out[i] = np.asarray(eqn.primitive.bind(*map(_as_it_is, mine, eqn.invars), **eqn.params))[()]
+            arrays = [jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(mine, eqn.invars, strict=True)]
+            out[i] = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))[()]
         else:
             texts = [written(x) for x in mine]
             if name == "convert_element_type":
                 text = _converted(kind, texts, kind_of(eqn.invars[0].aval.dtype))
             else:
-                text = _by_name(name, eqn.params, kind, texts) or OTHERS[name](eqn.params, kind, texts)
+                text = TEXTS[name].format(*texts) if name in TEXTS else OTHERS[name](eqn.params, kind, texts)
             out[i] = w.let(kind, text, counted)
     return out
 
@@ -158,17 +151,16 @@ def _indexed(w: Writer, kind: str, values: Entries) -> str:
     return f"{place.store}[{f'{place.base} + ' if place.base else ''}{f'{place.place} + ' if place.place else ''}i]"
 
 
-def _as_it_is(x: Any, v: Any) -> Any:
-    return jax.numpy.asarray(x, v.aval.dtype)
-
-
-def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+def fold(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     """Write the fold of some axes, from the first entry to the last."""
     a, axes, kind = args[0], jaxpr_compat.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
     rest = [i for i in range(a.ndim) if i not in axes]
     flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
     out = np.empty(flat.shape[:-1], object)
-    how, none = FOLDS[eqn.primitive.name], known(_nothing(eqn))
+    how, none = FOLDS[eqn.primitive.name], known(0)
+    if not a.size:  # what a fold of no entry is
+        v = eqn.invars[0].aval
+        none = known(np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0])
     for i in np.ndindex(out.shape):
         each = [written(x) for x in flat[i]]
         if not each:
@@ -180,15 +172,7 @@ def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     return out
 
 
-def _nothing(eqn: Any) -> Any:
-    """What a fold of no entry is."""
-    v = eqn.invars[0].aval
-    return (
-        np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0] if v.size == 0 else 0
-    )
-
-
-def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+def running_sum(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     """Write sums of the first entries along an axis."""
     axis, kind = jaxpr_compat.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
     a = np.moveaxis(args[0], axis, 0)
@@ -200,7 +184,7 @@ def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     return np.moveaxis(out[::-1] if jaxpr_compat.param(eqn, "reverse") else out, 0, axis)
 
 
-def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+def extreme(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
     (axis,), sign = jaxpr_compat.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
@@ -218,24 +202,16 @@ def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     return out
 
 
-def product(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+def product(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     """Write a product of matrices as sums of products, from the first on."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     aval = eqn.outvars[0].aval
     a, b = _arranged(args[0], ba, ca), _arranged(args[1], bb, cb)
-    kind, out = kind_of(aval.dtype), []
-    for k, i, j in np.ndindex(a.shape[0], a.shape[1], b.shape[1]):
+    kind, out = kind_of(aval.dtype), np.empty(aval.size, object)
+    for at, (k, i, j) in enumerate(np.ndindex(a.shape[0], a.shape[1], b.shape[1])):
         terms = [f"{written(x)} * {written(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
-        out.append(w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else known(0.0)[()])
-    return _shaped(out, aval.shape)
-
-
-def _shaped(entries: list[Any], shape: tuple[int, ...]) -> Entries:
-    out = np.empty(len(entries), object)
-    out[:] = entries if not entries else [None] * len(entries)
-    for i, x in enumerate(entries):
-        out[i] = x
-    return out.reshape(shape)
+        out[at] = w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else known(0.0)[()]
+    return out.reshape(aval.shape)
 
 
 def _arranged(p: Entries, batch: Any, contract: Any) -> Entries:

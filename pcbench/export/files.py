@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,13 +22,12 @@ from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import signals_of
 from pcbench.playback.replay import replay
-from pcbench.playback.setup import open_playback
-from pcbench.protocols import Observer
+from pcbench.playback.setup import Prepared, open_playback
 from pcbench.runtime import config
 from pcbench.study.grid import Cell
 from pcbench.study.load import Described
 from pcbench.study.parse import one_cell
-from pcbench.synthesis.certificate import Certificate, DesignContext
+from pcbench.synthesis.certificate import DesignContext
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
@@ -52,21 +51,6 @@ class Exported(NamedTuple):
     about: About
     files: dict[str, str | bytes]  # by name
     scale: np.ndarray  # [s] the largest that each signal is in the run
-
-
-class Chosen(NamedTuple):
-    """An observer with its numbers, and the run to test it by."""
-
-    cell: Cell
-    label: str
-    observer: Observer
-    gains: Any
-    xhat0: Any
-    setting: DesignContext
-    certificate: Certificate
-    rows: int  # of past inputs
-    ring: int  # packets that may be on their way
-    run: Vector
 
 
 def exported(
@@ -96,87 +80,67 @@ def exported(
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
             )
-        if log is not None:
-            return _exported(_recorded(log, study, observer, delay, start, overrides or []))
-        (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
-        return _exported(_simulated(p, asked.root_seed, seed))
-
-
-def _simulated(p: padding.Plan, root_seed: int, seed: int) -> Chosen:
-    ((name, o),), label, known = p.layout.observers, p.labels[0], setting(p.cell)
-    rows = _rows(p.cell, label, known)
-    return Chosen(
-        cell=p.cell,
-        label=label,
-        observer=o,
-        gains=p.problem.gains[name],
-        xhat0=p.problem.xhat0,
-        setting=known,
-        certificate=p.certificates[label],
-        rows=rows,
-        ring=p.layout.ring,
-        run=structs.vector(p, root_seed, seed, rows),
-    )
+        if log is None:
+            (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
+            ((name, _),), known = p.layout.observers, setting(p.cell)
+            rows = _rows(cell, p.labels[0], known)
+            return _exported(p.cell, p.labels[0], name, p, known, rows, structs.vector(p, asked.root_seed, seed, rows))
+        return _recorded(log, study, observer, delay, start, overrides or [])
 
 
 def _recorded(
     log: str | Path, study: Described, observer: str, delay: float | None, start: float | None, overrides: list[str]
-) -> Chosen:
+) -> Exported:
     a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
     p, run = recording.recorded(a, a.cell.entry(label).observer.on_sample is not None)
     estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
     expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
-    return Chosen(
-        cell=a.cell,
-        label=label,
-        observer=a.cell.entry(label).observer,
-        gains=p.problem.gains[label],
-        xhat0=p.problem.xhat0,
-        setting=p.setting,
-        certificate=p.certificates[label],
-        rows=rows,
-        ring=p.layout.ring,
-        run=run._replace(
-            before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected, of="a replay"
-        ),
-    )
+    run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
+    return _exported(a.cell, label, label, p, p.setting, rows, run)
 
 
-def _exported(c: Chosen) -> Exported:
-    o, gains, xhat0 = c.observer, jax.tree.map(jnp.asarray, c.gains), jnp.asarray(c.xhat0)
-    m, q = c.setting.model.B.shape[1], len(c.setting.noise_std)
-    zero = jnp.asarray(0)
+def _exported(
+    cell: Cell, label: str, name: str, p: padding.Plan | Prepared, known: DesignContext, rows: int, run: Vector
+) -> Exported:
+    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by."""
+    o = dict(p.layout.observers)[name]
+    gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
+    m, q, zero = known.model.B.shape[1], len(known.noise_std), jnp.asarray(0)
     now = functions.present(
-        jnp.asarray(0.0), zero, jnp.asarray(c.setting.dt), *map(jnp.zeros, (m, (1, m))), decided=False
+        jnp.asarray(0.0), zero, jnp.asarray(known.dt), jnp.zeros(m), jnp.zeros((1, m)), decided=False
     )
     noted = jax.eval_shape(lambda: o.snapshot(gains, o.init(gains, xhat0), now)).shape[0]
-    s = functions.source(library.identifier(c.label), o, gains, xhat0, functions.Shapes(m, q, noted, c.rows))
-    signals = signals_of(c.cell.scenario)[: s.estimates]
+    s = functions.source(library.identifier(label), o, gains, xhat0, functions.Shapes(m, q, noted, rows))
+    oldest = known.ticks  # the age in ticks up to which a measurement that no newer one overtook is used
+    if s.jump_looks_back == "in a loop":  # to the measurement before it, and on, if they come as they are expected
+        oldest = min(known.latest, rows)
+    elif s.jump_looks_back == "once":
+        oldest = min(rows, known.ticks)
     about = About(
-        label=library.identifier(c.label),
-        observer=c.label,
-        scenario=c.cell.scenario.name,
-        dt=c.cell.scenario.dt,
-        signals=signals,
+        label=library.identifier(label),
+        observer=label,
+        scenario=cell.scenario.name,
+        dt=cell.scenario.dt,
+        signals=signals_of(cell.scenario)[: s.estimates],
         inputs=m,
         outputs=q,
-        rows=c.rows,
-        oldest=_oldest(c, s),
-        newer=c.setting.overtaking,
+        rows=rows,
+        oldest=oldest,
+        newer=known.overtaking,
     )
-    found = numbers.described(about, c.setting, c.certificate, c.cell.options[c.label].model_dump(), gains)
+    found = numbers.described(about, known, p.certificates[label], cell.options[label].model_dump(), gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": library.header(about, s),
         f"{about.label}.c": library.code(about, s),
         f"{about.label}_gains.h": library.gains(about, s, gains),
-        "vector.h": replaying.header(about, c.run, noted, c.ring),
+        "vector.h": replaying.header(about, run, noted, p.layout.ring),
         "main.c": replaying.main(about, s, noted),
         "gains.json": numbers.as_json(found),
         "gains.mat": numbers.as_mat(found),
     }
-    return Exported(about, files, np.abs(c.run.expected).max(0))
+    return Exported(about, files, np.abs(run.expected).max(0))
 
 
 def _rows(cell: Cell, label: str, known: DesignContext) -> int:
@@ -185,13 +149,6 @@ def _rows(cell: Cell, label: str, known: DesignContext) -> int:
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
     return min(loop_setup.oldest(cell, known.overtaking, ticks) + 2, ticks + 1)
-
-
-def _oldest(c: Chosen, s: functions.Source) -> int:
-    """The age in ticks up to which a measurement that no newer one overtook is used, if they come as they are expected."""
-    if s.jump_looks_back == "in a loop":  # to the measurement before it, and on
-        return min(c.setting.latest, c.rows)
-    return min(c.rows, c.setting.ticks) if s.jump_looks_back == "once" else c.setting.ticks
 
 
 def require_place(out: str | Path) -> None:

@@ -64,7 +64,12 @@ int main(int argc, char **argv)
                 printf("%.17g%c", (double)xhat[i], i < SIGNALS - 1 ? ' ' : '\\n');
             }}
         }}
-{hold}        {label}_flow(&{label}_nominal, &memory, &now);
+        {label}_real u[INPUTS];
+        for (int i = 0; i < INPUTS; i++) {{
+            u[i] = ({label}_real)inputs[k][i];
+        }}
+        {label}_hold(&now, u);
+        {label}_flow(&{label}_nominal, &memory, &now);
         tick = {label}_products - start;
         {label}_next(&now);
     }}
@@ -98,12 +103,6 @@ CARRY = """                for (int j = 0; j < NOTED; j++) {{
                     a.snapshot[j] = snapshots[v->packet % RING][j];
                 }}
 """
-HOLD = """        {label}_real u[INPUTS];
-        for (int i = 0; i < INPUTS; i++) {{
-            u[i] = ({label}_real)inputs[k][i];
-        }}
-        {label}_hold(&now, u);
-"""
 BEFORE = """    for (long i = 0; i < BEFORE; i++) {{
         for (int j = 0; j < INPUTS; j++) {{
             if (i == 0) {{
@@ -117,18 +116,14 @@ PAST = "\n            now.past[(BEFORE - 1 - i) * INPUTS + j] = ({label}_real)be
 
 def main(about: About, s: Source, noted: int) -> str:
     """Return the program that replays the vector."""
-    has = {f.name for f in s.functions}
-    before = BEFORE.format(label=about.label, past=PAST.format(label=about.label) if s.looks_back else "")
-    parts = {
-        "before": before,
-        "snapshot": SNAPSHOT if "snapshot" in has else "",
-        "sampled": SAMPLED if "sampled" in has else "",
-        "carry": CARRY if noted else "",
-        "hold": HOLD,
-    }
-    label = about.label
-    each = {k: text if k == "before" else text.format(label=label) for k, text in parts.items()}
-    return MAIN.format(label=label, **each)
+    label, has = about.label, {f.name for f in s.functions}
+    return MAIN.format(
+        label=label,
+        before=BEFORE.format(label=label, past=PAST.format(label=label) if s.looks_back else ""),
+        snapshot=SNAPSHOT.format(label=label) if "snapshot" in has else "",
+        sampled=SAMPLED.format(label=label) if "sampled" in has else "",
+        carry=CARRY.format() if noted else "",
+    )
 
 
 def header(about: About, v: Vector, noted: int, ring: int) -> str:
@@ -165,7 +160,7 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         "static const event events[] = {",
         *(
             f"    {{{e.tick}, {e.what}, {e.packet}, {{{_row(e.value)}}}, {{{_row(e.mask)}}}, {{{_row(e.age)}}}, "
-            f"{{{_row(e.index)}}}, {e.ticks_since_arrival}}},"
+            f"{{{_row(e.number)}}}, {e.ticks_since_arrival}}},"
             for e in v.events
         ),
         *([] if v.events else ["    {0}"]),

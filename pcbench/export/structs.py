@@ -18,6 +18,7 @@ from pcbench.engine.common_schedule import prepare
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.export.terms import Entries, Term, kind_of, known, scalar, stored, written
 from pcbench.planning.padding import Plan
+from pcbench.recordings.windows import Window
 from pcbench.simulation import measurements, trajectory
 from pcbench.simulation.types import GridPointParams, Layout, present
 
@@ -109,8 +110,8 @@ class Event(NamedTuple):
     value: Floats  # [q] 0 where not in mask
     mask: NDArray[np.bool_]  # [q] that arrive, or are sampled
     age: NDArray[np.int64]  # [q]
-    index: NDArray[np.int64]  # type: ignore[assignment]  # [q]
-    ticks_since_arrival: int
+    number: NDArray[np.int64]  # [q]
+    ticks_since_arrival: int = 0
 
 
 class Vector(NamedTuple):
@@ -135,7 +136,18 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     many = 1 + max(int(schedule.sample.max(initial=0)), int(schedule.early.max(initial=0)))
     seen = measurements.compiled()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
     values = packets(schedule, *(np.asarray(each)[..., 0] for each in seen))
-    events = happening(schedule, values, p.layout.observers[0][1].on_sample is not None)
+    window = Window(
+        sense=schedule.snapshot,
+        sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0),
+        arrive=schedule.arrive,
+        taken=schedule.believed,
+        mask=schedule.mask,
+        number=schedule.number,
+        value=values[schedule.arrive],
+        ticks_since_arrival=schedule.ticks_since_arrival,
+        event=schedule.event,
+    )
+    events = happening(window, p.layout.observers[0][1].on_sample is not None, early=len(schedule.early))
     expected = out.estimates[name]
     truth = out.x[:, : expected.shape[1]]
     return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
@@ -165,37 +177,31 @@ def packets(schedule: Any, clean: Floats, noise: Floats) -> Floats:
     return out
 
 
-def happening(schedule: Any, values: Floats, tells: bool) -> list[Event]:
-    """Return the events of a schedule in the order of a tick: snapshots, what is sampled, what arrives."""
-    q = values.shape[1]
+def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:
+    """Return the events of ticks from `first` on, in the order of a tick: snapshots, what is sampled, what arrives.
+
+    `early` packets were taken before tick 0; `tells`: the observer is told what is sampled.
+    """
+    q = w.sampled.shape[1]
     none = np.zeros(q, int)
-    nothing = Event(
-        tick=-1,
-        what=SNAPSHOT,
-        packet=-1,
-        value=np.zeros(q),
-        mask=np.zeros(q, bool),
-        age=none,
-        index=none,
-        ticks_since_arrival=0,
-    )
-    out = [nothing._replace(packet=i) for i in range(len(schedule.early))]
-    for k in map(int, np.flatnonzero(schedule.event)):
-        if schedule.snapshot[k] >= 0:
-            out.append(nothing._replace(tick=k, packet=int(schedule.snapshot[k])))
-        if tells and schedule.sense[k] >= 0:
-            out.append(nothing._replace(tick=k, what=SAMPLED, mask=schedule.sample[k] >= 0))
-        for slot in np.flatnonzero(schedule.arrive[k] >= 0):
-            packet, mask = int(schedule.arrive[k, slot]), schedule.mask[k, slot]
+    nothing = Event(-1, SNAPSHOT, -1, np.zeros(q), np.zeros(q, bool), none, none)
+    out = [nothing._replace(packet=i) for i in range(early)]
+    for row in map(int, np.flatnonzero(w.event)):
+        k = first + row
+        if w.sense[row] >= 0:
+            out.append(nothing._replace(tick=k, packet=int(w.sense[row])))
+        if tells and w.sampled[row].any():
+            out.append(nothing._replace(tick=k, what=SAMPLED, mask=w.sampled[row]))
+        for slot in map(int, np.flatnonzero(w.arrive[row] >= 0)):
             arrived = Event(
                 tick=k,
                 what=JUMP,
-                packet=packet,
-                value=np.where(mask, values[packet], 0.0),
-                mask=mask,
-                age=np.full(q, k - schedule.believed[k, slot]),
-                index=schedule.number[k, slot].astype(int),
-                ticks_since_arrival=int(schedule.ticks_since_arrival[k, slot]),
+                packet=int(w.arrive[row, slot]),
+                value=np.where(w.mask[row, slot], w.value[row, slot], 0.0),
+                mask=w.mask[row, slot],
+                age=np.full(q, k - int(w.taken[row, slot])),
+                number=w.number[row, slot].astype(int),
+                ticks_since_arrival=int(w.ticks_since_arrival[row, slot]),
             )
             out.append(arrived)
     return out
