@@ -13,7 +13,7 @@ import numpy as np
 from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
-from pcbench.engine.jaxpr_compat import Equation
+from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
 from pcbench.planning.operation_counts import ONCE
 
@@ -98,7 +98,7 @@ OTHERS: dict[str, Callable[[Mapping[str, Any], str, list[str]], str]] = {
 ELEMENTWISE = TEXTS.keys() | OTHERS.keys() | SAME | {"convert_element_type"}
 
 
-def elementwise(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write an operation on each entry."""
     name, aval = eqn.primitive.name, eqn.outvars[0].aval
     if name in SAME or (name == "convert_element_type" and eqn.invars[0].aval.dtype == aval.dtype):
@@ -151,7 +151,7 @@ def _indexed(w: Writer, kind: str, values: Entries) -> str:
     return f"{place.store}[{f'{place.base} + ' if place.base else ''}{f'{place.place} + ' if place.place else ''}i]"
 
 
-def fold(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write the fold of some axes, from the first entry to the last."""
     a, axes, kind = args[0], jaxpr_compat.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
     rest = [i for i in range(a.ndim) if i not in axes]
@@ -172,7 +172,7 @@ def fold(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     return out
 
 
-def running_sum(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def running_sum(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write sums of the first entries along an axis."""
     axis, kind = jaxpr_compat.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
     a = np.moveaxis(args[0], axis, 0)
@@ -184,7 +184,7 @@ def running_sum(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     return np.moveaxis(out[::-1] if jaxpr_compat.param(eqn, "reverse") else out, 0, axis)
 
 
-def extreme(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
     (axis,), sign = jaxpr_compat.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
@@ -202,7 +202,7 @@ def extreme(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     return out
 
 
-def product(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a product of matrices as sums of products, from the first on."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     aval = eqn.outvars[0].aval

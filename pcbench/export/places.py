@@ -11,13 +11,13 @@ import numpy as np
 from jax.lax import GatherScatterMode
 
 from pcbench.engine import jaxpr_compat
-from pcbench.engine.jaxpr_compat import Equation
+from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, stored, written
 
 FILL = (GatherScatterMode.FILL_OR_DROP,)
 
 
-def dynamic_slice(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def dynamic_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a slice that begins where some indices say."""
     operand, sizes = args[0], tuple(jaxpr_compat.param(eqn, "slice_sizes"))
     starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
@@ -25,7 +25,7 @@ def dynamic_slice(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     return _read(w, eqn, operand, starts, window)
 
 
-def dynamic_update_slice(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write an array anew, with a slice replaced that begins where some indices say."""
     operand, update = args[:2]
     starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[2:], operand.shape, update.shape, strict=True)]
@@ -51,7 +51,7 @@ def _starts(
     return starts
 
 
-def gather(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write slices of an array, each from where a row of indices says."""
     operand, indices = args
     d, sizes = jaxpr_compat.param(eqn, "dimension_numbers"), jaxpr_compat.param(eqn, "slice_sizes")
@@ -78,7 +78,7 @@ def gather(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
     return out
 
 
-def scatter(w: Writer, eqn: Equation, args: list[Entries]) -> Entries:
+def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write an array anew, with slices replaced (or added to) from where rows of indices say; what falls outside is dropped."""
     operand, indices, updates = args
     d, adds = jaxpr_compat.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
@@ -112,7 +112,7 @@ def held(w: Writer, kind: str, values: Entries) -> Term:
     return found
 
 
-def _read(w: Writer, eqn: Equation, operand: Entries, starts: list[Any], window: Any) -> Entries:
+def _read(w: Writer, eqn: Eqn, operand: Entries, starts: list[Any], window: Any) -> Entries:
     """The entries at `starts` and, beyond, at the indices that the last axis of `window` holds."""
     out = np.empty(window.shape[:-1], object)
     if not any(isinstance(s, Term) for s in starts):
@@ -128,7 +128,7 @@ def _read(w: Writer, eqn: Equation, operand: Entries, starts: list[Any], window:
     return out
 
 
-def _copied(w: Writer, eqn: Equation, operand: Entries) -> str:
+def _copied(w: Writer, eqn: Eqn, operand: Entries) -> str:
     """The name of an array of its own that holds what the operand does."""
     name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
     w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(written, operand.flat)) or '0'}}};")
@@ -150,7 +150,7 @@ def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> str:
     return w.let("bool", " && ".join(each)).text
 
 
-def _or_else(w: Writer, eqn: Equation, found: Entries, there: str) -> Entries:
+def _or_else(w: Writer, eqn: Eqn, found: Entries, there: str) -> Entries:
     """What was found, or what stands for nothing where the index was outside."""
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)

@@ -4,18 +4,19 @@ What only moves numbers is done here and leaves no line; what nothing reads the 
 arrays of its own, which are written anew at the end of each round.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from pcbench.dynamics.room import ROOM
 from pcbench.engine import batching_rules, jaxpr_compat
-from pcbench.engine.jaxpr_compat import Closed, Equation, Program, Variable
+from pcbench.engine.jaxpr_compat import ClosedJaxpr, Eqn, Jaxpr
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places
 from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known, scalar, stored, written
 
-Rule = Callable[[Writer, Equation, list[Entries]], Entries]
+Rule = Callable[[Writer, Eqn, list[Entries]], Entries]
 MOVES = jaxpr_compat.STRUCTURAL | {"split", "stack", "tile"}
 RULES: dict[str, Rule] = dict.fromkeys(jaxpr_compat.FOLDS, arithmetic.fold) | {
     "dot_general": arithmetic.product,
@@ -36,7 +37,7 @@ class Hindered(UserError):
     """A primitive that C has nothing for here."""
 
 
-def write(w: Writer, closed: Closed, args: list[Entries]) -> list[Entries]:
+def write(w: Writer, closed: ClosedJaxpr, args: list[Entries]) -> list[Entries]:
     """Write a program at some entries, and return what it makes; raise Hindered with the primitive that cannot be written."""
     return _walk(w, closed.jaxpr, [known(c) for c in closed.consts], args)
 
@@ -54,10 +55,10 @@ def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
         w.say(f"{place} = {text};")
 
 
-def _walk(w: Writer, jaxpr: Program, consts: list[Entries], args: list[Entries]) -> list[Entries]:
+def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -> list[Entries]:
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
-    def read(v: Variable) -> Entries:
+    def read(v: Any) -> Entries:
         return known(np.asarray(v.val)) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
@@ -69,7 +70,7 @@ def _walk(w: Writer, jaxpr: Program, consts: list[Entries], args: list[Entries])
     return [*map(read, jaxpr.outvars)]
 
 
-def _step(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
+def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     name = eqn.primitive.name
     if len(w.lines) > LONGEST:
         raise Hindered(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
@@ -97,18 +98,18 @@ def _step(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
     raise Hindered(name)
 
 
-def _moved(eqn: Equation, args: list[Entries]) -> list[Entries]:
+def _moved(eqn: Eqn, args: list[Entries]) -> list[Entries]:
     """Entries at the places to which the primitive moves their numbers."""
     flat = np.concatenate([a.ravel() for a in args])
     each = batching_rules.places(eqn.primitive, jaxpr_compat.said(eqn), tuple(a.shape for a in args))
     return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
 
 
-def _kinds(vs: Sequence[Variable]) -> list[str]:
+def _kinds(vs: Any) -> list[str]:
     return [kind_of(v.aval.dtype) for v in vs]
 
 
-def _state(w: Writer, vs: Sequence[Variable], values: list[Entries], stays: list[bool]) -> list[Entries]:
+def _state(w: Writer, vs: Any, values: list[Entries], stays: list[bool]) -> list[Entries]:
     """Arrays of C that hold a loop's state; what stays as it is needs none."""
     out = []
     for kind, value, fixed in zip(_kinds(vs), values, stays, strict=True):
@@ -122,7 +123,7 @@ def _state(w: Writer, vs: Sequence[Variable], values: list[Entries], stays: list
     return out
 
 
-def _while(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
+def _while(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, values = args[:first], args[first : first + second], args[first + second :]
     inside = body.jaxpr.invars[second:]
@@ -139,7 +140,7 @@ def _while(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
     return state
 
 
-def _scan(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
+def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     body, consts, carry, length, how = jaxpr_compat.scan(eqn.params)
     inside, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
     if length == 1:
@@ -179,7 +180,7 @@ def _row(n: str, table: Term | None, rows: Entries) -> Entries:
     return stored(table.store, rows.shape[1:], base, table.place)
 
 
-def _cond(w: Writer, eqn: Equation, args: list[Entries]) -> list[Entries]:
+def _cond(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     programs, which = jaxpr_compat.branches(eqn.params), args[0]
     if is_known(which):
         return write(w, programs[int(np.clip(int(which[()]), 0, len(programs) - 1))], args[1:])
