@@ -7,6 +7,7 @@ import pytest
 from support import own_observer
 
 import pcbench
+from pcbench.errors import UserError
 from pcbench.moments import exactness
 from pcbench.study import parse
 
@@ -67,3 +68,10 @@ def test_bands_in_time_are_those_without_it():
     alone, both = (m[m.observer == "kf"][["t", "mean", "std"]].to_numpy() for m in each)
     assert len(both) == 91
     np.testing.assert_allclose(both, alone, rtol=1e-12)
+
+
+@pytest.mark.ci
+def test_a_joint_covariance_names_the_observer_that_overflows():
+    """Its numbers spoil those of the others there."""
+    with pytest.raises(UserError, match=r"covariance: .*: nudge .*grows beyond what a number can hold"):
+        pcbench.exact_moments(study({"nudge": {"share": 1e11}}, "kf", WILD)).covariance()
