@@ -1,16 +1,14 @@
 """How much of each fault an observer bears before the model alone is better, of a study that varies its axes one by one."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import frames, layout
+from pcbench.plots import frames
 from pcbench.plots.labels import about, named
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
+from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
 from pcbench.plots.palette import SOFT, styles
 
 ALONE = "model-only"  # the model alone
@@ -80,21 +78,18 @@ def bearing(
         )
     parts = part_of_alone(result, whole.scenario.iloc[0], whole.signal.iloc[0], metric)
     look = styles(parts.observer)
-    keys = [Key(o, look[o], "points") for o in dict.fromkeys(parts.observer)]
-    y = layout.of([*parts.part, 1.0], layout.is_wide([*parts.part, 1.0]))
-    units, panels, every = frames.units(result, whole), [], {}
-    axes: dict[str, Any] = {str(name): mine for name, mine in parts.groupby("axis", sort=False)}
-    for i, (name, mine) in enumerate(axes.items()):
-        over = f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}" if i == 0 else ""
-        every[name] = sorted(set(mine.value))
-        panels.append(Panel(layout.at(every[name]), y, frames.label(name, units), over, height=1.1))
-    figure, drawn = sheet(paper, about(result, whole, {}), panels, keys, columns=min(BESIDE, len(panels)))
-    with drawn_on(paper):
-        for ax, panel, (name, mine) in zip(drawn, panels, axes.items(), strict=True):
+    axes = list(dict.fromkeys(parts.axis))
+    columns = min(BESIDE, len(axes))
+    with sheet(paper, about(result, whole, {}), len(axes), columns, height=1.1) as (figure, drawn):
+        for ax, name in zip(drawn, axes, strict=True):
+            mine = parts[parts.axis == name].sort_values("value")
+            place = set_values(ax, "x", list(dict.fromkeys(mine.value)))
+            set_range(ax, "y", [*parts.part, 1.0])
+            ax.set_xlabel(frames.label(name, frames.units(result, whole)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
-            for key in keys:
-                line = mine[mine.observer == key.label].sort_values("value")
-                at = layout.places(panel.x, line.value, every[name])
-                ax.plot(at, line.part, color=key.style.colour, linestyle=key.style.line, linewidth=1.0,
-                        marker=key.style.marker, markersize=3.5)  # fmt: skip
+            for observer, style in look.items():
+                line = mine[mine.observer == observer]
+                ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
+                        linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
+        drawn[0].set_title(f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}")
     return figure

@@ -2,16 +2,20 @@
 
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.plots import layout
 from pcbench.plots.labels import title_of
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
-from pcbench.plots.palette import COLOURS, SOFT, Style, styles
+from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
+from pcbench.plots.palette import LOOKS, SOFT, styles
 
-MARKS = {"published": "o", "design": "s", "tuned": "D"}
-WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
+TUNINGS = {  # the word, the marker, and how far beside its observer it stands
+    "published": ("as printed", "o", -0.22),
+    "design": ("by design", "s", 0.0),
+    "tuned": ("tuned", "D", 0.22),
+}
 
 
 def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
@@ -24,24 +28,22 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
             f"study {result.study.name}: got no table fair, expected a study with several tunings; run equal-tuning."
         )
     table = with_ends(result.fair[result.fair.cell == cell])
-    names = list(dict.fromkeys(table.observer))
-    look, first = styles(names), table.iloc[0]
-    shown = table[["held_out", "low", "high", "training"]].to_numpy()
-    keys = [Key(WORDS[str(t)], Style(SOFT, (), MARKS[str(t)]), "points", 0.0) for t in dict.fromkeys(table.tuning)]
-    keys.append(Key("open: on training runs", Style("#FFFFFF", (), ""), "points", 0.0))
-    title = title_of(first.metric, first.signal, first.unit)
-    panel = Panel(layout.at(names), layout.of(shown, log=layout.is_wide(shown)), "observer", title)
-    figure, (ax,) = sheet(paper, f"{first.scenario}, held-out runs", [panel], keys)
-    with drawn_on(paper):
+    look, first = styles(table.observer), table.iloc[0]
+    hollow = Line2D([], [], linestyle="none", label="open: on training runs")
+    with sheet(paper, f"{first.scenario}, held-out runs", keys=[hollow]) as (figure, (ax,)):
+        place = set_values(ax, "x", list(look))
+        set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
+        ax.set(title=title_of(first.metric, first.signal, first.unit), xlabel="observer")
         for tuning, mine in table.groupby("tuning", sort=False):
-            x = [names.index(o) + 0.22 * (list(MARKS).index(str(tuning)) - 1) for o in mine.observer]
+            word, mark, aside = TUNINGS[str(tuning)]
+            x = [place(o) + aside for o in mine.observer]
             colours = [look[o].colour for o in mine.observer]
-            mark = MARKS[str(tuning)]
             ax.vlines(x, mine.low, mine.high, colors=colours, linewidth=1.3)
             ax.scatter(
                 x, mine.training, facecolors="none", edgecolors=colours, marker=mark, s=62, linewidths=0.8, zorder=2
             )
-            ax.scatter(x, mine.held_out, c=colours, marker=mark, s=20, zorder=3, label=WORDS[str(tuning)])
+            ax.scatter(x, mine.held_out, c=colours, marker=mark, s=20, zorder=3)
+            ax.scatter([], [], c=SOFT, marker=mark, s=20, label=word)
     return figure
 
 
@@ -58,14 +60,13 @@ def trade_off(
     stands = table[table.refused == ""]
     words = "promised decay rate [1/s]" if x == "rate" else x.replace("_", " ")
     option = str(table.columns[0])
-    over = {name: layout.of(stands[name], layout.is_wide(stands[name]), margin=0.12) for name in (x, cost)}
-    panel = Panel(over[x], over[cost], f"{words}; beside a point: {option}", label or cost.replace("_", " "))
-    figure, (ax,) = sheet(paper, title, [panel])
-    with drawn_on(paper):
-        ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=COLOURS["kf"])
-        middle = (over[x].low * over[x].high) ** 0.5 if over[x].log else (over[x].low + over[x].high) / 2
+    with sheet(paper, title) as (figure, (ax,)):
+        set_range(ax, "x", stands[x], margin=0.12)
+        set_range(ax, "y", stands[cost], margin=0.12)
+        ax.set(title=label or cost.replace("_", " "), xlabel=f"{words}; beside a point: {option}")
+        ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=LOOKS["kf"].colour)
         for row in stands.to_dict("records"):
-            right = row[x] > middle
+            right = ax.transLimits.transform(ax.transScale.transform((row[x], row[cost])))[0] > 0.5
             ax.annotate(layout.word(row[option]), (row[x], row[cost]), textcoords="offset points",
                         xytext=(-5 if right else 5, 3), ha="right" if right else "left", fontsize=paper.size - 1)  # fmt: skip
     return figure

@@ -10,18 +10,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.transforms import offset_copy
 from scipy.special import ndtri
 
 from pcbench.dataset.result import Result
 from pcbench.dataset.validate_exact import Checked
 from pcbench.errors import UserError, unknown
-from pcbench.plots import frames, layout
+from pcbench.plots import frames
 from pcbench.plots.labels import about, title_of, unit_of
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
-from pcbench.plots.palette import SOFT, Style, styles
+from pcbench.plots.layout import PAPER, Paper, is_wide, set_limits, set_range, set_values, sheet
+from pcbench.plots.palette import SOFT, styles
 
-APART = 0.012  # of an axis' length, between points of observers at one value
+APART = 2.2  # points of the page, between points of observers at one value
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed
 
 
@@ -41,20 +43,15 @@ def distributions(
     """
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
-    names = list(dict.fromkeys(named.observer))
-    x = layout.of(part.value, layout.is_wide(part.value))
-    y = layout.Scale(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), ("0", "25 %", "50 %", "75 %", "100 %"))
-    title = title_of(metric, named.signal.iloc[0], unit_of(named))
-    keys = keys_of(names)
-    panel = Panel(x, y, title, "share of runs")
-    figure, (ax,) = sheet(paper, about(result, named, frames.values_at(named, cell)), [panel], keys)
-    with drawn_on(paper):
-        for key in keys:
-            mine = part[part.observer == key.label]
-            if len(mine):
-                start = pd.Series([mine.value.iloc[0]])
-                values, share = pd.concat([start, mine.value]), pd.concat([pd.Series([0.0]), mine.share])
-                ax.step(values, share, where="post", label=key.label, **line(key))
+    with sheet(paper, about(result, named, frames.values_at(named, cell))) as (figure, (ax,)):
+        set_range(ax, "x", part.value)
+        set_limits(ax, "y", 0.0, 1.0)
+        ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
+        ax.set(title="share of runs", xlabel=title_of(metric, named.signal.iloc[0], unit_of(named)))
+        for observer, line in lines(named.observer).items():
+            mine = part[part.observer == observer]
+            first = mine.value.head(1)
+            ax.step([*first, *mine.value], [*(0.0 for _ in first), *mine.share], where="post", **line)
     return figure
 
 
@@ -82,27 +79,23 @@ def curves(
         )
     part = frames.fixed(whole, [axis], at)
     every = list(dict.fromkeys(part[axis]))
-    names = list(dict.fromkeys(whole.observer))
+    others = {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
-    x, y = layout.at(every), layout.of(ends, layout.is_wide(ends))
-    keys = keys_of(names, "points")
-    panel = Panel(
-        x, y, frames.label(axis, frames.units(result, whole)), title_of(metric, whole.signal.iloc[0], unit_of(whole))
-    )
-    others = {a: v for a, v in frames.values_at(part, int(part.cell.iloc[0])).items() if a != axis}
-    others |= {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
-    figure, (ax,) = sheet(paper, about(result, whole, others), [panel], keys)
-    with drawn_on(paper):
-        for i, key in enumerate(keys):
-            mine = part[part.observer == key.label]
-            moved = APART * (i - (len(keys) - 1) / 2)
-            found = np.array(_beside(layout.places(x, list(mine[axis]), every), x, moved))
-            where, mine = np.sort(found), mine.iloc[np.argsort(found)]
-            faint = 0.45 if len(every) < FEW else 1.0
-            ax.plot(where, mine["mean"], color=key.style.colour, linestyle=key.style.line, linewidth=1.1, alpha=faint)
-            ax.vlines(where, mine.ci_low, mine.ci_high, color=key.style.colour, linewidth=1.3)
-            ax.plot(where, mine["mean"], label=key.label, color=key.style.colour, marker=key.style.marker, markersize=4,
-                    linestyle="none")  # fmt: skip
+    with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
+        place = set_values(ax, "x", every)
+        set_range(ax, "y", ends)
+        ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
+        ax.set_xlabel(frames.label(axis, frames.units(result, whole)))
+        look = styles(whole.observer)
+        for i, (observer, style) in enumerate(look.items()):
+            mine = part[part.observer == observer]
+            where = np.array([place(value) for value in mine[axis]])
+            mine, where = mine.iloc[np.argsort(where)], np.sort(where)
+            beside = offset_copy(ax.transData, figure, APART * (i - (len(look) - 1) / 2), units="points")
+            ax.vlines(where, mine.ci_low, mine.ci_high, color=style.colour, linewidth=1.3, transform=beside)
+            faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
+            ax.plot(where, mine["mean"], label=observer, color=faint, linestyle=style.line, linewidth=1.1, transform=beside,
+                    marker=style.marker, markersize=4, mfc=style.colour, mec=style.colour)  # fmt: skip
     return figure
 
 
@@ -121,44 +114,28 @@ def convergence(
     """
     named = frames.rows(result, scenario, signal, metric)
     part = frames.convergence(result, scenario, signal, metric, cell)
-    names = [n for n in dict.fromkeys(named.observer) if n in set(part.observer)]
-    keys = [*keys_of(names), Key("1/√seeds", Style(SOFT, (1.0, 1.0), ""), width=0.9)]
-    x = layout.at(sorted(set(part.seeds)) or [1, 2])
-    y = layout.of(100 * part.half, log=True)
-    title = f"± of {title_of(metric, named.signal.iloc[0], '')} [% of it]"
-    figure, (ax,) = sheet(
-        paper, about(result, named, frames.values_at(named, cell)), [Panel(x, y, "seeds", title)], keys
-    )
-    with drawn_on(paper):
-        for key in keys[:-1]:
-            mine = part[part.observer == key.label]
-            ax.plot(mine.seeds, 100 * mine.half, label=key.label, marker=key.style.marker, markersize=3.5, **line(key))
-        if len(part):
-            seeds = np.array([part.seeds.min(), part.seeds.max()])
-            last = 100 * part[part.seeds == seeds[1]].half.median()
-            ax.plot(
-                seeds, last * np.sqrt(seeds[1] / seeds), color=SOFT, linestyle=(0, (1.0, 1.0)), linewidth=0.9, zorder=1
-            )
+    look = styles(named.observer)
+    with sheet(paper, about(result, named, frames.values_at(named, cell))) as (figure, (ax,)):
+        set_values(ax, "x", sorted(set(part.seeds)) or [1, 2])
+        set_range(ax, "y", 100 * part.half, log=True)
+        ax.set(title=f"± of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="seeds")
+        for observer, line in lines(n for n in look if n in set(part.observer)).items():
+            mine = part[part.observer == observer]
+            ax.plot(mine.seeds, 100 * mine.half, marker=look[observer].marker, markersize=3.5, **line)
+        seeds = np.array([part.seeds.min(), part.seeds.max()])
+        last = 100 * part[part.seeds == seeds[1]].half.median()
+        ax.plot(seeds, last * np.sqrt(seeds[1] / seeds), label="1/√seeds", color=SOFT, linestyle=":", linewidth=0.9)
     return figure
 
 
-def keys_of(names: Iterable[str], kind: str = "line") -> list[Key]:
-    """Return a key for each observer: the first is drawn broadest and lowest, so that none hides another."""
+def lines(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return how matplotlib draws each observer's line: the first is broadest and lowest, so that none hides another."""
     look = styles(names)
-    many = len(look)
-    return [Key(n, s, kind, 1.3 + min(0.45, 1.6 / many) * (many - 1 - i)) for i, (n, s) in enumerate(look.items())]
-
-
-def line(key: Key) -> dict[str, Any]:
-    """Return how matplotlib draws an observer's line."""
-    return {"color": key.style.colour, "linewidth": key.width, "linestyle": key.style.line}
-
-
-def _beside(where: list[float], x: layout.Scale, by: float) -> list[float]:
-    """Places on an axis moved by a part of its length."""
-    if x.log:
-        return [v * (x.high / x.low) ** by for v in where]
-    return [v + (x.high - x.low) * by for v in where]
+    widths = 1.3 + min(0.45, 1.6 / max(len(look), 1)) * np.arange(len(look))[::-1]
+    return {
+        name: {"label": name, "color": style.colour, "linestyle": style.line, "linewidth": width}
+        for (name, style), width in zip(look.items(), widths, strict=True)
+    }
 
 
 def quantiles(found: Checked, *, paper: Paper = PAPER) -> Figure:
@@ -167,25 +144,18 @@ def quantiles(found: Checked, *, paper: Paper = PAPER) -> Figure:
     if rows.empty:
         raise UserError("plots.quantiles: got no mean that varies, expected some; run a study with noise.")
     expected = ndtri((np.arange(len(rows)) + 0.5) / len(rows))
-    keys = keys_of(dict.fromkeys(sorted(rows.observer)))
-    panel = Panel(
-        layout.of(expected),
-        layout.of([*rows.z, *expected]),
-        "normal quantile",
-        "(mean less exact) / standard error",
-        2.4,
-    )
-    figure, (ax,) = sheet(paper, f"{len(rows):,} simulated means against exact values", [panel], keys)
-    with drawn_on(paper):
-        ends = [expected[0], expected[-1]]
-        ax.plot(ends, ends, color=SOFT, linewidth=0.8, zorder=1)
-        for key in keys:
-            mine = (rows.observer == key.label).to_numpy()
-            ax.scatter(expected[mine], rows.z[mine], s=7, color=key.style.colour, linewidths=0, label=key.label)
+    with sheet(paper, f"{len(rows):,} simulated means against exact values", height=2.4) as (figure, (ax,)):
+        set_range(ax, "x", expected, log=False)
+        set_range(ax, "y", [*rows.z, *expected], log=False)
+        ax.set(title="(mean less exact) / standard error", xlabel="normal quantile")
+        ax.plot(expected[[0, -1]], expected[[0, -1]], color=SOFT, linewidth=0.8, zorder=1)
+        for observer, style in styles(sorted(rows.observer)).items():
+            mine = (rows.observer == observer).to_numpy()
+            ax.scatter(expected[mine], rows.z[mine], s=7, color=style.colour, linewidths=0, label=observer)
     return figure
 
 
-WORDS = {
+COSTS = {
     "sample": "multiplications of a sample",
     "tick": "multiplications of a tick",
     "memory": "bytes of memory",
@@ -207,21 +177,21 @@ def cost(
 
     Raises UserError where there is no such cost.
     """
-    if by not in WORDS:
-        raise unknown("cost", "cost", by, WORDS)
+    if by not in COSTS:
+        raise unknown("cost", "cost", by, COSTS)
     whole = frames.rows(result, scenario, signal, metric)
     chosen = whole[whole.cell == cell]
-    both = chosen.merge(costs[["scenario", "cell", "observer", *WORDS]], on=["scenario", "cell", "observer"])
+    both = chosen.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
     look, row = styles(both.observer), chosen.iloc[0]
-    x = layout.of(both[by], layout.is_wide(both[by]), margin=0.12)
-    y = layout.of(both[["mean", "ci_low", "ci_high"]], layout.is_wide(both["mean"]), margin=0.12)
-    panel = Panel(x, y, WORDS[by], title_of(metric, row.signal, row.unit))
-    keys = [Key(o, look[o], "points", 0.0) for o in both.observer]
-    figure, (ax,) = sheet(paper, about(result, chosen, frames.values_at(whole, cell)), [panel], keys)
-    with drawn_on(paper):
+    with sheet(paper, about(result, chosen, frames.values_at(whole, cell))) as (figure, (ax,)):
+        set_range(ax, "x", both[by], margin=0.12)
+        set_range(ax, "y", both[["mean", "ci_low", "ci_high"]], is_wide(both["mean"]), margin=0.12)
+        ax.set(title=title_of(metric, row.signal, row.unit), xlabel=COSTS[by])
         for one in both.to_dict("records"):
             style = look[one["observer"]]
             ax.vlines(one[by], one["ci_low"], one["ci_high"], colors=style.colour, linewidth=1.2)
-            ax.scatter([one[by]], [one["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3)
+            ax.scatter(
+                [one[by]], [one["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3, label=one["observer"]
+            )
     return figure

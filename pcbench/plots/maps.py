@@ -1,104 +1,60 @@
-"""Maps of many cells side by side: an image each, with labelled lines of equal value and marks; no words in cells.
+"""Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge.
 
-Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge.
+A cell is a coloured rectangle with what fits into it. Maps of many cells are an image each, with labelled lines of equal value.
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial
-from math import isfinite
+from math import ceil, isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import frames, layout, small_maps
+from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, named, times, title_of, unit_of
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet, width_of
-from pcbench.plots.palette import INK, Style, pale, styles
-from pcbench.plots.small_maps import Cell, Map, Over, grid_of, levels_of
+from pcbench.plots.layout import PAPER, Paper, sheet
+from pcbench.plots.palette import INK, Style, on, pale, styles
 
 FINE = 24  # values of an axis beyond which a map is an image
-SIDE = 2.2  # inches of a map
-TICKS = 6  # words on an axis, about
-
-Marks = Mapping[str, tuple[Any, Any]]  # by what is said of it, a place: values of both axes, not only those of cells
-
-
-def is_fine(x: Over, y: Over) -> bool:
-    """Say whether a map over two axes is drawn as an image."""
-    numbers = all(isinstance(v, int | float) for v in (*x.values, *y.values))
-    return numbers and max(len(x.values), len(y.values)) > FINE
-
-
-def drawn(
-    maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool, marks: Marks
-) -> Figure:
-    """Draw maps side by side, as many as two columns of the paper hold."""
-    across, up = _thinned(x), _thinned(y)
-    room = max(width_of(w, paper.size - 1, paper.font) for w in up.words) + 2 * paper.em
-    columns = max(1, min(len(maps), int(2 * paper.width / (SIDE + room))))
-    panels = []
-    for i, each in enumerate(maps):
-        above = [each.title, f"↑ {y.title}" if i % columns == 0 else ""]
-        below = x.title if i + columns >= len(maps) else ""
-        panels.append(Panel(across, up, below, "\n".join(filter(None, above)) or " ", SIDE, grid=False))
-    figure, axes = sheet(paper, title, panels, keys, columns, columns * (SIDE + room))
-    with drawn_on(paper):
-        for ax, each in zip(axes, maps, strict=True):
-            _filled(ax, each, x, y, paper, log)
-            _marked(ax, x, y, marks, paper)
-    return figure
-
-
-def _thinned(over: Over) -> layout.Scale:
-    """An axis of cells with ticks at some of their values, the first and others as far apart."""
-    many = len(over.values)
-    kept = tuple(range(0, many, -(-many // TICKS)))
-    return layout.Scale(-0.5, many - 0.5, kept, tuple(layout.word(over.values[i]) for i in kept))
-
-
-def _filled(ax: Axes, each: Map, x: Over, y: Over, paper: Paper, log: bool) -> None:
-    image = np.ones((len(y.values), len(x.values), 3))
-    rows, columns = ({v: i for i, v in enumerate(over.values)} for over in (y, x))
-    for (a, b), cell in each.cells.items():
-        image[rows[b], columns[a]] = to_rgb(cell.colour)
-    ends = (-0.5, len(x.values) - 0.5, -0.5, len(y.values) - 0.5)
-    ax.imshow(image, origin="lower", aspect="auto", interpolation="nearest", extent=ends, zorder=0.5)
-    grid = grid_of(each, x, y)
-    if levels := levels_of(grid, log):
-        lines = ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=levels, colors=INK, linewidths=0.6)
-        ax.clabel(lines, fmt=dict(zip(levels, map(layout.number, levels), strict=True)), fontsize=paper.size - 2)
-
-
-def _marked(ax: Axes, x: Over, y: Over, marks: Marks, paper: Paper) -> None:
-    """Draw a cross at each mark and what is said of it beside, on the side that has room."""
-    for said, (a, b) in marks.items():
-        at, high = _place(a, x), _place(b, y)
-        left = at > 0.7 * len(x.values)
-        ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
-        ax.annotate(
-            said, (at, high), (-5 if left else 5, 4), textcoords="offset points",
-            ha="right" if left else "left", fontsize=paper.size - 1, color=INK,
-        )  # fmt: skip
-
-
-def _place(value: float, over: Over) -> float:
-    """Where a value of an axis stands among its cells."""
-    found: NDArray[np.float64] = np.asarray(over.values, float)
-    return float(np.interp(value, found, np.arange(len(found))))
-
-
+SIDE = 2.2  # inches of an image
+LINES = 6  # values of both axes from which on lines of equal value are drawn
+ROW, TALL = 0.42, 2.6  # inches of a cell, where there are few; of a map, where there are many
+LEAST = 8  # letters' heights that a map is wide
+SAME = 1e-3  # a map whose values differ by a smaller part is of one colour, and has no lines
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
 LOST = LinearSegmentedColormap.from_list("lost", ["#FFFFFF", "#F0C9A8", "#C77B3B", "#7A3E0C"])
 NOTHING = "#FFFFFF"  # of a cell in which every run diverged
 MOST = 12  # panels of a map of winners
+
+Marks = Mapping[str, tuple[float, float]]  # by its label, a place: values of both axes, not only those of cells
+
+
+class Cell(NamedTuple):
+    """One cell of a map."""
+
+    colour: str
+    words: tuple[str, ...] = ()  # the longest first: the first that fits is written
+    tip: str = ""  # all of it in words
+    value: float = np.nan  # of which lines of equal value are drawn
+
+
+class Side(NamedTuple):
+    """One of the two axes of all maps."""
+
+    title: str
+    values: list[Any]
+
+
+Cells = Mapping[tuple[Any, Any], Cell]  # by the values of both axes
 
 
 def heatmaps(
@@ -119,12 +75,9 @@ def heatmaps(
     its place (x, y). Raises UserError where fewer than two axes vary, or for a word that is none.
     """
     whole = frames.rows(result, scenario, signal, metric)
-    x, y = two_axes(whole, x, y)
-    part = frames.fixed(whole, [x, y], at)
+    values = whole["mean"]
     title = title_of(metric, whole.signal.iloc[0], unit_of(whole))
-    held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
-    part = part.assign(value=part["mean"])
-    return _maps(result, part, (x, y), title, held, ERRORS, _norm(part["mean"]), paper, marks)
+    return _observer_maps(result, whole, (x, y), at, values, title, unit_of(whole), ERRORS, None, paper, marks)
 
 
 def divergence(
@@ -138,11 +91,8 @@ def divergence(
 ) -> Figure:
     """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
     whole = frames.rows(result, scenario, None, "divergence_rate")
-    x, y = two_axes(whole, x, y)
-    part = frames.fixed(whole, [x, y], at)
-    held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
-    part = part.assign(value=100 * part["mean"], unit="%")
-    return _maps(result, part, (x, y), "diverged runs [%]", held, LOST, Normalize(0, 100), paper)
+    values, norm = 100 * whole["mean"], Normalize(0, 100)
+    return _observer_maps(result, whole, (x, y), at, values, "diverged runs [%]", "%", LOST, norm, paper)
 
 
 def winners(
@@ -169,31 +119,29 @@ def winners(
         found = frames.fixed(found, [x, y])
     groups = list(found.groupby(others, sort=False)) if others else [((), found)]
     look = styles(whole.observer)
-    made = [
-        Map(
-            ", ".join(frames.said(n, v) for n, v in zip(others, key, strict=True)),
-            _cells(mine, x, y, partial(_won, look)),
-        )
+    maps = [
+        (", ".join(frames.said(n, v) for n, v in zip(others, key, strict=True)),
+         _cells(mine, x, y, lambda row: _standing(look, row)))
         for key, mine in groups
-    ]
-    keys = [Key(name, look[name], "patch") for name in look if name in set(found.best)]
+    ]  # fmt: skip
+    keys = [Patch(color=style.colour, label=name) for name, style in look.items() if name in set(found.best)]
     title = f"least {named(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
-    return _drawn(made, _over(result, whole, x), _over(result, whole, y), title, keys, paper, False)
+    return draw(maps, _side(result, whole, x), _side(result, whole, y), title, keys, paper)
 
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
     """Return the two axes of a map: those that are given, or the first that vary; raise UserError where there are not two."""
-    found = frames.varying(part)
-    chosen = [name for name in (x, y) if name] + [name for name in found if name not in (x, y)]
-    if len(chosen) < 2 or chosen[0] not in found or chosen[1] not in found:
+    varying = frames.varying(part)
+    chosen = [name for name in (x, y) if name] + [name for name in varying if name not in (x, y)]
+    if len(chosen) < 2 or chosen[0] not in varying or chosen[1] not in varying:
         raise UserError(
-            f"map of {part.scenario.iloc[0]}: got axes that vary: {', '.join(found) or 'none'}, expected two; give the study "
+            f"map of {part.scenario.iloc[0]}: got axes that vary: {', '.join(varying) or 'none'}, expected two; give the study "
             "two axes with several values each, or name two of these."
         )
     return (chosen[0], chosen[1]) if x or y else frames.map_axes(part)
 
 
-def _won(look: dict[str, Style], row: dict[str, Any]) -> Cell:
+def _standing(look: dict[str, Style], row: dict[str, Any]) -> Cell:
     if not row["best"]:
         return Cell(NOTHING, ("all diverge", "-"), "all runs diverge")
     colour, factor = look[row["best"]].colour, row["factor"]
@@ -205,65 +153,169 @@ def _won(look: dict[str, Style], row: dict[str, Any]) -> Cell:
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 
 
-def _maps(
+def _observer_maps(
     result: Result,
-    part: pd.DataFrame,
-    axes: tuple[str, str],
+    whole: pd.DataFrame,
+    axes: tuple[str | None, str | None],
+    at: dict[str, Any] | None,
+    values: pd.Series,
     title: str,
-    held: dict[str, Any],
-    colours: Any,
-    norm: Any,
+    unit: str,
+    colours: LinearSegmentedColormap,
+    norm: Normalize | None,
     paper: Paper,
     marks: Marks = MappingProxyType({}),
 ) -> Figure:
-    """Draw a map of the column `value` for each observer, in colours."""
-    x, y = axes
+    """Draw a map of `values` for each observer, in colours."""
+    x, y = two_axes(whole, *axes)
+    part = frames.fixed(whole.assign(value=values), [x, y], at)
+    norm = norm or _norm(part.value)
 
-    def painted(row: dict[str, Any]) -> Cell:
-        value, unit = row["value"], str(row.get("unit", ""))
+    def cell(row: dict[str, Any]) -> Cell:
+        value = row["value"]
         if not isfinite(value):
             return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
         tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
-        return Cell(to_hex(colours(float(norm(value)))), (layout.short(value),), tip, value)
+        return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
 
-    maps = [Map(str(o), _cells(mine, x, y, painted)) for o, mine in part.groupby("observer", sort=False)]
+    maps = [(str(observer), _cells(mine, x, y, cell)) for observer, mine in part.groupby("observer", sort=False)]
     log = isinstance(norm, LogNorm)
-    low, high = float(norm.vmin), float(norm.vmax)
-    scale = layout.of([low, high], log)
-    levels = [(v, said) for v, said in zip(scale.ticks, scale.words, strict=True) if low <= v <= high]
-    keys = [Key(said, Style(to_hex(colours(float(norm(v)))), (), ""), "patch") for v, said in levels]
-    said = f"{title}, {about(result, part, held)}"
-    return _drawn(maps, _over(result, part, x), _over(result, part, y), said, keys, paper, log, marks)
+    ends = np.array([norm.vmin, norm.vmax], float)
+    keys = [Patch(facecolor=colours(norm(v)), edgecolor="#6B6B6B", linewidth=0.4, label=layout.number(v))
+            for v in levels(ends, log, ends=True)]  # fmt: skip
+    others = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
+    title = f"{title}, {about(result, part, others)}"
+    return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
 
 
-def _drawn(
-    maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool,
-    marks: Marks = MappingProxyType({}),
-) -> Figure:  # fmt: skip
-    if is_fine(x, y):
-        return drawn(maps, x, y, title, keys, paper, log, marks)
-    return small_maps.drawn(maps, x, y, title, keys, paper, log)
-
-
-def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> dict[tuple[Any, Any], Cell]:
+def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> Cells:
     return {(row[x], row[y]): cell({str(k): v for k, v in row.items()}) for row in rows.to_dict("records")}
 
 
-def _over(result: Result, part: pd.DataFrame, axis: str) -> Over:
-    found = list(dict.fromkeys(part[axis]))
-    ordered = sorted(found) if all(isinstance(v, int | float) for v in found) else found
-    return Over(frames.label(axis, frames.units(result, part)), ordered)
+def _side(result: Result, part: pd.DataFrame, axis: str) -> Side:
+    values = list(dict.fromkeys(part[axis]))
+    ordered = sorted(values) if all(isinstance(v, int | float) for v in values) else values
+    return Side(frames.label(axis, frames.units(result, part)), ordered)
 
 
-def _norm(values: pd.Series) -> Any:
-    found = values[np.isfinite(values)]
-    if not len(found):
+def _norm(values: pd.Series) -> Normalize:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return Normalize(0, 1)
-    low, high = float(found.min()), float(found.max())
-    if high - low <= layout.SAME * abs(high):
+    low, high = float(finite.min()), float(finite.max())
+    if high - low <= SAME * abs(high):
         return Normalize(min(0.0, low), max(0.0, high) or 1.0)
-    return (
-        LogNorm(low, high)
-        if low > 0 and high > 10 * low
-        else Normalize(min(low, 0.0) if low < 0.3 * high else low, high)
-    )
+    if low > 0 and high > 10 * low:
+        return LogNorm(low, high)
+    return Normalize(min(low, 0.0) if low < 0.3 * high else low, high)
+
+
+def draw(
+    maps: list[tuple[str, Cells]],
+    x: Side,
+    y: Side,
+    title: str,
+    keys: list[Patch],
+    paper: Paper,
+    log: bool = False,
+    marks: Marks = MappingProxyType({}),
+) -> Figure:
+    """Draw maps with their titles side by side, as many as two columns of the paper hold; titles once a column and a row."""
+    fine = is_fine(x, y)
+    em, words = paper.em, [list(map(layout.word, side.values)) for side in (x, y)]
+    room = max(paper.width_of(w, 1) for w in words[1]) + 2 * em
+    cell = max(3.3 * em, *(paper.width_of(w, 1) + 0.4 * em for w in words[0]))
+    each = SIDE + room if fine else max(cell * len(x.values), LEAST * em) + room
+    columns = max(1, min(len(maps), int(2 * paper.width / each)))
+    width = columns * each if fine else min(2 * paper.width, columns * max(paper.width / 1.6, each))
+    width = paper.width if columns == 1 and not fine else width
+    height = SIDE if fine else max(2.6 * em, min(ROW, TALL / len(y.values))) * len(y.values)
+    with sheet(paper, title, len(maps), columns, height=height, width=width, keys=keys) as (figure, axes):
+        for i, (ax, (name, cells)) in enumerate(zip(axes, maps, strict=True)):
+            ax.set(xlim=(-0.5, len(x.values) - 0.5), ylim=(-0.5, len(y.values) - 0.5))
+            for axis, labels in zip((ax.xaxis, ax.yaxis), words, strict=True):
+                step = ceil(len(labels) / LINES) if fine else 1
+                axis.set_ticks(range(0, len(labels), step), labels[::step])
+            ax.set_title("\n".join(filter(None, [name, f"↑ {y.title}" if i % columns == 0 else ""])))
+            ax.set_xlabel(x.title if i + columns >= len(maps) else "")
+            ax.grid(False)
+            ax.spines[:].set_visible(False)
+            ax.tick_params(length=0)
+            _fill(ax, cells, x, y, fine)
+            if fine or min(len(x.values), len(y.values)) >= LINES:
+                _draw_levels(ax, cells, x, y, log, paper.size - 2 if fine else None)
+            _draw_marks(ax, x, y, marks, paper)
+    if not fine:
+        for ax, (_, cells) in zip(axes, maps, strict=True):
+            _write(ax, cells, x, y, paper)
+    return figure
+
+
+def is_fine(x: Side, y: Side) -> bool:
+    """Say whether a map over two axes is drawn as an image."""
+    numbers = all(isinstance(v, int | float) for v in (*x.values, *y.values))
+    return numbers and max(len(x.values), len(y.values)) > FINE
+
+
+def _fill(ax: Axes, cells: Cells, x: Side, y: Side, fine: bool) -> None:
+    """Colour the cells: as one image, or each as a rectangle with its tip."""
+    image = np.ones((len(y.values), len(x.values), 3))
+    for (a, b), cell in cells.items():
+        i, j = x.values.index(a), y.values.index(b)
+        image[j, i] = to_rgb(cell.colour)
+        if not fine:
+            patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor="#FFFFFF", linewidth=0.8)
+            patch.set_gid(f"tip:{cell.tip}, {x.title} {layout.word(a)}, {y.title} {layout.word(b)}")
+            ax.add_patch(patch)
+    if fine:
+        ax.imshow(image, origin="lower", aspect="auto", interpolation="nearest", zorder=0.5)
+
+
+def _write(ax: Axes, cells: Cells, x: Side, y: Side, paper: Paper) -> None:
+    """Write into each cell the first of its words that fits."""
+    wide, tall = ax.bbox.width / ax.figure.dpi / len(x.values), ax.bbox.height / ax.figure.dpi / len(y.values)
+    for (a, b), cell in cells.items():
+        fits = (w.strip() for w in cell.words if paper.width_of(w.strip(), 1.5) < wide - 0.06
+                and (w.strip().count("\n") + 1) * 1.2 * (paper.size - 1.5) / 72 < tall)  # fmt: skip
+        ax.text(x.values.index(a), y.values.index(b), next(fits, ""), ha="center", va="center", fontsize=paper.size - 1.5,
+                fontfamily=[paper.font, "DejaVu Sans"], parse_math=False, color=on(cell.colour), linespacing=1.15,
+                in_layout=False)  # fmt: skip
+
+
+def _draw_levels(ax: Axes, cells: Cells, x: Side, y: Side, log: bool, size: float | None) -> None:
+    """Draw lines of equal value between the cells' middles, with their values where these have a size."""
+    grid = grid_of(cells, x, y)
+    if values := levels(grid, log):
+        lines = ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=values, colors=INK, linewidths=0.6)
+        if size:
+            ax.clabel(lines, fmt={value: layout.number(value) for value in values}, fontsize=size)
+
+
+def grid_of(cells: Cells, x: Side, y: Side) -> NDArray[np.float64]:
+    """Return the values of a map, [up, across]; NaN where it has none."""
+    return np.array([[cells[a, b].value if (a, b) in cells else np.nan for a in x.values] for b in y.values])
+
+
+def levels(values: NDArray[np.float64], log: bool, ends: bool = False) -> list[float]:
+    """Return the round numbers between the least and the largest value, or with `ends` at these too."""
+    finite = values[np.isfinite(values)]
+    if not finite.size or np.ptp(finite) <= SAME * np.abs(finite).max():
+        return []
+    low, high = finite.min(), finite.max()
+    steps = (1.0,) if log and high >= 1e3 * low else (1.0, 2.0, 5.0)
+    locator = LogLocator(subs=steps, numticks=layout.TICKS) if log else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
+    ticks = [0.0 if abs(v) < 1e-9 * (high - low) else float(v) for v in locator.tick_values(low, high)]
+    return [v for v in ticks if low < v < high or (ends and low <= v <= high)]
+
+
+def _draw_marks(ax: Axes, x: Side, y: Side, marks: Marks, paper: Paper) -> None:
+    """Draw a cross at each mark and its label beside it, on the side that has room."""
+    for label, place in marks.items():
+        at, high = (float(np.interp(value, side.values, np.arange(len(side.values))))
+                    for value, side in zip(place, (x, y), strict=True))  # fmt: skip
+        left = at > 0.7 * len(x.values)
+        ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
+        ax.annotate(
+            label, (at, high), (-5 if left else 5, 4), textcoords="offset points",
+            ha="right" if left else "left", fontsize=paper.size - 1, color=INK,
+        )  # fmt: skip

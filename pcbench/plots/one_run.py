@@ -3,33 +3,37 @@
 The run shown is the study's first seed, or any other; beside it run the seeds after it, so that the picture can say what of an
 error is luck. They are simulated anew by the functions that made the tables, and kept in the folder `examples` beside these,
 where they are found again: one file for each scenario, of the cell and seed that were looked at last.
-
-Whether observers know how wrong they are, over time.
-
-Delays of a recorded log: over time, and how often each occurs.
 """
 
+import warnings
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pcbench.dataset.result import Result
+from pcbench.engine import runner
 from pcbench.errors import UserError
-from pcbench.plots import example_runs, frames, layout, observer_costs
-from pcbench.plots.example_runs import POINTS, RUNS
-from pcbench.plots.labels import title_of_scenario
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
-from pcbench.plots.lines import keys_of, line
-from pcbench.plots.palette import GRID, SOFT, Style
-from pcbench.recordings.survey import Survey
+from pcbench.planning import alone, drafts, padding
+from pcbench.planning.padding import Plan
+from pcbench.plants import signals_of
+from pcbench.plots import observer_costs, output_units
+from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
+from pcbench.simulation import trajectory
+from pcbench.simulation.trajectory import Thinned
+from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
 
 FORM = 3  # of the file
+POINTS = 240  # ticks that are kept, or up to twice as many
+RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
+
+Floats = NDArray[np.float64]
 
 
 def of(
@@ -62,9 +66,14 @@ def several(
     things = {scenario: observer_costs.Thing(scenario, cell, about) for scenario, cell in chosen.items()}
     found = {scenario: observer_costs.found(out, thing) for scenario, thing in things.items()}
     missing = {name: t.cell for name, t in things.items() if found[name] is None and t.can_be_made}
-    for scenario, made in example_runs.several(missing, study.root_seed, seed, progress).items():
+    for scenario, made in _simulate(missing, study.root_seed, seed, progress).items():
         found[scenario] = observer_costs.keep(out, things[scenario], made)
     return found
+
+
+def judged(whole: pd.DataFrame) -> bool:
+    """Say whether a frame of `of` says how wrong observers believe to be."""
+    return bool((whole.kind == "nees").any())
 
 
 def _cell(study: Study, scenario: str, number: int) -> Cell:
@@ -76,95 +85,110 @@ def _cell(study: Study, scenario: str, number: int) -> Cell:
     return every[number]
 
 
-TITLE = "squared error over what is believed (NEES / n)"
-BAND = Key("95 % if right", Style(GRID, (), ""), "patch")
+class Task(NamedTuple):
+    """A plan to be recorded: of all observers of an open loop, or of one of a closed loop."""
+
+    plan: Plan  # as wide as there are seeds
+    every: int  # ticks from row to row
+    rows: int
+    seeds: NDArray[np.int64]  # [RUNS], or [1] where all runs are alike
 
 
-def nees(
-    result: Result, *, scenario: str | None = None, cell: int = 0, seed: int | None = None, paper: Paper = PAPER
-) -> Figure:
-    """Return the mean of e' P^-1 e / n over runs at every time, for each observer that believes a covariance P of its error e.
-
-    Shaded is where the mean lies in 95 of 100 cases if P is true (chi-square). The runs are those of `time`. Raises UserError
-    where the study does not ask for consistency, or no observer of it has a covariance.
-    """
-    scenario = frames.scenario_of(result, scenario)
-    whole = of(result.study, scenario, result.out, cell, seed)
-    if whole is None or not judged(whole):
-        raise UserError(
-            f"plots.nees: got runs of {scenario} in which nobody says how wrong it is, expected consistency = true in "
-            "[options.scenario] and an observer with a covariance, as kf; run the study so."
-        )
-    return drawn(result, whole, scenario, cell, paper)
-
-
-def judged(whole: pd.DataFrame) -> bool:
-    """Say whether a run in time, a frame of `one_run.of`, has what this picture shows."""
-    return bool((whole.kind == "nees").any())
-
-
-def drawn(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
-    """Draw a run that is at hand, a frame of `one_run.of`."""
-    named, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
-    keys = [key for key in keys_of(dict.fromkeys(named.observer)) if key.label in set(part.series)]
-    positive = part.value[part.value > 0]
-    x, y = layout.linear(0.0, float(part.t.max())), layout.of(positive, layout.is_wide(positive))
-    at = (frames.said(a, v) for a, v in frames.values_at(named, cell).items())
-    title, panel = ", ".join([title_of_scenario(result, scenario), *at]), Panel(x, y, "t [s]", TITLE)
-    figure, (ax,) = sheet(paper, title, [panel], [*keys, BAND])
-    with drawn_on(paper):
-        ends = part[part.kind != "nees"].groupby(["kind", "t"]).value
-        low, high = ends.min()["nees_low"], ends.max()["nees_high"]
-        ax.fill_between(low.index, low, high, color=GRID, linewidth=0, zorder=1)
-        ax.axhline(1.0, color=SOFT, linewidth=0.6, zorder=1.2)
-        for key in keys:
-            mine = part[(part.series == key.label) & (part.kind == "nees")]
-            ax.plot(mine.t, mine.value.where(mine.value > 0), label=key.label, **line(key))
-    return figure
+def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progress) -> dict[str, pd.DataFrame]:
+    """Return the runs of a cell of each scenario, from `seed` on; programs are compiled side by side."""
+    if not at:
+        return {}
+    with config.float64():
+        tasks = [_task(plan, root_seed, seed) for plan in padding.fit(list(drafts(list(at.values()))))]
+    progress.begin("runs in time", len(tasks))
+    groups: dict[Hashable, list[Task]] = {}  # by program, which is then made once
+    for task in tasks:
+        groups.setdefault((padding.key_of(task.plan), task.every, task.rows), []).append(task)
+    with thread_pools.pool(runner.cores()) as threads:
+        work = [threads.submit(runner.in_float64, _record, group, root_seed) for group in groups.values()]
+        made: dict[int, Thinned] = {}
+        for group, done in zip(groups.values(), work, strict=True):
+            made |= {id(task): thinned for task, thinned in zip(group, done.result(), strict=True)}
+            progress.step(len(group))
+    parts: dict[str, list[pd.DataFrame]] = {scenario: [] for scenario in at}
+    for task in tasks:
+        mine = parts[task.plan.cell.key[0]]
+        mine += list(_series(task, made[id(task)], first=not mine))
+    return {scenario: pd.concat(frames, ignore_index=True) for scenario, frames in parts.items()}
 
 
-BINS = 40
-DIGITS = 9  # of a second: what is less is rounding
+def _task(plan: Plan, root_seed: int, seed: int) -> Task:
+    p, layout, ticks = plan.problem, plan.layout, plan.cell.times.ticks
+    noisy = np.any(p.noise_std) and not layout.continuous
+    drawn = layout.random_initial_state or layout.scattered or layout.drifting or layout.pending
+    differ = bool(noisy or drawn or np.any(p.process_std)) and not plan.cell.times.random
+    many = RUNS if differ else 1
+    every = -(-(ticks + 1) // (2 * POINTS)) if ticks >= POINTS else 1
+    plan = alone(plan, root_seed, seed)
+    plan = plan._replace(layout=plan.layout._replace(width=many))
+    return Task(plan, every, ticks // every + 1, np.arange(seed, seed + many))
 
 
-def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
-    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.info` returns.
-
-    Of a long log an even selection of samples is drawn. Raises UserError where no sample ever arrived.
-    """
-    found: Survey = table.attrs["survey"]
-    kept = {name: seen.delays.kept.round(DIGITS) for name, seen in found.channels.items() if len(seen.delays.kept)}
-    if not kept:
-        raise UserError(
-            f"plots.delays: got a log {table.attrs['name']} in which nothing arrived, expected samples that did."
-        )
-    late = np.concatenate([each[:, 1] for each in kept.values()])
-    keys, edges = keys_of(kept), edges_of(late)
-    y = layout.of([late.min(), late.max(), edges[0], edges[-1]])
-    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in kept.items()}
-    x = layout.linear(0.0, max(found.end - found.start, 1e-9))
-    panels = [
-        Panel(x, y, "time since the start [s]", "delay [s]"),
-        Panel(y, layout.of([0.0, *np.concatenate(list(shares.values()))]), "delay [s]", "share of samples"),
-    ]
-    figure, (over_time, often) = sheet(paper, "", panels, keys if len(keys) > 1 else [])
-    with drawn_on(paper):
-        for key in keys:
-            t, delay = kept[key.label].T
-            over_time.scatter(t - found.start, delay, s=2, color=key.style.colour, linewidths=0, rasterized=True)
-            often.stairs(shares[key.label], edges, color=key.style.colour, linewidth=1.2)
-    return figure
+def _record(group: list[Task], root_seed: int) -> list[Thinned]:
+    """Return the runs of plans of one shape."""
+    layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
+    given = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
+    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), given[0])
+    call = jax.jit(lambda *a: trajectory.record_some(layout, every, rows, *a)).lower(*shapes).compile()
+    return [jax.tree.map(np.asarray, call(*a)) for a in given]
 
 
-def edges_of(late: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the edges of some BINS bars, each as wide as a whole number of the delays' smallest difference.
+def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
+    """Yield the series of one plan; `first` of its scenario."""
+    plan, scenario = task.plan, task.plan.cell.scenario
+    t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
+    names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
+    shown = output_units.shows(scenario)
+    plant = f"plant under {plan.labels[0]}" if closed else "plant"
 
-    Of delays in whole ticks every bar so holds as many ticks as any other: none is empty for its width alone.
-    """
-    values = np.unique(late)
-    step = float(np.diff(values).min()) if len(values) > 1 else max(float(values[0]) / BINS, 1e-3)
-    width = step * max(np.ceil((values[-1] - values[0]) / step / BINS), 1)
-    first = values[0] - step / 2
-    many = int(np.floor((values[-1] - first) / width)) + 1
-    edges: NDArray[np.float64] = first + width * np.arange(many + 1)
-    return edges
+    def frame(signal: str, name: str, kind: str, values: NDArray[np.float64]) -> pd.DataFrame:
+        return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
+
+    for i, (signal, _) in enumerate(signals_of(scenario)):
+        yield frame(signal, plant, "truth", made.x[:, i, 0])
+        for label, name in names.items():
+            estimates = made.estimates[name]
+            if i >= estimates.shape[1]:
+                continue
+            error = made.x[:, i] - estimates[:, i]
+            yield frame(signal, label, "estimate", estimates[:, i, 0])
+            yield frame(signal, label, "error", error[:, 0])
+            for kind, values in _spread(error).items():
+                yield frame(signal, label, kind, values)
+            if name in made.sigma:
+                yield frame(signal, label, "sigma", made.sigma[name][:, i, 0])
+        if first and i < made.target.shape[1]:
+            yield frame(signal, "target", "target", made.target[:, i])
+        if signal in shown and not closed:
+            yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
+    for label, name in names.items():
+        if name in made.nees:
+            for kind, values in _mean_nees(*made.nees[name]).items():
+                yield frame("", label, kind, values)
+
+
+def _spread(errors: Floats) -> dict[str, Floats]:
+    """Return between what nine in ten errors [K, L] lie, and their root mean square; nothing of one run."""
+    if errors.shape[1] < 2:
+        return {}
+    with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        quantile = np.nanquantile if np.isnan(errors).any() else np.quantile  # which takes a tenth of the time
+        low, high = quantile(errors, [0.05, 0.95], axis=1)
+        return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}
+
+
+def _mean_nees(squares: Floats, states: Floats) -> dict[str, Floats]:
+    """Return the mean of normalised squares [K, L], of so many states [K, L], over runs, and its band if P is true."""
+    finite = np.isfinite(squares)
+    degrees = np.where(finite, states, 0).sum(1)
+    bands = {d: consistency.band(d) if d else consistency.Band(np.nan, np.nan) for d in {*degrees}}
+    with np.errstate(invalid="ignore"):
+        mean = np.where(finite, squares * states, 0).sum(1) / np.where(degrees > 0, degrees, np.nan)
+    ends = {f"nees_{end}": np.array([getattr(bands[d], end) for d in degrees]) for end in ("low", "high")}
+    return {"nees": mean} | ends

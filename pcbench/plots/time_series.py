@@ -1,19 +1,28 @@
-"""One run in time: the plant with the estimates on it, and under it their errors with what of them is luck."""
+"""One run in time: the plant with the estimates on it, and under it their errors with what of them is luck.
 
+Over time too: whether observers know how wrong they are, and the delays of a recorded log.
+"""
+
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.labels import title_of_scenario
-from pcbench.plots.layout import PAPER, Key, Panel, Paper, drawn_on, sheet
-from pcbench.plots.lines import keys_of, line
-from pcbench.plots.palette import MEASURED, PLANT, SOFT, Style, pale
+from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
+from pcbench.plots.lines import lines
+from pcbench.plots.palette import GRID, MEASURED, PLANT, SOFT, pale
+from pcbench.recordings.survey import Survey
 from pcbench.study import scenarios_of
 
 ROOM = 0.35  # of the plant's range, above and below it: an estimate that goes farther leaves the picture
@@ -22,9 +31,9 @@ STEADY = 0.5  # of the run: how large errors are in its second half says whether
 DEPTH = 1e-6  # of the largest error: what is smaller lies at the lower edge
 RUNAWAY = 30.0  # times the plant's range: errors beyond leave the picture
 NINE = 1.6448536269514722  # standard deviations on both sides of the mean, within which nine in ten lie
-TRUTH = Key("plant", Style(pale(PLANT, 0.68), (), ""), width=3.2)
-HELD = Key("measured, held", Style(MEASURED, (), ""), width=1.0)
-TARGET = Key("target", Style(SOFT, (1.0, 1.6), ""), width=1.2)
+TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
+BINS = 40
+DIGITS = 9  # of a second: what is less is rounding
 
 
 def time(
@@ -60,32 +69,28 @@ def drawn(
 ) -> Figure:
     """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
     part = _with_exact(whole[whole.signal == signal], result, scenario, cell)
-    named = frames.rows(result, scenario, signal, "mae")
+    stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
-    known = set(part.series)
-    keys = [key for key in keys_of(dict.fromkeys(named.observer)) if key.label in known]
-    word = f"{signal.replace('_', ' ')} [{unit}]"
-    t = layout.linear(0.0, float(part.t.max()))
-    upper = Panel(t, _range(part), "", word)
-    lower, log = _errors_range(part)
-    title = _size(part, unit, exactly(result, scenario, cell)) if log else f"error (true less estimated) [{unit}]"
-    others = [TRUTH, *([HELD] if "measured" in known else []), *([TARGET] if "target" in known else [])]
-    said = [
-        title_of_scenario(result, scenario),
-        *(frames.said(a, v) for a, v in frames.values_at(named, cell).items()),
-        f"seed {seed}",
-    ]
-    figure, (ax, below) = sheet(paper, ", ".join(said), [upper, Panel(t, lower, "t [s]", title)], [*keys, *others])
-    with drawn_on(paper):
-        _states(ax, part, keys)
-        _errors(below, part, keys, log)
+    look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
+    at = [frames.said(axis, value) for axis, value in frames.values_at(stats, cell).items()]
+    title = ", ".join([title_of_scenario(result, scenario), *at, f"seed {seed}"])
+    plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
+    with sheet(paper, title, panels=2, sharex=True, keys=[plant]) as (figure, (above, below)):
+        set_limits(below, "x", 0.0, float(part.t.max()))
+        set_limits(above, "y", *_range(part))
+        log = _set_errors_range(below, part)
+        above.set_title(f"{signal.replace('_', ' ')} [{unit}]")
+        exact = exactly(result, scenario, cell)
+        below.set(title=_size(part, unit, exact) if log else f"error (true less estimated) [{unit}]", xlabel="t [s]")
+        _draw_states(above, part, look)
+        _draw_errors(below, part, look, log)
     return figure
 
 
 def exactly(result: Result, scenario: str, cell: int) -> frozenset[str]:
     """Return the observers whose errors over time are known exactly in a cell."""
-    known = result.moments_of(scenario, cell) if result.exact else pd.DataFrame()
-    return frozenset() if known.empty else frozenset(known.observer)
+    moments = result.moments_of(scenario, cell) if result.exact else pd.DataFrame()
+    return frozenset() if moments.empty else frozenset(moments.observer)
 
 
 def over(observers: frozenset[str], exact: frozenset[str]) -> str:
@@ -96,110 +101,178 @@ def over(observers: frozenset[str], exact: frozenset[str]) -> str:
 
 def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) -> pd.DataFrame:
     """Return a run with the bands and sizes of its errors as they are exactly, of observers whose moments are known."""
-    if not result.exact:
+    moments = result.moments_of(scenario, cell) if result.exact else pd.DataFrame()
+    if moments.empty:
         return part
-    known = result.moments_of(scenario, cell)
-    if known.empty:
-        return part
-    known = known[known.signal == part.signal.iloc[0]]
-    known = known[known.observer.isin(set(part.series))]
-    mine = part.series.isin(set(known.observer))
-    kept, there = part[~(mine & part.kind.isin(["low", "high", "rms"]))], set(part.kind)
-    made = {"low": known["mean"] - NINE * known["std"], "high": known["mean"] + NINE * known["std"]}
-    made["rms"] = np.hypot(known["mean"], known["std"])
+    signal = part.signal.iloc[0]
+    moments = moments[(moments.signal == signal) & moments.observer.isin(set(part.series))]
+    made = {
+        "low": moments["mean"] - NINE * moments["std"],
+        "high": moments["mean"] + NINE * moments["std"],
+        "rms": np.hypot(moments["mean"], moments["std"]),
+    }
     rows = [
-        pd.DataFrame({"t": known.t, "series": known.observer, "kind": kind, "value": value}).assign(
-            signal=part.signal.iloc[0]
-        )
+        pd.DataFrame({"t": moments.t, "series": moments.observer, "kind": kind, "value": value, "signal": signal})
         for kind, value in made.items()
-        if kind in there
+        if kind in set(part.kind)
     ]
-    return pd.concat([kept, *rows], ignore_index=True)
+    replaced = part.series.isin(set(moments.observer)) & part.kind.isin([*made])
+    return pd.concat([part[~replaced], *rows], ignore_index=True)
 
 
-def _states(ax: Any, part: pd.DataFrame, keys: list[Key]) -> None:
-    look, (low, high) = {key.label: key for key in keys}, ax.get_ylim()
+def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, dict[str, Any]]) -> None:
+    low, high = ax.get_ylim()
     for (series, kind), mine in part.groupby(["series", "kind"], sort=False):
+        observer = str(series).removeprefix("plant under ")
         if kind == "truth":
-            own = look.get(str(series).removeprefix("plant under "))
-            colour = pale(own.style.colour, 0.68) if own else TRUTH.style.colour
-            ax.plot(mine.t, mine.value, color=colour, linewidth=TRUTH.width, label=series, zorder=1.6)
+            colour = look[observer]["color"] if observer in look else PLANT
+            label = "plant" if series == "plant" else f"_{series}"
+            ax.plot(mine.t, mine.value, color=pale(colour, TRUTH_PALE), linewidth=TRUTH_WIDTH, label=label, zorder=1.6)
         elif kind == "measured":
-            ax.step(mine.t, mine.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label=HELD.label)
+            ax.step(mine.t, mine.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
         elif kind == "target":
-            ax.plot(mine.t, mine.value, zorder=1.5, label="target", **line(TARGET))
+            dotted = (0, (1.0, 1.6))
+            ax.plot(mine.t, mine.value, color=SOFT, linestyle=dotted, linewidth=1.2, zorder=1.5, label="target")
         elif kind == "estimate":
             near = mine.value.where(mine.value.between(low - (high - low), high + (high - low)))
-            ax.plot(mine.t, near, label=series, **line(look[str(series)]))
+            ax.plot(mine.t, near, **look[observer])
 
 
-def _errors(ax: Any, part: pd.DataFrame, keys: list[Key], log: bool) -> None:
-    """Errors of every observer: with their band, or on a logarithmic axis as their size."""
-    floor = ax.get_ylim()[0]
-    for key in keys:
-        mine = dict(iter(part[part.series == key.label].groupby("kind")))
-        if log:
-            rows = mine.get("rms", mine["error"])
-            ax.plot(rows.t, np.maximum(np.abs(rows.value), floor), label=key.label, **line(key))
-            _envelope(ax, mine, key, (1,), floor)
-            continue
-        _envelope(ax, mine, key, (-3, 3))
-        if "low" in mine and len(keys) <= BANDS:
-            ax.fill_between(mine["low"].t, mine["low"].value, mine["high"].value, color=key.style.colour, alpha=0.14,
+def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, dict[str, Any]], log: bool) -> None:
+    """Draw errors of every observer: with their band, or on a logarithmic axis as their size."""
+    floor = ax.get_ylim()[0] if log else -np.inf
+    for observer, line in look.items():
+        mine = dict(iter(part[part.series == observer].groupby("kind")))
+        for k in ((1,) if log else (-3, 3)) if "sigma" in mine else ():  # of the standard deviations it believes
+            ax.plot(mine["sigma"].t, np.maximum(k * mine["sigma"].value, floor), color=line["color"], linewidth=0.6,
+                    alpha=0.8, zorder=1.4)  # fmt: skip
+        if "low" in mine and len(look) <= BANDS and not log:
+            ax.fill_between(mine["low"].t, mine["low"].value, mine["high"].value, color=line["color"], alpha=0.14,
                             linewidth=0)  # fmt: skip
-        ax.plot(mine["error"].t, mine["error"].value, label=key.label, **line(key))
+        rows = mine.get("rms", mine["error"]) if log else mine["error"]
+        ax.plot(rows.t, np.maximum(np.abs(rows.value), floor) if log else rows.value, **line)
     if not log:
         ax.axhline(0, color=SOFT, linewidth=0.6, zorder=1)
 
 
-def _envelope(
-    ax: Any, mine: dict[Any, pd.DataFrame], key: Key, sigmas: tuple[int, ...], floor: float = -np.inf
-) -> None:
-    """Draw so many of the standard deviations that an observer believes, as thin lines."""
-    for k in sigmas if "sigma" in mine else ():
-        rows = mine["sigma"]
-        ax.plot(rows.t, np.maximum(k * rows.value, floor), color=key.style.colour, linewidth=0.6, alpha=0.8, zorder=1.4)
-
-
 def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
-    """What a logarithmic axis of errors shows."""
-    of = frozenset(part.series[part.kind == "rms"])
-    return (f"rms error over {over(of, exact)}" if of else "|error|") + f" [{unit}]"
+    """Return what a logarithmic axis of errors shows."""
+    observers = frozenset(part.series[part.kind == "rms"])
+    return (f"rms error over {over(observers, exact)}" if observers else "|error|") + f" [{unit}]"
 
 
-def _range(part: pd.DataFrame) -> layout.Scale:
-    """The axis of the plant and its target, with room; what runs away leaves the picture."""
+def _range(part: pd.DataFrame) -> tuple[float, float]:
+    """Return between what the plant and its target are drawn, with room; what runs away leaves the picture."""
     mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     low, high = float(mine.min()), float(mine.max())
     near = part.value[(part.kind == "estimate") & np.isfinite(part.value)]
-    room = ROOM * (high - low) if high > low else 0.5 * abs(high) or 1.0
-    low, high = (
-        (max(low - room, min(low, near.min())), min(high + room, max(high, near.max()))) if len(near) else (low, high)
-    )
+    room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
+    if len(near):
+        low, high = max(low - room, min(low, near.min())), min(high + room, max(high, near.max()))
     room = 0.05 * (high - low) or room
-    return layout.linear(low - room, high + room)
+    return low - room, high + room
 
 
-def _errors_range(part: pd.DataFrame) -> tuple[layout.Scale, bool]:
-    """The axis of errors, and whether it is logarithmic: where their sizes span decades."""
+def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
+    """Choose the axis of errors; return whether it is logarithmic: where their sizes span decades."""
     errors = part[part.kind == "error"]
     size = part[part.kind == "rms"] if (part.kind == "rms").any() else errors
     true = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     start = errors[errors.t == 0].value.abs().max()
-    most = RUNAWAY * max(true.max() - true.min(), start if np.isfinite(start) else 0.0)
-    value = size.value.abs()
-    value = value[np.isfinite(value) & ((value <= most) | (most == 0))]
-    if not len(value) or not value.max():
-        return layout.linear(-1.0, 1.0), False
-    later = size[size.t >= STEADY * size.t.max()].groupby("series").value
-    steady = later.apply(
-        lambda v: float(np.sqrt(np.nanmean(np.square(v[np.isfinite(v)]))) if np.isfinite(v).any() else np.nan)
-    )
-    if value.max() > layout.WIDE * np.nanmin(steady):
-        inside = value[value > 0]
-        return layout.of(inside.clip(lower=DEPTH * inside.max()), log=True), True
+    most = RUNAWAY * max(true.max() - true.min(), start if np.isfinite(start) else 0.0) or np.inf
+    values = size.value.abs()
+    values = values[np.isfinite(values) & (values <= most)]
+    if not len(values) or not values.max():
+        set_limits(ax, "y", -1.0, 1.0)
+        return False
+    later = size[(size.t >= STEADY * size.t.max()) & np.isfinite(size.value)]
+    steady = np.sqrt(later.value.pow(2).groupby(later.series).mean()).min()
+    if values.max() > layout.WIDE * steady:
+        inside = values[values > 0]
+        set_range(ax, "y", inside.clip(lower=DEPTH * inside.max()), log=True)
+        return True
     shown = part[part.kind.isin(["error", "low", "high"])].value
     believed = 3 * part.value[(part.kind == "sigma") & (part.t >= STEADY * part.t.max())]
     shown = pd.concat([shown, believed, -believed])
-    shown = shown[np.isfinite(shown) & ((shown.abs() <= most) | (most == 0))]
-    return layout.of([*shown, 0.0]), False
+    set_range(ax, "y", [*shown[np.isfinite(shown) & (shown.abs() <= most)], 0.0], log=False)
+    return False
+
+
+def nees(
+    result: Result, *, scenario: str | None = None, cell: int = 0, seed: int | None = None, paper: Paper = PAPER
+) -> Figure:
+    """Return the mean of e' P^-1 e / n over runs at every time, for each observer that believes a covariance P of its error e.
+
+    Shaded is where the mean lies in 95 of 100 cases if P is true (chi-square). The runs are those of `time`. Raises UserError
+    where the study does not ask for consistency, or no observer of it has a covariance.
+    """
+    scenario = frames.scenario_of(result, scenario)
+    whole = one_run.of(result.study, scenario, result.out, cell, seed)
+    if whole is None or not one_run.judged(whole):
+        raise UserError(
+            f"plots.nees: got runs of {scenario} in which nobody says how wrong it is, expected consistency = true in "
+            "[options.scenario] and an observer with a covariance, as kf; run the study so."
+        )
+    return drawn_nees(result, whole, scenario, cell, paper)
+
+
+def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
+    """Draw how wrong observers believe to be in a run that is at hand, a frame of `one_run.of`."""
+    stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
+    at = (frames.said(axis, value) for axis, value in frames.values_at(stats, cell).items())
+    title = ", ".join([title_of_scenario(result, scenario), *at])
+    with sheet(paper, title, keys=[Patch(color=GRID, label="95 % if right")]) as (figure, (ax,)):
+        set_limits(ax, "x", 0.0, float(part.t.max()))
+        set_range(ax, "y", part.value[part.value > 0])
+        ax.set(title="squared error over what is believed (NEES / n)", xlabel="t [s]")
+        ends = part[part.kind != "nees"].groupby(["kind", "t"]).value
+        low, high = ends.min()["nees_low"], ends.max()["nees_high"]
+        ax.fill_between(low.index, low, high, color=GRID, linewidth=0, zorder=1)
+        ax.axhline(1.0, color=SOFT, linewidth=0.6, zorder=1.2)
+        for observer, line in lines(stats.observer).items():
+            mine = part[(part.series == observer) & (part.kind == "nees")]
+            if len(mine):
+                ax.plot(mine.t, mine.value.where(mine.value > 0), **line)
+    return figure
+
+
+def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
+    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.info` returns.
+
+    Of a long log an even selection of samples is drawn. Raises UserError where no sample ever arrived.
+    """
+    survey: Survey = table.attrs["survey"]
+    kept = {name: seen.delays.kept.round(DIGITS) for name, seen in survey.channels.items() if len(seen.delays.kept)}
+    if not kept:
+        raise UserError(
+            f"plots.delays: got a log {table.attrs['name']} in which nothing arrived, expected samples that did."
+        )
+    late = np.concatenate([each[:, 1] for each in kept.values()])
+    edges = edges_of(late)
+    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in kept.items()}
+    with sheet(paper, "", panels=2) as (figure, (over_time, often)):
+        set_limits(over_time, "x", 0.0, max(survey.end - survey.start, 1e-9))
+        for ax, side in ((over_time, "y"), (often, "x")):
+            set_range(ax, side, [late.min(), late.max(), edges[0], edges[-1]], log=False)
+        set_range(often, "y", [0.0, *np.concatenate(list(shares.values()))], log=False)
+        over_time.set(title="delay [s]", xlabel="time since the start [s]")
+        often.set(title="share of samples", xlabel="delay [s]")
+        for name, line in lines(kept).items():
+            t, delay = kept[name].T
+            over_time.scatter(t - survey.start, delay, s=2, color=line["color"], linewidths=0, rasterized=True)
+            label = name if len(kept) > 1 else None
+            often.stairs(shares[name], edges, color=line["color"], linewidth=1.2, label=label)
+    return figure
+
+
+def edges_of(late: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the edges of some BINS bars, each as wide as a whole number of the delays' smallest difference.
+
+    Of delays in whole ticks every bar so holds as many ticks as any other: none is empty for its width alone.
+    """
+    values = np.unique(late)
+    step = float(np.diff(values).min()) if len(values) > 1 else max(float(values[0]) / BINS, 1e-3)
+    width = step * max(np.ceil((values[-1] - values[0]) / step / BINS), 1)
+    first = values[0] - step / 2
+    many = int(np.floor((values[-1] - first) / width)) + 1
+    return np.asarray(first + width * np.arange(many + 1))

@@ -138,7 +138,7 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
         text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
     if run is not None and one_run.judged(run):
-        figure = one_run.drawn(result, run, scenario, cell, shown.paper)
+        figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
         name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
         yield Picture(name, title, figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):

@@ -19,7 +19,7 @@ from pcbench.cli.commands import app
 from pcbench.cli.render import listing
 from pcbench.cli.render.tables import Column, Screen, printed
 from pcbench.errors import UserError
-from pcbench.plots.layout import PAPER, Key, Panel, Scale, sheet
+from pcbench.plots.layout import PAPER, set_values, sheet
 from pcbench.study import parse, scenario_template, scenarios_of
 from pcbench.tables import latex, text
 from pcbench.tables.layout import Entry, Head, Table
@@ -133,17 +133,13 @@ def test_labels_in_markdown_keep_to_their_column():
 
 
 def test_no_text_of_a_picture_is_mathematics():
-    scale = Scale(0.0, 1.0, (0.0, 1.0), ("$\\frac$", "$x$"), False)
-    figure, axes = sheet(PAPER, "$\\frac$", [Panel(scale, scale, "$\\a$", "$b$")], [Key("$\\frac$", _style())])
+    with sheet(PAPER, "$\\frac$") as (figure, (ax,)):
+        set_values(ax, "x", ["$\\frac$", "$x$"])
+        ax.set(title="$\\a$", xlabel="$b$")
+        ax.plot([0, 1], [0, 1], label="$\\frac$")
     figure.canvas.draw()
-    assert len(axes) == 1
+    assert {"$\\frac$", "$x$", "$\\a$", "$b$"} < {t.get_text() for t in figure.findobj(Text)}
     assert [t.get_text() for t in figure.findobj(Text) if t.get_parse_math()] == []
-
-
-def _style():
-    from pcbench.plots.palette import Style
-
-    return Style("#000000", (), "o")
 
 
 def test_a_study_is_printed_as_toml_that_is_the_same_study():

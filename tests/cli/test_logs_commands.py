@@ -23,7 +23,7 @@ from pcbench.cli import export
 from pcbench.dataset import atomic_files, storage
 from pcbench.export import files
 from pcbench.playback import replay_metrics
-from pcbench.plots.one_run import BINS, edges_of
+from pcbench.plots.time_series import BINS, edges_of
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
 

@@ -4,34 +4,31 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from pcbench.plots import maps as fine
-from pcbench.plots import small_maps
-from pcbench.plots.layout import PAPER, Key
-from pcbench.plots.small_maps import Cell, Map, Over
+from pcbench.plots import maps
+from pcbench.plots.layout import PAPER
+from pcbench.plots.maps import Cell, Side
 
-X = Over("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])
-Y = Over("delay [s]", [round(0.02 * i, 2) for i in range(30)])
+X = Side("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])
+Y = Side("delay [s]", [round(0.02 * i, 2) for i in range(30)])
 COLOURS = ("#112233", "#DDEEFF")
 
 
 def a_map(value, title="kf"):
     """A map of a value over both axes, in two colours: above 0.3 and below."""
-    cells = {(a, b): Cell(COLOURS[value(a, b) < 0.3], value=value(a, b)) for a in X.values for b in Y.values}
-    return Map(title, cells)
+    return title, {(a, b): Cell(COLOURS[value(a, b) < 0.3], value=value(a, b)) for a in X.values for b in Y.values}
 
 
 @pytest.fixture
 def figure():
-    keys: list[Key] = []
-    maps = [a_map(lambda a, b: a + b), a_map(lambda a, b: a - b + 1, "kfbo"), a_map(lambda a, b: 1.0 + 1e-6 * a)]
-    return fine.drawn(maps, X, Y, "error [m]", keys, PAPER, False, {"Table 2": (0.2, 0.21)})
+    three = [a_map(lambda a, b: a + b), a_map(lambda a, b: a - b + 1, "kfbo"), a_map(lambda a, b: 1.0 + 1e-6 * a)]
+    return maps.draw(three, X, Y, "error [m]", [], PAPER, False, {"Table 2": (0.2, 0.21)})
 
 
 def test_what_is_fine_has_many_values_on_an_axis_of_numbers():
-    few = Over("x", X.values[:24])
-    assert fine.is_fine(X, few)
-    assert not fine.is_fine(few, few)
-    assert not fine.is_fine(X, Over("y", ["none", "uniform"]))
+    few = Side("x", X.values[:24])
+    assert maps.is_fine(X, few)
+    assert not maps.is_fine(few, few)
+    assert not maps.is_fine(X, Side("y", ["none", "uniform"]))
 
 
 def test_every_cell_has_its_colour_at_its_place(figure):
@@ -74,9 +71,9 @@ def test_ticks_are_few_and_say_their_cells_values(figure):
 
 
 def test_a_grid_has_values_across_and_up_and_levels_lie_between():
-    grid = small_maps.grid_of(a_map(lambda a, b: a + 10 * b), X, Y)
+    grid = maps.grid_of(a_map(lambda a, b: a + 10 * b)[1], X, Y)
     assert grid[3, 5] == X.values[5] + 10 * Y.values[3]
-    levels = small_maps.levels_of(grid, False)
+    levels = maps.levels(grid, False)
     assert levels
     assert all(grid.min() < v < grid.max() for v in levels)
-    assert small_maps.levels_of(np.full((3, 3), np.nan), False) == []
+    assert maps.levels(np.full((3, 3), np.nan), False) == []

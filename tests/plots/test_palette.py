@@ -39,10 +39,11 @@ def apart(a, b):
 
 
 def test_every_observer_has_a_look_of_its_own_that_is_seen_on_white():
-    assert set(palette.COLOURS) == set(palette.DASHES) == set(palette.MARKERS) == set(OBSERVERS)
-    for colour in palette.COLOURS.values():
+    assert set(palette.LOOKS) == set(OBSERVERS)
+    colours = [look.colour for look in palette.LOOKS.values()]
+    for colour in colours:
         assert (1.05 / (XYZ[1] @ linear(colour) + 0.05)) > 2.4, colour
-    for a, b in itertools.combinations(palette.COLOURS.values(), 2):
+    for a, b in itertools.combinations(colours, 2):
         assert apart(a, b) > 8, (a, b)
 
 
@@ -63,7 +64,7 @@ def test_a_label_keeps_its_look_whatever_stands_beside_it():
     assert palette.styles(["kfbo", "kf", "kf-bias"])["kf"] == alone
     three = palette.styles(["pccebo-published", "pccebo-design", "pccebo-tuned"])
     assert len({s.colour for s in three.values()}) == len({s.dash for s in three.values()}) == 3
-    assert palette.styles(["kfbo", "kf-bias"])["kf-bias"].colour == palette.COLOURS["kf"]
+    assert palette.styles(["kfbo", "kf-bias"])["kf-bias"].colour == palette.LOOKS["kf"].colour
 
 
 def test_a_variant_has_the_hue_of_its_base():
@@ -76,7 +77,7 @@ def test_a_variant_has_the_hue_of_its_base():
 
 
 def test_words_are_read_on_every_colour_and_its_pale_form():
-    for colour in palette.COLOURS.values():
+    for colour in (look.colour for look in palette.LOOKS.values()):
         for ground in (colour, palette.pale(colour)):
             light, ink = (XYZ[1] @ linear(c) for c in (ground, palette.on(ground)))
             assert (max(light, ink) + 0.05) / (min(light, ink) + 0.05) > 3.4, ground

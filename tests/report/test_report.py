@@ -253,9 +253,9 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
 def test_every_picture_says_its_numbers_whole(folder, text):
     """Digits are left out of where things stand, not of what is said: a delay of 0.0125 s is not one of 0.01 s."""
     ticks = ["0.0125", "0.0375"]
-    scale = layout.at([0.0125, 0.0375])
-    assert list(scale.words) == ticks
-    drawn, _ = layout.sheet(plots.Paper(), "", [layout.Panel(scale, scale, "delay [s]", "delay [s]")])
+    with layout.sheet(plots.Paper(), "") as (drawn, (ax,)):
+        for side in "xy":
+            layout.set_values(ax, side, [0.0125, 0.0375])
     written = labels.inline(drawn, "x")
     assert all(written.count(f">{tick}<") == 2 for tick in ticks)
     assert not re.search(r'd="[^"]*\d\.\d{3}', written)
