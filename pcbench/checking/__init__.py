@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from pcbench.checking import controller, observer, plant, plant_fixtures, study, targets
-from pcbench.checking.loading import load
+from pcbench.checking import controller, observer, plant, study, targets
+from pcbench.checking.observer_fixtures import load
 from pcbench.checking.targets import WHERE, Finding, kind_of
 from pcbench.errors import UserError, short, unknown
 from pcbench.plants import parameters_of
@@ -65,7 +65,7 @@ def _require_name(name: str) -> None:
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
     """A scenario of a plant of a user's own, with some of its numbers changed."""
     mine = registry.load("plant", target, WHERE)
-    s = plant_fixtures.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else parse.scenario_of(name)
+    s = plant.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else parse.scenario_of(name)
     there = s.own.get("plant")
     if there is None or (there.code.name, there.code.digest) != (mine.code.name, mine.code.digest):
         raise UserError(

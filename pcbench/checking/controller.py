@@ -1,26 +1,119 @@
-"""Does a controller keep to what pcbench asks of one, and does it hold the plant of a scenario?"""
+"""Does a controller keep to what pcbench asks of one, and does it hold the plant of a scenario?
+
+It is tried on a scenario whose loop it closes, with its options and its numbers.
+"""
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jaxtyping import PyTree
+from pydantic import BaseModel
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.controller_fixtures import Trial, asked, given, numbers, trial
-from pcbench.checking.noise_free_runs import WIDTH, moved, planned, quiet, recorded, same_in_lanes, short
+from pcbench.checking.jaxpr_checks import WIDTH, Functions, moved
+from pcbench.checking.noise_free_runs import planned, quiet, recorded, short
 from pcbench.checking.targets import Finding, Skipped, ask, require
+from pcbench.controllers import ControllerContext, ControllerSpec, entry_of, law_of
 from pcbench.dynamics.observability import shown as shown_mode
-from pcbench.errors import UserError
+from pcbench.errors import UserError, shown
 from pcbench.observers import entry_of as observer_of
+from pcbench.planning import loop_setup
 from pcbench.plants import nonlinear, signals_of, states_of
+from pcbench.protocols import Controller, Now
 from pcbench.scenarios import Scenario
 from pcbench.simulation import law_conformance
 from pcbench.study import controller_table
+from pcbench.study.axes import COMMANDS
 from pcbench.study.grid import cell_of
 from pcbench.study.plugins.user_code import Own
+
+TICKS, ROOM = 40, 8  # the horizon of its numbers; commands kept and on their way
+TICK = 5  # at which functions are asked
+
+
+class Given(NamedTuple):
+    """What a law's functions take."""
+
+    params: PyTree
+    tick: Array
+    estimate: Array  # [n]
+    coming: Array  # [ROOM, m] inputs on their way
+    kept: PyTree  # what it keeps; () where it keeps nothing
+
+
+class Trial(NamedTuple):
+    """A controller in a scenario, with its options. n states, m inputs."""
+
+    label: str
+    scenario: Scenario
+    options: BaseModel
+    told: ControllerContext
+
+    @property
+    def entry(self) -> ControllerSpec:
+        """Return the controller with what makes its numbers."""
+        return entry_of(self.scenario)
+
+    @property
+    def law(self) -> Controller:
+        """Return its functions."""
+        return law_of(self.entry, self.options)
+
+    @property
+    def every(self) -> int:
+        """Return the ticks between decisions that its options ask for."""
+        return self.told.every(getattr(self.options, "period", None))
+
+
+def trial(label: str, mine: Own, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
+    """Return a controller's trial and what its options are; raise UserError where they cannot be made, or do not fit."""
+    same = scenario.own.get("controller")
+    control = dict(scenario.loop.control) if same and same.code == mine.code else {}
+    network = {name: scenario.value(name) for name in ("actuator_delay", *COMMANDS)} if scenario.loop.controller else {}
+    given = {"use": label, **{k: v for k, v in network.items() if v}, **control, **options}
+    opened = scenario.having(
+        controller="", control={}, own={k: v for k, v in scenario.own.items() if k != "controller"}
+    )
+    s = controller_table.closed(opened.having(actuator_delay=None), given, "options", {label: mine})
+    cell = cell_of(s)
+    made = loop_setup.options(cell)
+    said = ", ".join(f"{name} = {shown(value)}" for name, value in made.model_dump().items())
+    return Trial(label, s, made, loop_setup.told(cell, loop_setup.Reach(ROOM, ROOM), TICKS)), said or "it takes none"
+
+
+def numbers(t: Trial) -> PyTree:
+    """Return the law's numbers as arrays; raise UserError for what is none."""
+    return jaxpr_checks.arrays(t.entry.prepare(t.options, t.told))
+
+
+def given(t: Trial) -> Given:
+    """Return arguments of a plausible size, with what the law keeps as it makes it."""
+    params, m = numbers(t), t.told.model.B.shape[1]
+    estimate = jnp.asarray(t.scenario.truth.x0) + jnp.arange(1.0, len(states_of(t.scenario)) + 1)
+    kept = t.law.start(params, estimate) if t.law.start else ()
+    return Given(params, jnp.asarray(TICK), estimate, jnp.arange(1.0, ROOM * m + 1).reshape(ROOM, m), kept)
+
+
+def functions(t: Trial) -> Functions:
+    """Return the law's functions, each of a `Given`."""
+    law, start, dt = t.law, t.law.start, jnp.asarray(t.told.dt)
+
+    def command(g: Given) -> PyTree:
+        now = Now(g.tick * dt, g.tick, dt, g.coming[0], lambda age: g.coming[0])  # held: the first on its way
+        kept = (g.kept,) if start else ()
+        return law.command(g.params, now, g.estimate, lambda i: g.coming[jnp.minimum(i, ROOM - 1)], *kept)
+
+    out: dict[str, Callable[[Given], PyTree]] = {
+        "target": lambda g: law.target(g.params, g.tick),
+        "before": lambda g: law.before(g.params, g.tick - ROOM, g.estimate),
+        "command": command,
+    }
+    return out | ({"start": lambda g: start(g.params, g.estimate)} if start else {})
 
 
 def numbers_are_arrays(t: Trial) -> str:
@@ -33,31 +126,21 @@ def shapes(t: Trial) -> str:
     """A command for each input, set points of the first states, and what is kept comes back as it was."""
     n, m = t.told.model.B.shape
     law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(signals_of(t.scenario)) - n, m))
-    return f"{', '.join(a.name for a in asked(t))} return what they should"
-
-
-def purity(t: Trial) -> str:
-    """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    return jaxpr_checks.purity(asked(t), given(t))
-
-
-def float64(t: Trial) -> str:
-    """No number is rounded to fewer bits than it came with."""
-    return jaxpr_checks.float64(asked(t), given(t))
+    return f"{', '.join(functions(t))} return what they should"
 
 
 def lanes(t: Trial) -> str:
     """Each lane of a batch is what the run gives alone."""
     g = given(t)
     rows = [(g.estimate * (1 + i), moved(g.kept, i)) for i in range(WIDTH)]
-    return same_in_lanes(asked(t), rows, lambda own: g._replace(estimate=own[0], kept=own[1]))
+    return jaxpr_checks.lanes(functions(t), rows, lambda own: g._replace(estimate=own[0], kept=own[1]))
 
 
 def held(t: Trial) -> str:
     """Between decisions the command stays, whatever the estimate does."""
     if t.every == 1:
         raise Skipped("its options have no period: it decides at every tick")
-    g, command = given(t), jax.jit(next(a.f for a in asked(t) if a.name == "command"))
+    g, command = given(t), jax.jit(functions(t)["command"])
     kept, commands = g.kept, []
     for tick in range(2 * t.every):
         given_now = g._replace(tick=jnp.asarray(tick), estimate=g.estimate * (1 + tick), kept=kept)
@@ -106,8 +189,8 @@ def run(t: Trial) -> str:
 CHECKS: dict[str, Callable[[Trial], str]] = {
     "numbers": numbers_are_arrays,
     "shapes": shapes,
-    "purity": purity,
-    "float64": float64,
+    "purity": lambda t: jaxpr_checks.purity(functions(t), given(t)),
+    "float64": lambda t: jaxpr_checks.float64(functions(t), given(t)),
     "lanes": lanes,
     "held": held,
     "settles": settles,

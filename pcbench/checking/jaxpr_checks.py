@@ -1,25 +1,27 @@
-"""The programs that jax makes of a user's functions, and the numbers written into them.
+"""Checks of functions, whosever they are: in the programs that jax makes of them, and over lanes.
 
-Are a user's functions pure, and do they keep float64? Read in the programs that jax makes of them.
+Are they pure, do they keep float64, and is a batch of runs the runs one at a time, carried over lanes as pcbench does it and
+as vmap does?
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
-from pcbench.checking.targets import require
+from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner
-from pcbench.errors import UserError
+from pcbench.engine.lane_array import is_lanes, join, split
+from pcbench.errors import UserError, raised, shown
 
+NARROW = ("float32", "float16", "bfloat16", "complex64")
+WIDTH, CLOSE = 3, 1e-11  # lanes; sums over lanes may be in another order
 
-class Asked(NamedTuple):
-    """A function of a user's, as f(given), a pytree of all that it takes."""
-
-    name: str
-    f: Callable[[Any], Any]
+Functions = Mapping[str, Callable[[Any], PyTree]]  # a user's, by name, each of a pytree of all that it takes
 
 
 class Program(NamedTuple):
@@ -30,95 +32,155 @@ class Program(NamedTuple):
     jaxpr: Any
 
 
-def program(a: Asked, g: Any) -> Program:
+def program(f: Callable[[Any], PyTree], given: PyTree) -> Program:
     """Trace a function anew."""
-    closed = jax.make_jaxpr(lambda g: a.f(g))(g)
-    numbers = tuple(np.asarray(x) for x in (*closed.consts, *_literals(closed.jaxpr)) if np.size(x))
+    closed = jax.make_jaxpr(lambda g: f(g))(given)
+    literals: list[Any] = []
+    for part in _parts(closed.jaxpr):
+        for eqn in part.eqns:
+            literals += [v.val for v in eqn.invars if isinstance(v, Literal)]
+            literals += [const for each in inner(eqn.params) if isinstance(each, ClosedJaxpr) for const in each.consts]
+    numbers = tuple(np.asarray(x) for x in (*closed.consts, *literals) if np.size(x))
     return Program(re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), numbers, closed.jaxpr)
 
 
-def alike(a: Program, b: Program) -> bool:
-    """Say whether two programs are the same, numbers included."""
-    pairs = zip(a.numbers, b.numbers, strict=False)
-    return (
-        a.text == b.text
-        and len(a.numbers) == len(b.numbers)
-        and all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
-    )
-
-
-def inside(jaxpr: Any) -> Iterator[Any]:
+def _parts(jaxpr: Any) -> Iterator[Any]:
     """Yield a program and every program in it."""
     yield jaxpr
     for eqn in jaxpr.eqns:
         for each in inner(eqn.params):
-            yield from inside(getattr(each, "jaxpr", each))
+            yield from _parts(getattr(each, "jaxpr", each))
 
 
-def _literals(jaxpr: Any) -> Iterator[Any]:
-    for program in inside(jaxpr):
-        for eqn in program.eqns:
-            yield from (v.val for v in eqn.invars if isinstance(v, Literal))
-            for each in inner(eqn.params):
-                yield from each.consts if isinstance(each, ClosedJaxpr) else ()
+def alike(a: Program, b: Program) -> bool:
+    """Say whether two programs are the same, numbers included."""
+    return (
+        a.text == b.text
+        and len(a.numbers) == len(b.numbers)
+        and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a.numbers, b.numbers, strict=True))
+    )
 
 
-NARROW = ("float32", "float16", "bfloat16", "complex64")
+def arrays(prepared: PyTree) -> PyTree:
+    """Return what `prepare` makes as arrays of jax; raise UserError for what is no number."""
+    for leaf in jax.tree.leaves(prepared):
+        if not is_number(leaf):
+            raise UserError(
+                f"numbers: got {shown(leaf)} among what prepare returns, expected arrays of numbers only; keep words and "
+                "functions out of it."
+            )
+    return jax.tree.map(jnp.asarray, prepared)
 
 
-def purity(every: Sequence[Asked], g: Any) -> str:
+def is_number(leaf: object) -> bool:
+    """Say whether a leaf of gains or numbers is an array, or a number."""
+    return isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int)
+
+
+def purity(functions: Functions, given: PyTree) -> str:
     """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    for a in every:
-        require(
-            alike(_leakless(a, g), _leakless(a, g)),
-            f"purity: got two programs when {a.name} was traced twice, expected one; take out counters and random numbers of "
-            "Python.",
-        )
-        require(
-            not _changed(a, g),
-            f"purity: got arguments that {a.name} has changed, expected them as they were; return new ones "
-            "(x._replace, or {**x, ...}).",
-        )
+    for name, f in functions.items():
+        try:
+            with jax.checking_leaks():
+                first, second = program(f, given), program(f, given)
+        except Exception as error:
+            if "eak" not in str(error):
+                raise
+            raise UserError(
+                f"purity: got a traced value that {name} leaves behind outside itself, expected none; return what is to be "
+                "kept."
+            ) from None
+        if not alike(first, second):
+            raise UserError(
+                f"purity: got two programs when {name} was traced twice, expected one; take out counters and random numbers of "
+                "Python."
+            )
+        if _changes_its_arguments(f, given):
+            raise UserError(
+                f"purity: got arguments that {name} has changed, expected them as they were; return new ones "
+                "(x._replace, or {**x, ...})."
+            )
     return "same input, same output; nothing kept outside, no argument changed"
 
 
-def float64(every: Sequence[Asked], g: Any) -> str:
+def _changes_its_arguments(f: Callable[[Any], PyTree], given: PyTree) -> bool:
+    changes: list[bool] = []
+
+    def traced(g: PyTree) -> PyTree:
+        before, form = jax.tree.flatten(g)
+        out = f(g)
+        after, same = jax.tree.flatten(g)
+        changes.append(str(form) != str(same) or any(x is not y for x, y in zip(before, after, strict=True)))
+        return out
+
+    jax.eval_shape(traced, given)
+    return changes[0]
+
+
+def float64(functions: Functions, given: PyTree) -> str:
     """No number is rounded to fewer bits than it came with."""
-    for a in every:
-        for eqn in (eqn for part in inside(program(a, g).jaxpr) for eqn in part.eqns):
-            narrow = [v.aval.dtype for v in eqn.outvars if str(getattr(v.aval, "dtype", "")) in NARROW]
-            require(
-                not narrow,
-                f"float64: got {narrow[0] if narrow else ''} in {a.name} ({eqn.primitive.name}), expected float64 throughout; "
-                "leave out dtypes, or write float.",
-            )
+    for name, f in functions.items():
+        for eqn in (eqn for part in _parts(program(f, given).jaxpr) for eqn in part.eqns):
+            for dtype in (str(getattr(v.aval, "dtype", "")) for v in eqn.outvars):
+                if dtype in NARROW:
+                    raise UserError(
+                        f"float64: got {dtype} in {name} ({eqn.primitive.name}), expected float64 throughout; leave out "
+                        "dtypes, or write float."
+                    )
     return "float64 in, float64 throughout"
 
 
-def _leakless(a: Asked, g: Any) -> Program:
-    """Trace a function; raise UserError where it keeps what it was traced with."""
-    try:
-        with jax.checking_leaks():
-            return program(a, g)
-    except Exception as error:
-        if "eak" not in str(error):
+def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[Any], PyTree]) -> str:
+    """Each lane of a batch is what the run gives alone; `rows` are what differs between lanes, `given_with` adds the rest."""
+    stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
+
+    def every(some: Functions) -> Callable[[PyTree], PyTree]:
+        return lambda row: {name: f(given_with(row)) for name, f in some.items()}
+
+    def entrywise(some: Functions) -> PyTree:
+        def run(rows: PyTree) -> PyTree:
+            own = jax.tree.map(lambda a: split(a) if a.size else a[..., 0], rows)  # what is empty differs in none
+            return _joined(vmap_entrywise(every(some))(own))
+
+        return jax.jit(run)(stacked)
+
+    ways: dict[str, Callable[[Functions], PyTree]] = {
+        "vmap over the last axis": lambda some: jax.jit(jax.vmap(every(some), -1, -1))(stacked),
+        "pcbench's lanes": entrywise,
+    }
+    expected = jax.tree.map(lambda *a: jnp.stack(a, -1), *map(jax.jit(every(functions)), rows))
+    for way, run in ways.items():
+        try:
+            batch = run(functions)
+        except Exception:
+            for name, f in functions.items():  # which of them is it?
+                try:
+                    run({name: f})
+                except Exception as error:
+                    raise UserError(
+                        f"lanes: {name} under {way}: got {raised(error)}, expected a batch of runs; write it in jax.numpy, "
+                        "without callbacks into Python."
+                    ) from None
             raise
-        raise UserError(
-            f"purity: got a traced value that {a.name} leaves behind outside itself, expected none; return what is to be "
-            "kept."
-        ) from None
+        for name, one in expected.items():
+            pairs = zip(jax.tree.leaves(batch[name]), jax.tree.leaves(one), strict=True)
+            if not all(a.shape == b.shape and np.allclose(a, b, CLOSE, CLOSE, equal_nan=True) for a, b in pairs):
+                raise UserError(
+                    f"lanes: {name} under {way}: got other numbers than one run at a time gives, expected the same; let no run "
+                    "depend on how many there are."
+                )
+    return f"{len(rows)} runs at once are the same as one at a time"
 
 
-def _changed(a: Asked, g: Any) -> bool:
-    """Whether a function changes its arguments while it is traced."""
-    found: list[bool] = []
+def _joined(tree: PyTree) -> PyTree:
+    """Join what is split; what does not differ between lanes is the same in each."""
 
-    def traced(g: Any) -> Any:
-        before, form = jax.tree.flatten(g)
-        out = a.f(g)
-        after, same = jax.tree.flatten(g)
-        found.append(str(form) != str(same) or any(x is not y for x, y in zip(before, after, strict=True)))
-        return out
+    def one(x: Any) -> jax.Array:
+        return join(x) if is_lanes(x) else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), WIDTH))
 
-    jax.eval_shape(traced, g)
-    return found[0]
+    return jax.tree.map(one, tree, is_leaf=is_lanes)
+
+
+def moved(tree: PyTree, lane: int) -> PyTree:
+    """Return what another lane has in place of a pytree: its real numbers differ."""
+    return jax.tree.map(lambda a: a * (1 + lane / 8) + lane / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)

@@ -1,20 +1,40 @@
 """Does an observer keep to what pcbench asks of one?
 
 The order is that of what can be asked: without a design nothing, without the right shapes nothing more.
+
+In whole runs a perfect start stays perfect, delay 0 works, and nothing is known before it arrives. There an observer runs
+against data that can be changed: what the network brings may be shifted, packet by packet (values and notes), and so may the
+ages and the inputs. What an estimate depends on is then seen by comparing two runs bit for bit.
 """
 
 from collections.abc import Callable
 
-from pcbench.checking.closed_loop import closed_loop
-from pcbench.checking.fixtures import Trial, trial
-from pcbench.checking.loading import Candidate
-from pcbench.checking.noise_free_runs import WIDTH, moved, same_in_lanes
-from pcbench.checking.observer_functions import asked, given
-from pcbench.checking.programs import float64, gains, purity
-from pcbench.checking.run_checks import after_the_jump, delay_0, no_peeking, perfect_start
-from pcbench.checking.targets import Finding, ask
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import PyTree
+
+from pcbench.checking import jaxpr_checks
+from pcbench.checking.jaxpr_checks import WIDTH, alike, moved, program
+from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
+from pcbench.checking.observer_fixtures import AGE, TICK, Candidate, Case, Trial, designed, functions, given, trial
+from pcbench.checking.study import LINEAR, ROUNDING, claims_it, require_none
+from pcbench.checking.targets import Finding, Skipped, ask, require
+from pcbench.errors import UserError
+from pcbench.protocols import Arrival, Gains
 from pcbench.scenarios import Scenario
+from pcbench.simulation import trajectory
 from pcbench.simulation.shape_checks import check as shapes_of
+from pcbench.simulation.simulate_runs import Shift
+from pcbench.simulation.trajectory import Recording
+from pcbench.simulation.types import GridPointParams, Layout, present
+from pcbench.study.grid import cell_of
+from pcbench.study.plugins.user_code import Code, Own
+
+ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
+RATE = 1.4  # a correction by a rate grows from tick to tick, by nearly 2 at first; a late one is there at once
+WRONG = 0.07  # part by which a start is wrong where one is needed
 
 
 def shapes(t: Trial) -> str:
@@ -24,19 +44,211 @@ def shapes(t: Trial) -> str:
     return "init, snapshot, jump, flow and estimate return what they should"
 
 
+def gains(t: Trial) -> str:
+    """Gains are arrays; another design fits the same program, and changes no number in it."""
+    case = t.cases[0]
+    first = designed(t.candidate, case).gains
+    programs = {name: program(f, given(t, case, first)) for name, f in functions(t, case).items()}
+    for name, each in programs.items():
+        captured = [a for a in each.numbers if a.ndim and a.dtype.kind == "f" and not np.isin(a, ALLOWED).all()]
+        require(
+            not captured,
+            f"gains: got an array of shape {list(np.shape(captured[0])) if captured else []} written into {name}, expected "
+            "every number among the gains; return it from design and take it from there.",
+        )
+    other = t.cases[-1]
+    known = other.setting._replace(noise_std=tuple(2 * s or 1.0 for s in case.setting.noise_std))
+    second = designed(t.candidate, other._replace(setting=known)).gains
+    require(
+        _form(first) == _form(second),
+        f"gains: got {_form(second)} from another delay and noise, expected the form {_form(first)} of the first design; keep "
+        "structure, shapes and types, and every number in an array, or each cell of a study compiles anew.",
+    )
+    for name, f in functions(t, case).items():
+        require(
+            alike(program(f, given(t, case, second)), programs[name]),
+            f"gains: got other numbers in the program of {name} after another design, expected the gains alone to change; take "
+            "from gains what design finds, not from a global or a closure.",
+        )
+    return "all numbers are gains; another design needs no other program"
+
+
+def _form(gains: Gains) -> str:
+    shapes = jax.tree.map(lambda a: f"{np.asarray(a).dtype}{list(np.shape(a))}", gains)
+    return str(jax.tree.structure(gains)) + " of " + str(jax.tree.leaves(shapes))
+
+
 def lanes(t: Trial) -> str:
     """Each lane of a batch is what the run gives alone; lanes stand last."""
-    case = t.cases[0]
-    first = given(t, case, case.problem.gains[t.label])
+    first = given(t, t.cases[0])
     rows = [(moved(first.memory, i), first.value * (1 + i)) for i in range(WIDTH)]
-    return same_in_lanes(asked(t, case), rows, lambda own: first._replace(memory=own[0], value=own[1]))
+    return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda own: first._replace(memory=own[0], value=own[1]))
+
+
+def none(p: GridPointParams) -> Shift:
+    """Return the shift that changes nothing: of N + 2 packets, one a tick at most and a spare one."""
+    many = p.schedule.sense.shape[0] + 1
+    return Shift(jnp.zeros((many, p.noise_std.shape[0])), jnp.zeros(many))
+
+
+def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
+    """Record a run of the trial's observer on the numbers `p`, its packets shifted; room for all packets at once."""
+    quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
+    layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.notes), False)
+    return trajectory.compiled()(layout, quiet, np.asarray(0), np.asarray(0), shift)
+
+
+def perfect_start(t: Trial) -> str:
+    """True model, true start, no noise: no error, on every schedule."""
+    if not t.candidate.entry.knows_schedule:
+        raise Skipped("it declares that it does not know the schedule")
+    if t.cases[0].setting.model.E is not None:
+        raise Skipped("an unknown input pushes this plant: no start stays perfect; name a --scenario without one")
+    for case in t.cases:
+        p = case.problem
+        got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
+        n = len(p.x0)  # what is unknown beside the states may take its time
+        e = np.abs(got.x[:, :n] - got.estimates[t.label][:, :n]).max(1) / np.abs(got.x[:, :n]).max()
+        for k in np.flatnonzero(~(e <= (LINEAR if t.near else ROUNDING))):
+            raise UserError(
+                f"perfect start on {case.name}: got an error of {e[k]:.2g} of the largest state at tick {k}, expected none "
+                "(true model, true start, no noise); look for a tick of slip, or declare knows_schedule False."
+            )
+    return f"no error on {_many(t)}" + (", near the operating point" if t.near else "")
+
+
+def delay_0(t: Trial) -> str:
+    """A sample may arrive at the tick it is taken: numbers stay finite, and u of that tick is not known to jump."""
+    case = next((case for case in t.cases if case.name == "delay 0"), None)
+    if case is None:
+        raise Skipped("its design refuses delay 0")
+    for k in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
+        raise UserError(
+            f"delay 0: got an estimate that is not finite at tick {k}, expected numbers when a sample of age 0 arrives; divide "
+            "by no age."
+        )
+    k = int(case.setting.period[0])
+    require(
+        _same_until(t, case, k, none(case.problem), inputs_from=k),
+        f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in "
+        "snapshot and jump ask past_u for an age of at least 1.",
+    )
+    return "a sample of age 0 is used, the input of its tick is not"
+
+
+def no_peeking(t: Trial) -> str:
+    """Estimates do not depend on what has not arrived: values, ages, notes, channels, inputs."""
+    _not_fresh(t, t.cases[0])
+    for case in t.cases:
+        plan, every = case.problem.schedule, int(case.setting.period[0])
+        for k in (every // 2, 3 * every + 1):
+            later = jnp.asarray(~np.isin(np.arange(len(plan.sense) + 1), plan.arrive[: k + 1]), float)
+            shift = Shift(jnp.tile(later[:, None], len(case.problem.noise_std)), later)
+            require(
+                _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
+                f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later "
+                "inputs, expected the same bits; use past_u with ages of 0 or more only, and of an arrival what is fresh.",
+            )
+    return f"what has not arrived changes no bit of an estimate, on {_many(t)}"
+
+
+def after_the_jump(t: Trial) -> str:
+    """An arrival shows in the estimate of its own tick, or as a rate of the flow from there on."""
+    case = t.cases[0]
+    plan, q = case.problem.schedule, len(case.problem.noise_std)
+    k = int(np.flatnonzero((plan.arrive >= 0).any(1))[:3][-1])  # the tick of an arrival after a few others
+    many = len(plan.sense) + 1
+    touched = jnp.asarray(np.arange(many) == plan.arrive[k].max(), float)
+    shift = Shift(jnp.tile(touched[:, None], q), jnp.zeros(many))
+    plain, other = (_estimates(t, case, s) for s in (none(case.problem), shift))
+    moved = np.abs(other - plain).max(1)
+    if not moved.any():
+        return "no measurement changes its estimate"
+    if not t.candidate.entry.knows_schedule:
+        raise Skipped("it declares that it does not know the schedule: when it corrects is its own")
+    first = int(np.flatnonzero(moved)[0])
+    rate = first == k + 1 and moved[first + 1] > RATE * moved[first]
+    require(
+        first == k or rate,
+        f"after the jump: got an estimate that first shows an arrival of tick {k} at tick {first}, expected tick {k}; let "
+        "estimate read the memory that jump returns.",
+    )
+    return "an arrival shows at its own tick" if first == k else "an arrival shows as a rate, from its own tick on"
+
+
+def _estimates(t: Trial, case: Case, shift: Shift | None = None) -> np.ndarray:
+    """The estimates of ticks 0 .. N from a start that is wrong, [N+1, n or n + s]."""
+    p = case.problem
+    wrong = p._replace(xhat0=p.x0 * (1 - WRONG) - WRONG)
+    return np.asarray(replay(t, wrong, none(p) if shift is None else shift).estimates[t.label])
+
+
+def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ages_from: int | None = None) -> bool:
+    """Whether estimates of ticks 0 .. k have the same bits when data are shifted, and inputs and ages from a tick on."""
+    p = case.problem
+    u = np.array(p.inputs)
+    u[inputs_from:] += 1.0
+    plan = p.schedule
+    if ages_from is not None:
+        believed = np.array(plan.believed)
+        believed[ages_from:] = np.maximum(believed[ages_from:] - 1, 0)
+        plan = plan._replace(believed=believed)
+    plain = _estimates(t, case)
+    other = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
+    return np.array_equal(plain[: k + 1], other[: k + 1], equal_nan=True)
+
+
+def _not_fresh(t: Trial, case: Case) -> None:
+    """Raise UserError where the value of a channel that did not arrive changes anything that is estimated."""
+    o, q = t.observer, len(case.problem.noise_std)
+    p = jax.tree.map(jnp.asarray, case.problem)
+    g = given(t, case)
+
+    @jax.jit
+    def after(gains: Gains, memory: PyTree, channel: Array, value: Array) -> tuple[Array, Array]:
+        y, mask = jnp.ones(q).at[channel].set(value), jnp.arange(q) != channel
+        arrival = Arrival(y, mask, jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
+        jumped = o.jump(gains, memory, present(p, jnp.asarray(TICK), False), arrival)
+        return o.estimate(gains, jumped), o.estimate(gains, o.flow(gains, jumped, present(p, jnp.asarray(TICK), True)))
+
+    for channel in range(q):
+        results = [after(g.gains, g.memory, jnp.asarray(channel), jnp.asarray(value)) for value in (0.0, 77.0)]
+        require(
+            all(map(np.array_equal, *results)),
+            f"no peeking: got an estimate that changes with the value of channel {channel + 1} where fresh is False, expected "
+            "it to be ignored; take values by jnp.where(arrival.mask, ...).",
+        )
+
+
+def _many(t: Trial) -> str:
+    refused = f" ({len(t.refused)} refused by its design)" if t.refused else ""
+    return f"{len(t.cases)} schedules{refused}"
+
+
+def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
+    """In a scenario's loop, true start, no noise: no error where it claims so, else one that stays within the bound."""
+    label, mine = candidate.label, Own(candidate.entry, Code("", candidate.label, (), ""))
+    cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: mine})
+    (p,) = planned(quiet(short(cell)))
+    out, where = recorded(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
+    if claims_it(cell, label):
+        require_none(in_parts(p, out)[label], where, cell)
+        return f"no error in {scenario.name} under {scenario.loop.controller}"
+    e = errors(p, out)[label]
+    bad = np.flatnonzero(~(e <= p.problem.bound[: e.shape[1]]).all(1))
+    if bad.size:
+        raise UserError(
+            f"{where} an error beyond the scenario's divergence threshold at tick {bad[0]}, expected one that stays within "
+            "it (true model, true start, no noise); give it other gains, or a --scenario whose loop is slower."
+        )
+    return f"its error in {scenario.name} under {scenario.loop.controller} stays within the bound"
 
 
 CHECKS: dict[str, Callable[[Trial], str]] = {
     "shapes": shapes,
-    "purity": purity,
+    "purity": lambda t: jaxpr_checks.purity(functions(t, t.cases[0]), given(t, t.cases[0])),
     "gains": gains,
-    "float64": float64,
+    "float64": lambda t: jaxpr_checks.float64(functions(t, t.cases[0]), given(t, t.cases[0])),
     "lanes": lanes,
     "perfect start": perfect_start,
     "delay 0": delay_0,
@@ -44,17 +256,8 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "after the jump": after_the_jump,
 }
 BASIC = ("shapes",)  # what must pass before another check is asked
-RUN = (*BASIC, "lanes")  # a run is carried over lanes
-NEEDS = {
-    "": BASIC,
-    "shapes": (),
-    "gains": (*BASIC, "purity"),
-    "perfect start": RUN,
-    "delay 0": RUN,
-    "no peeking": RUN,
-    "after the jump": RUN,
-    "closed loop": RUN,  # asked where the scenario is one
-}
+WHOLE_RUNS = ("perfect start", "delay 0", "no peeking", "after the jump", "closed loop")  # are carried over lanes
+NEEDS = {"": BASIC, "shapes": (), "gains": (*BASIC, "purity"), **dict.fromkeys(WHOLE_RUNS, (*BASIC, "lanes"))}
 
 
 def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:

@@ -1,95 +1,197 @@
 """Does a plant keep to what pcbench asks of one? `pcbench.make_plant` has asked the first things itself.
 
-Checks of a plant's functions where they are: shapes, finite values, slopes, and the numbers that change nothing.
-
-Checks of how a plant moves: rest, the tick, what its outputs show, and a perfect start of an observer on it.
+It is tried at points around its operating point. With a scenario, at its tick, its horizon and the spread of its start; else
+1 ms (or the tick of a plant's `step`), 10 s, and a tenth of every state at the operating point, or of 1 where that is 0.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
+from numpy.typing import ArrayLike
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.fixtures import NEAR
-from pcbench.checking.noise_free_runs import WIDTH, in_parts, planned, quiet, recorded, same_in_lanes
-from pcbench.checking.plant_fixtures import (
-    EVERY,
-    Given,
-    Trial,
-    asked,
-    entries_of,
-    moves,
-    now_of,
-    points,
-    shown_at,
-    trial,
-)
-from pcbench.checking.run_checks import LINEAR, ROUNDING
-from pcbench.checking.targets import Finding, Noted, Skipped, ask, require
+from pcbench.checking.jaxpr_checks import WIDTH, Functions
+from pcbench.checking.noise_free_runs import in_parts, planned, quiet, recorded
+from pcbench.checking.observer_fixtures import NEAR
+from pcbench.checking.study import LINEAR, ROUNDING
+from pcbench.checking.targets import Finding, Noted, Skipped, ask
 from pcbench.dynamics.integrate import rk4
-from pcbench.dynamics.linear import discretize_zoh
+from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.dynamics.observability import decays, unobservable
 from pcbench.dynamics.observability import shown as shown_mode
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError, raised, shown
 from pcbench.observers import entry_of as observer_of
-from pcbench.plants import numbers_of
+from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.plants.nonlinear import REST
-from pcbench.scenarios import Loop, Sampling, Scenario
+from pcbench.protocols import Now
+from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.study import times
 from pcbench.study.grid import cell_of
 
+SHARE = 0.1  # of a state, how far it is tried around the operating point
+EVERY, POINTS, TICK = 20, 8, 5  # ticks between samples; points; the tick at which functions are asked
 STEP, CLOSE, KINK = 1e-5, 1e-6, 1e-2  # of the spread; of the slopes; of those from either side
+EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
+
+
+class Given(NamedTuple):
+    """What a plant's functions take."""
+
+    params: PyTree
+    x: Array  # [n]
+    u: Array  # [m]
+
+
+class Trial(NamedTuple):
+    """A plant in a scenario, with its numbers. n states, m inputs."""
+
+    label: str
+    scenario: Scenario
+    params: PyTree
+    model: Model
+    spread: np.ndarray  # [n] of the state around the operating point
+    reach: np.ndarray  # [m] of the input
+
+    @property
+    def entry(self) -> PlantSpec:
+        """Return the plant."""
+        return entry_of(self.scenario)
+
+    @property
+    def states(self) -> list[str]:
+        """Return the names of its states."""
+        return [name for name, _ in states_of(self.scenario)]
+
+    @property
+    def axes(self) -> list[str]:
+        """Return the names of its numbers that a study may vary."""
+        return parameters_of(self.entry)
+
+
+def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
+    """Return a plant's trial, and what it is; raise UserError where its numbers cannot be made."""
+    entry, numbers = entry_of(scenario), numbers_of(scenario)
+    params = jaxpr_checks.arrays(entry.prepare(numbers, scenario.dt, 2 * TICK))
+    model, n = entry.nominal(numbers), len(states_of(scenario))
+    (m, q) = (np.shape(model.B)[-1], len(model.C))
+    for name, found, shape in (("A", model.A, (n, n)), ("B", model.B, (n, m)), ("C", model.C, (q, n))):
+        if np.shape(found) != shape:
+            raise UserError(
+                f"numbers: got {name} of shape {list(np.shape(found))} in the linear model of {n} states, expected "
+                f"{list(shape)}; give each state a name and a row."
+            )
+    _, u0 = _point(entry, n, m)
+    spread = np.array([std or SHARE for std in scenario.belief.prior_std])
+    made = Trial(label, scenario, params, model, spread, SHARE * np.where(u0, abs(u0), 1.0))
+    axes = f"; axes: {', '.join(f'plant.{name}' for name in made.axes)}" if made.axes else ""
+    return made, f"{n} states, {m} inputs, {q} outputs{axes}"
+
+
+def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
+    """Return a scenario for nothing but the plant, which it has as `carried`."""
+    model, n = entry.nominal(entry.numbers), len(entry.signals)
+    q, m, dt = len(model.C), np.shape(model.B)[-1], entry.tick or 1e-3
+    x0, _ = _point(entry, n, m)
+    start = tuple(map(float, SHARE * np.where(x0, abs(x0), 1.0)))
+    unknowns = (1.0,) * len(entry.unknowns)
+    return Scenario(
+        name=label,
+        summary="a plant alone",
+        source="none",
+        plant=label,
+        observers=(),
+        truth=Truth(start),
+        loop=Loop(input="zero"),
+        sampling=Sampling((EVERY * dt,) * q, (EVERY * dt,) * q, (0.0,) * q),
+        belief=Belief(start, start, unknown_std=unknowns),
+        scoring=Scoring((*start, *unknowns), np.inf, steady_start=dt),
+        dt=dt,
+    ).having(**carried)
+
+
+def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """The operating point where the plant has one: x0 [n], u0 [m]; else zeros."""
+    x0, u0 = entry.operating_point or ((0.0,) * n, (0.0,) * m)
+    return np.array(x0), np.array(u0)
+
+
+def now_of(t: Trial, u: Array) -> Now:
+    """Return the present with u held since ever."""
+    dt = jnp.asarray(t.scenario.dt)
+    return Now(TICK * dt, jnp.asarray(TICK), dt, u, lambda age: u)
+
+
+def functions(t: Trial) -> Functions:
+    """Return the plant's functions, each of a `Given`."""
+    plant = t.entry.plant
+    each = {"step": plant.step, "output": plant.output, "field": plant.field, "unknown": plant.unknown}
+
+    def of(f: Callable[..., Array]) -> Callable[[Given], Array]:
+        return lambda g: f(g.params, now_of(t, g.u), g.x)
+
+    return {name: of(f) for name, f in each.items() if f is not None}
+
+
+def motion(t: Trial) -> str:
+    """Return which function gives how the state moves: the field, or the step of a plant that has none."""
+    return "step" if t.entry.plant.field is None or t.model.discrete else "field"
+
+
+def points(t: Trial) -> list[Given]:
+    """Return the operating point, and others around it."""
+    r = np.random.default_rng(7).uniform(-1, 1, (POINTS, len(t.spread) + len(t.reach)))
+    rows = np.vstack([np.zeros(r.shape[1]), r]) * np.concatenate([t.spread, t.reach])
+    n = len(t.spread)
+    return [Given(t.params, jnp.asarray(row[:n]), jnp.asarray(row[n:])) for row in rows]
+
+
+def shown_at(t: Trial, g: Given) -> str:
+    """Return a point in words: state by state, and the input."""
+    x = ", ".join(f"{name} {v:.3g}" for name, v in zip(t.states, np.asarray(g.x), strict=True))
+    return f"{x} and u = {shown(np.asarray(g.u).round(4).tolist())} from the operating point"
+
+
+def entries_of(t: Trial, name: str) -> list[str]:
+    """Return what the entries of a function's value are called."""
+    if name == "output":
+        return [f"output {i + 1}" for i in range(len(t.model.C))]
+    return [signal for signal, _ in signals_of(t.scenario)][len(t.states) :] if name == "unknown" else t.states
 
 
 def shapes(t: Trial) -> str:
     """Every function returns a number for each state, output or unknown."""
-    for a in asked(t):
-        want = (len(entries_of(t, a.name)),)
+    for name, f in functions(t).items():
+        want = (len(entries_of(t, name)),)
         try:
-            found = jax.eval_shape(lambda g, a=a: jnp.asarray(a.f(g)), points(t)[0])
+            value = jax.eval_shape(lambda g, f=f: jnp.asarray(f(g)), points(t)[0])
         except Exception as error:
             raise UserError(
-                f"shapes: {a.name} cannot be traced ({raised(error)}), expected pure jax.numpy code for one run, with "
+                f"shapes: {name} cannot be traced ({raised(error)}), expected pure jax.numpy code for one run, with "
                 "jnp.where in place of if; mend that line."
             ) from None
-        require(
-            found.shape == want,
-            f"shapes: got an array of shape {list(found.shape)} from {a.name}, expected {list(want)}, a number for each of "
-            f"{', '.join(entries_of(t, a.name))}; return all of them.",
-        )
-    return f"{', '.join(a.name for a in asked(t))} return what they should"
-
-
-def purity(t: Trial) -> str:
-    """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    return jaxpr_checks.purity(asked(t), points(t)[1])
-
-
-def float64(t: Trial) -> str:
-    """No number is rounded to fewer bits than it came with."""
-    return jaxpr_checks.float64(asked(t), points(t)[1])
-
-
-def lanes(t: Trial) -> str:
-    """Each lane of a batch is what the run gives alone."""
-    rows = [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]]
-    return same_in_lanes(asked(t), rows, lambda own: Given(t.params, *own))
+        if value.shape != want:
+            raise UserError(
+                f"shapes: got an array of shape {list(value.shape)} from {name}, expected {list(want)}, a number for each of "
+                f"{', '.join(entries_of(t, name))}; return all of them."
+            )
+    return f"{', '.join(functions(t))} return what they should"
 
 
 def finite(t: Trial) -> str:
     """Values are numbers at the operating point and around it."""
-    for a in asked(t):
-        f = jax.jit(a.f)
+    for name, function in functions(t).items():
+        f = jax.jit(function)
         for g in points(t):
             value = np.asarray(f(g))
             for i in np.flatnonzero(~np.isfinite(value)):
                 raise UserError(
-                    f"finite: got {value[i]} for {entries_of(t, a.name)[i]} in {a.name} at {shown_at(t, g)}, expected a "
+                    f"finite: got {value[i]} for {entries_of(t, name)[i]} in {name} at {shown_at(t, g)}, expected a "
                     "number; guard the root or the quotient there, or name a --scenario whose prior_std stays where the plant "
                     "can be."
                 )
@@ -98,29 +200,31 @@ def finite(t: Trial) -> str:
 
 def slopes(t: Trial) -> str:
     """What jax and the linear model take for slopes are those of the values, from either side."""
-    linear = t.model.known is None and (
-        t.entry.model is None or t.entry.residual is not None
-    )  # then the model is the slope
-    motion, A, B = moves(t), t.model.A, t.model.B
-    if motion.name == "step" and not t.model.discrete:
+    is_slope = t.model.known is None and (t.entry.model is None or t.entry.residual is not None)  # the linear model
+    A, B = t.model.A, t.model.B
+    if motion(t) == "step" and not t.model.discrete:
         A, B = discretize_zoh(A, B, t.scenario.dt)
-    for a, model in (
-        (motion, (A, B)),
-        (next(a for a in asked(t) if a.name == "output"), (t.model.C, t.model.feedthrough)),
-    ):
-        f, here = jax.jit(a.f), points(t)
-        derived = jax.jit(jax.jacfwd(a.f))
-        for i, g in enumerate(here[: 1 + WIDTH]):
-            slope = derived(g)
-            known = model if not i and linear else None
-            for name, size, k in (("x", t.spread, 0), ("u", t.reach, 1)):
-                said = np.asarray(known[k] if known else getattr(slope, name)) * size
-                _compare(t, a.name, f, g, name, size, said, "the linear model" if known else "jax")
+    for name, model in ((motion(t), (A, B)), ("output", (t.model.C, t.model.feedthrough))):
+        function = functions(t)[name]
+        f, derived = jax.jit(function), jax.jit(jax.jacfwd(function))
+        for i, g in enumerate(points(t)[: 1 + WIDTH]):
+            of_jax = derived(g)
+            slopes_x, slopes_u = model if not i and is_slope else (of_jax.x, of_jax.u)
+            who = "the linear model" if not i and is_slope else "jax"
+            _compare(t, name, f, g, "x", t.spread, np.asarray(slopes_x) * t.spread, who)
+            _compare(t, name, f, g, "u", t.reach, np.asarray(slopes_u) * t.reach, who)
     return "jax and the linear model agree with differences of the values"
 
 
 def _compare(
-    t: Trial, function: str, f: Any, g: Given, name: str, size: np.ndarray, said: np.ndarray, who: str
+    t: Trial,
+    function: str,
+    f: Callable[[Given], Array],
+    g: Given,
+    name: str,
+    size: np.ndarray,
+    said: np.ndarray,
+    who: str,
 ) -> None:
     """Raise UserError where slopes, times the spread, are not those of values a little to either side."""
     at, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
@@ -147,7 +251,7 @@ def axes(t: Trial) -> str:
     if not t.axes:
         raise Skipped("it has no numbers that a study may vary")
     numbers, idle = numbers_of(t.scenario), []
-    fs = [jax.jit(a.f) for a in asked(t) if a.name != "unknown"]
+    fs = [jax.jit(f) for name, f in functions(t).items() if name != "unknown"]
     for name in t.axes:
         value = getattr(numbers, name)
         other = t.entry.prepare(numbers._replace(**{name: 1.01 * value or 0.01}), t.scenario.dt, 10)
@@ -161,31 +265,27 @@ def axes(t: Trial) -> str:
     return "each of its numbers changes the plant"
 
 
-EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
-
-
 def rest(t: Trial) -> str:
     """At the operating point nothing moves by itself."""
-    a, g = moves(t), points(t)[0]
-    moving = np.asarray(a.f(g))
+    moving = np.asarray(functions(t)[motion(t)](points(t)[0]))
     if t.entry.residual is not None:
         moving = t.entry.residual(numbers_of(t.scenario))
     bad = np.flatnonzero(np.abs(moving) > REST * (1 + np.abs(t.model.A).max()))
     if bad.size:
         rates = ", ".join(f"{t.states[i]} by {moving[i]:.4g}" for i in bad)
         raise Noted(
-            f"no equilibrium: {rates} a {'tick' if a.name == 'step' else 'second'} at the operating point: observers that need "
-            "a linear model refuse the plant there, ekf does not"
+            f"no equilibrium: {rates} a {'tick' if motion(t) == 'step' else 'second'} at the operating point: observers that "
+            "need a linear model refuse the plant there, ekf does not"
         )
     return "the operating point is an equilibrium"
 
 
 def tick(t: Trial) -> str:
     """A tick of the plant is as exact as two of half its length."""
-    if moves(t).name == "step":
+    if motion(t) == "step":
         raise Skipped("it is given by its step: a tick is what that says")
     dt, ticks = t.scenario.dt, times.whole(t.scenario.duration, t.scenario)
-    own, by = jax.jit(next(a.f for a in asked(t) if a.name == "step")), stepping(t)
+    own, by = jax.jit(functions(t)["step"]), stepping(t)
     off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:
         fine = next((h for h in finer(dt) if together(t, by, h) <= EXACT), None)
@@ -203,7 +303,7 @@ def tick(t: Trial) -> str:
 
 def stepping(t: Trial) -> Callable[[Given, float], Given]:
     """Return what moves a point by one Runge-Kutta step of the field, of so many seconds."""
-    field = next(a.f for a in asked(t) if a.name == "field")
+    field = functions(t)["field"]
 
     @jax.jit
     def step(g: Given, h: Array) -> Given:
@@ -213,7 +313,7 @@ def stepping(t: Trial) -> Callable[[Given, float], Given]:
     return lambda g, h: step(g, jnp.asarray(h))
 
 
-def _off(t: Trial, g: Given, one: Any, two: Any) -> float:
+def _off(t: Trial, g: Given, one: ArrayLike, two: ArrayLike) -> float:
     """How far two results of a tick are apart, in parts of the state's spread; infinite where either is not finite."""
     off = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
     return float(off.max()) if np.isfinite(off).all() else np.inf
@@ -275,10 +375,12 @@ def perfect_start(t: Trial) -> str:
 
 CHECKS: dict[str, Callable[[Trial], str]] = {
     "shapes": shapes,
-    "purity": purity,
-    "float64": float64,
+    "purity": lambda t: jaxpr_checks.purity(functions(t), points(t)[1]),
+    "float64": lambda t: jaxpr_checks.float64(functions(t), points(t)[1]),
     "finite": finite,
-    "lanes": lanes,
+    "lanes": lambda t: jaxpr_checks.lanes(
+        functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda own: Given(t.params, *own)
+    ),
     "axes": axes,
     "slopes": slopes,
     "rest": rest,
@@ -287,15 +389,8 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "perfect start": perfect_start,
 }
 BASIC = ("shapes",)
-NEEDS = {
-    "": BASIC,
-    "shapes": (),
-    "slopes": (*BASIC, "finite"),
-    "rest": (*BASIC, "finite"),
-    "tick": (*BASIC, "finite"),
-    "seen": (),
-    "perfect start": (*BASIC, "finite", "lanes"),
-}
+NEEDS = {"": BASIC, "shapes": (), "seen": (), **dict.fromkeys(("slopes", "rest", "tick"), (*BASIC, "finite")),
+         "perfect start": (*BASIC, "finite", "lanes")}  # fmt: skip
 
 
 def findings(label: str, scenario: Scenario) -> list[Finding]:

@@ -7,7 +7,6 @@ import numpy as np
 
 from pcbench import planning
 from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
-from pcbench.checking.run_checks import ROUNDING
 from pcbench.checking.targets import Finding, Noted, Skipped, ask
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
@@ -17,6 +16,8 @@ from pcbench.study import controller_table, parse
 from pcbench.study.grid import Cell, Grid
 from pcbench.study.parse import Described
 
+ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
+LINEAR = 1e-5  # what a linear model may be off where a run is near the operating point
 MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 

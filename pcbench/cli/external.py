@@ -71,10 +71,10 @@ def run(
     """
     setup()
     from pcbench.cli.render.progress import bar
-    from pcbench.external import run_external
+    from pcbench.external import score
 
     with bar(quiet) as progress:
-        result = run_external.run(folder, reference, name, stoppable(progress), say)
+        result = score.run(folder, reference, name, stoppable(progress), say)
     _shown(result, folder, metric, signal, quiet)
 
 

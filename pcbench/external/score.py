@@ -1,22 +1,27 @@
-"""`pcbench external score`: estimates made elsewhere as one more observer of a study, with the same metrics and pairs.
+"""`pcbench external score` and `run`: estimates made elsewhere as one more observer of a study, with the same metrics.
 
-That an estimate uses nothing that had not arrived cannot be seen in it: this is trusted, and said.
-
-The metrics of runs whose estimates are given, as the simulation keeps them: sums over the same windows, the same watches.
+Estimates are a table with a row for each tick of each run, checked against what a study asks. That one uses nothing that had
+not arrived cannot be seen in it: this is trusted, and said. Metrics are those that the simulation keeps: sums over the same
+windows, the same settling.
 """
 
+import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from pcbench.dataset import block_files, manifest, run_study, storage, stored_code, task
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import How, Say
 from pcbench.dataset.seed_ranges import Seeds
-from pcbench.errors import UserError, short
-from pcbench.external import import_estimates, runs
+from pcbench.errors import UserError, short, unknown
+from pcbench.external import runs
 from pcbench.external.entry import ONE_AT_A_TIME, REFERENCE
 from pcbench.observers import base_of
 from pcbench.planning import digits
@@ -32,48 +37,33 @@ from pcbench.study.labels import LABEL
 from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import no_certificate
 
-Floats = NDArray[np.float64]
-
-
-def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
-    """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
-    n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
-    many = xhat.shape[-1]
-    e = np.moveaxis(x[:, :n, :many] - xhat, (0, 1, 2), (2, 0, 1))  # [N, s, runs]
-    with np.errstate(invalid="ignore", over="ignore"):
-        streams = [_stream(e[a:b]) for a, b in np.asarray(p.problem.windows)]
-        watch = _watch(e, p)
-    whole: Any = ErrorSums._make(np.stack(each) for each in zip(*streams, strict=True))
-    digits.require_of(p, x[:, n - 1].T, whole.absolute[1:].sum(0) / (n - tail))
-    falls = bool((p.problem.jumps < n).any())
-    return metrics.read(whole, watch, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
-
-
-def _stream(e: Floats) -> ErrorSums:
-    size = np.abs(e)
-    return ErrorSums(size.sum(0), (e * e).sum(0), size.max(0, initial=0.0))  # type: ignore[arg-type]
-
-
-def _watch(e: Floats, p: Plan) -> SettlingState:
-    after: Any
-    many, ticks = e.shape[1], np.arange(len(e))[:, None, None]
-    size, band, bound = np.abs(e), *(np.asarray(a)[:many, None] for a in (p.problem.band, p.problem.bound))
-    outside = size > band  # [N, s, runs]
-    bad: Any = np.logical_not((size <= bound).all(1))  # [N, runs]
-    unsettled = np.where(outside, ticks + 1, 0).max(0)
-    first = np.where(bad.any(0), bad.argmax(0), -1)
-    jumps = np.asarray(p.problem.jumps)
-    recovery = np.zeros(e.shape[1:])
-    if len(jumps):
-        gone = np.where(jumps <= ticks[:, 0], ticks[:, 0] - jumps, np.iinfo(int).max)
-        since, after = gone.min(1), (jumps <= ticks[:, 0]).any(1)
-        recovery = np.where(outside & after[:, None, None], since[:, None, None] + 1.0, 0.0).max(0)
-    return SettlingState(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]
-
-
+KEYS = ("scenario", "cell", "seed", "tick")
 TRUSTED = (
     "that estimates use only what had arrived by their tick cannot be checked of such made elsewhere, and is trusted."
 )
+Floats = NDArray[np.float64]
+
+
+def run(folder: str | Path, reference: str, name: str, progress: Progress = SILENT, say: Say | None = None) -> Result:
+    """Run a guest MODULE:NAME on the draws of a folder, and add it to the study's tables; raise UserError for its mistakes.
+
+    It has a process of its own: what it imports, and what it does to it, is not pcbench's.
+    """
+    if not (Path(folder) / "draws" / "cells.json").is_file():
+        raise UserError(
+            f"{folder}: holds no draws, expected a folder that pcbench external prepare wrote; name that one."
+        )
+    with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
+        out = f"{place}/estimates.parquet"
+        progress.note("a guest estimates, one run at a time")
+        words = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
+        done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
+            raise UserError(
+                last if done.returncode == 2 else f"guest {reference}: ended with {last}, expected estimates; mend it."
+            )
+        return score(folder, out, name, progress, say)
 
 
 def score(
@@ -83,40 +73,45 @@ def score(
 
     Raises UserError for a name that is taken, for runs that are missing, and for ticks that are not all there.
     """
-    target = storage.target(folder)
+    target, where, say = storage.target(folder), short(str(file)), say or (lambda sentence: None)
     with config.float64():
         grid = grown(target, name)
         owned = manifest.claim(target, grid)
-        table = import_estimates.read(file)
         cells = [cell for cell in owned.cells if name in cell.options]
-        each = {cell.key: [s for s, _ in signals_of(cell.scenario)] for cell in cells}
-        every = list(dict.fromkeys(s for names in each.values() for s in names))
-        found = import_estimates.sorted_(table, short(str(file)), every, cells[0].key if len(cells) == 1 else None)
+        signals = {cell.key: [s for s, _ in signals_of(cell.scenario)] for cell in cells}
+        every = list(dict.fromkeys(s for names in signals.values() for s in names))
+        tables = sorted_(read(file), where, every, cells[0].key if len(cells) == 1 else None)
         seeds = _seeds(target, grid)
         blocks = []
         progress.begin("runs", seeds.many * len(cells))
         for cell in cells:
-            where = f"{short(str(file))}: {cell.scenario.name}, cell {cell.number}"
-            given = import_estimates.of_cell(
-                found.get(cell.key), where, each[cell.key], np.arange(*seeds), cell.times.ticks
-            )
+            here = f"{where}: {cell.scenario.name}, cell {cell.number}"
+            mine = tables.get(cell.key)
+            xhat = estimates_of(mine, here, signals[cell.key], np.arange(*seeds), cell.times.ticks)
             p = runs.planned(cell)
-            results = _results(p, grid.study.root_seed, seeds, given, progress)
-            blocks.append((p, results))
+            blocks.append((p, _results(p, grid.study.root_seed, seeds, xhat, progress)))
         manifest.begin(target, owned)
         work = task.Work(target.uri, grid.study.name, grid.study.root_seed)
-        _without(target, name)
+        for block in block_files.present(target):  # what the guest has left there before
+            if block.observer == name:
+                storage.remove(target, block.name)
         for p, results in blocks:
-            marked = _marked(p, name)
-            block, (rows, _) = task.block(work, marked, name, results, seeds, "guest")
-            storage.put_table(target, block, rows)
-        (say or (lambda sentence: None))(f"{name}: {TRUSTED}")
-        return run_study.execute(grid, folder, How(progress=progress, say=say or (lambda sentence: None)))
+            p = p._replace(  # as if it had the guest among its observers
+                certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
+            )
+            file_name, (rows, _) = task.block(work, p, name, results, seeds, "guest")
+            storage.put_table(target, file_name, rows)
+        say(f"{name}: {TRUSTED}")
+        return run_study.execute(grid, folder, How(progress=progress, say=say))
 
 
 def grown(target: storage.Target, name: str) -> Grid:
     """Return the study of a folder with the guest `name` among its observers; raise UserError where the name cannot be."""
-    _named(name)
+    if not LABEL.fullmatch(name) or base_of(name) or user_code.is_reference(name):
+        raise UserError(
+            f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
+            "observers; write another, such as matlab-ekf."
+        )
     said = storage.text(target, manifest.TEXT)
     if said is None:
         raise UserError(
@@ -135,43 +130,128 @@ def grown(target: storage.Target, name: str) -> Grid:
     return parse.grid(raw, f"{target.name}/{manifest.TEXT}", stored_code.gate(target, there, True))
 
 
-def _named(name: str) -> None:
-    if not LABEL.fullmatch(name) or base_of(name) or user_code.is_reference(name):
-        raise UserError(
-            f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
-            "observers; write another, such as matlab-ekf."
-        )
-
-
 def _seeds(target: storage.Target, grid: Grid) -> Seeds:
     """All seeds that the study's other observers have, or are to have."""
     named = Seeds(grid.study.first_seed, grid.study.first_seed + grid.study.seeds)
     return Seeds(named.first, max([named.stop, *(b.seeds.stop for b in block_files.present(target))]))
 
 
-def _results(p: Plan, root_seed: int, seeds: Seeds, given: Any, progress: Progress) -> dict[str, Any]:
-    """The metrics of all runs of a cell, some runs at a time: [s, runs]."""
+def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Progress) -> dict[str, Floats]:
+    """Return the metrics of all runs of a cell, [s, runs], some runs at a time; `xhat` [runs, N, s]."""
     parts = []
-    waiting: list[runs.Run] = []
-    for run in runs.runs(p, root_seed, np.arange(*seeds)):
-        waiting.append(run)
-        progress.step(1)
-        if len(waiting) == runs.TOGETHER or run.seed == seeds.stop - 1:
-            at = waiting[0].seed - seeds.first
-            parts.append(scored(p, np.stack([r.x for r in waiting]), given[at : at + len(waiting)]))
-            waiting = []
+    for first in range(0, len(xhat), runs.TOGETHER):
+        given = xhat[first : first + runs.TOGETHER]
+        numbers = np.arange(*seeds)[first : first + len(given)]
+        parts.append(scored(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), given))
+        progress.step(len(given))
     return {name: np.concatenate([part[name] for part in parts], -1) for name in parts[0]}
 
 
-def _marked(p: Plan, name: str) -> Plan:
-    """The plan as if it had the guest among its observers."""
-    return p._replace(
-        certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
-    )
+def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
+    """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
+    n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
+    many = xhat.shape[-1]
+    e = np.moveaxis(x[:, :n, :many] - xhat, (0, 1, 2), (2, 0, 1))  # [N, s, runs]
+    size = np.abs(e)
+    with np.errstate(invalid="ignore", over="ignore"):
+        windows = [slice(a, b) for a, b in np.asarray(p.problem.windows)]
+        sums: Any = ErrorSums(
+            *(np.stack(each) for each in zip(*((size[w].sum(0), (e[w] * e[w]).sum(0), size[w].max(0, initial=0.0))
+                                               for w in windows), strict=True))
+        )  # fmt: skip
+        settling: Any = _settling(size, p)
+    digits.require_of(p, x[:, n - 1].T, sums.absolute[1:].sum(0) / (n - tail))
+    falls = bool((p.problem.jumps < n).any())
+    return metrics.read(sums, settling, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
 
 
-def _without(target: storage.Target, name: str) -> None:
-    """Remove what the guest has left there before."""
-    for block in block_files.present(target):
-        if block.observer == name:
-            storage.remove(target, block.name)
+def _settling(size: Floats, p: Plan) -> SettlingState:
+    after: Any
+    many, ticks = size.shape[1], np.arange(len(size))[:, None, None]
+    band, bound = (np.asarray(a)[:many, None] for a in (p.problem.band, p.problem.bound))
+    outside = size > band  # [N, s, runs]
+    bad: Any = np.logical_not((size <= bound).all(1))  # [N, runs]
+    unsettled = np.where(outside, ticks + 1, 0).max(0)
+    first = np.where(bad.any(0), bad.argmax(0), -1)
+    jumps = np.asarray(p.problem.jumps)
+    recovery = np.zeros(size.shape[1:])
+    if len(jumps):
+        gone = np.where(jumps <= ticks[:, 0], ticks[:, 0] - jumps, np.iinfo(int).max)
+        since, after = gone.min(1), (jumps <= ticks[:, 0]).any(1)
+        recovery = np.where(outside & after[:, None, None], since[:, None, None] + 1.0, 0.0).max(0)
+    return SettlingState(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]
+
+
+def read(file: str | Path) -> pd.DataFrame:
+    """Return the table of a Parquet or CSV file; raise UserError where there is none."""
+    path = Path(file).expanduser()
+    try:
+        if path.suffix == ".csv":
+            return pd.read_csv(path)
+        return pd.read_parquet(path, partitioning=None)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise UserError(
+            f"{short(str(file))}: cannot be read ({short(str(error).splitlines()[0])}), expected a Parquet file, or a .csv; "
+            "give one."
+        ) from None
+
+
+def sorted_(
+    table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None
+) -> dict[tuple[str, int], Any]:
+    """Return the rows of each cell, in the order of seeds and ticks; of a study of `only` one cell its names may be left out.
+
+    Raises UserError for a column that is missing or holds no numbers.
+    """
+    if only:
+        table = table.copy()
+        table["scenario"] = table.get("scenario", only[0])
+        table["cell"] = table.get("cell", only[1])
+    for name in KEYS:
+        if name not in table:
+            raise (
+                unknown(where, "column of it", name, table.columns.astype(str))
+                if len(table.columns)
+                else UserError(f"{where}: got no columns, expected {', '.join(KEYS)} and the signals; write them.")
+            )
+    if not set(signals) & set(table.columns):
+        raise UserError(
+            f"{where}: got the columns {short(', '.join(map(str, table.columns)))}, expected one for each signal, "
+            f"{', '.join(signals)}; write the estimates under these names."
+        )
+    for name in [*KEYS[1:], *(s for s in signals if s in table)]:
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            raise UserError(f"{where}: column {name} got {table[name].dtype}, expected numbers; write them as such.")
+    ordered = table.sort_values(list(KEYS), kind="stable")
+    groups: Any = ordered.groupby(["scenario", "cell"], sort=False)
+    return {(str(s), int(c)): rows for (s, c), rows in groups}
+
+
+def estimates_of(rows: Any, where: str, signals: list[str], seeds: NDArray[np.int64], ticks: int) -> Floats:
+    """Return the estimates of a cell's runs, [seeds, ticks, signals]; raise UserError for runs or ticks that are not all there.
+
+    What a plant has of unknowns may be left out, all of it: of the last signals.
+    """
+    if rows is None:
+        raise UserError(f"{where}: got no rows, expected {len(seeds)} runs of {ticks:,} ticks; estimate them all.")
+    there = rows[rows.tick < ticks]
+    names = [s for s in signals if s in there]
+    if names != signals[: len(names)]:
+        lack = next(s for s in signals if s not in names)
+        raise UserError(f"{where}: got no column '{lack}', expected every state; write it.")
+    counts = there.groupby("seed").tick.agg(["size", "nunique", "min", "max"]).reindex(seeds)
+    missing = counts.index[counts["size"].isna()]
+    if len(missing):
+        raise UserError(
+            f"{where}: got {len(seeds) - len(missing)} of {len(seeds)} runs (seed {missing[0]} is missing), expected all; "
+            "estimate them too: differences are paired run by run."
+        )
+    wrong = counts[(counts["size"] != ticks) | (counts["nunique"] != ticks) | (counts["min"] != 0)]
+    if len(wrong):
+        raise UserError(
+            f"{where}: got {int(wrong['size'].iloc[0]):,} ticks of seed {wrong.index[0]}, expected each of 0 .. {ticks - 1:,} "
+            "once; leave a row for every tick."
+        )
+    mine = there[there.seed.isin(seeds)]
+    found: Floats = mine[names].to_numpy(float).reshape(len(seeds), ticks, len(names))
+    return found

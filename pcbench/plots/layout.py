@@ -40,7 +40,7 @@ LOOK = {
     "axes.titlelocation": "left",
     "axes.titlepad": 4.0,
     "axes.labelpad": 2.0,
-    "figure.constrained_layout.h_pad": 0.02,
+    "figure.constrained_layout.h_pad": 0.04,
     "figure.constrained_layout.w_pad": 0.02,
     "figure.constrained_layout.hspace": 0.0,
     "figure.constrained_layout.wspace": 0.02,
@@ -156,9 +156,10 @@ def _lay_out(
     handles |= {str(key.get_label()): key for key in keys}
     columns = _legend_columns([paper.width_of(label) for label in handles], width, paper)
     title = paper.folded(title, width - paper.em)
-    figure.legend(
+    legend = figure.legend(
         handles.values(), handles.keys(), ncols=columns, title=title, alignment="left", loc="outside upper left"
     )
+    legend.get_title().set_color(SOFT)
     lines = (title.count("\n") + 1 if title else 0) + ceil(len(handles) / columns)
     tall = 1.35 * lines + 0.5
     room = width / grid.shape[1] - 3 * paper.em

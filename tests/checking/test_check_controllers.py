@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from scipy.linalg import expm
 
 import pcbench
-from pcbench.checking import controller_fixtures
+from pcbench.checking import controller
 from pcbench.checking.controller import CHECKS, findings
 from pcbench.checking.targets import Skipped
 from pcbench.errors import UserError
@@ -60,7 +60,7 @@ def own(make=prepare, check=user_controllers.anything, **functions):
 
 
 def trial(mine, **options):
-    return controller_fixtures.trial("pull", mine, CART, options)[0]
+    return controller.trial("pull", mine, CART, options)[0]
 
 
 def changed(u=lambda u, now, estimate, params: u):
@@ -144,6 +144,6 @@ def test_a_law_that_looks_at_what_is_on_its_way_is_not_linearised():
 def test_a_scenario_whose_loop_it_closes_keeps_its_options_and_its_network():
     mine = own()
     closed = trial(mine, gain=3.0).scenario.having(actuator_delay=0.02, command_loss=0.1)
-    again, why = controller_fixtures.trial("pull", mine, closed, {"period": 0.01})
+    again, why = controller.trial("pull", mine, closed, {"period": 0.01})
     assert why == "gain = 3.0, period = 0.01"
     assert (again.told.late, again.scenario.loop.command_loss) == (20, 0.1)

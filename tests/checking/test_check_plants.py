@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pcbench
-from pcbench.checking import plant_fixtures
+from pcbench.checking import plant
 from pcbench.checking.plant import CHECKS, findings, finer, stepping, together
 from pcbench.checking.targets import Noted
 from pcbench.errors import UserError
@@ -37,12 +37,12 @@ def swing(**changes):
 
 
 def alone(entry):
-    return plant_fixtures.alone("swing", entry, {"own": {"plant": Own(entry, Code("", "swing", (), ""))}})
+    return plant.alone("swing", entry, {"own": {"plant": Own(entry, Code("", "swing", (), ""))}})
 
 
 def asked(check, entry):
     """What one check says, as it raises it."""
-    trial, _ = plant_fixtures.trial("swing", alone(entry))
+    trial, _ = plant.trial("swing", alone(entry))
     return CHECKS[check](trial)
 
 
@@ -185,8 +185,8 @@ def test_numbers_that_are_none_are_named():
 
 def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_will_do():
     """Of a Runge-Kutta step: what two half steps leave is a sixteenth of it, so they say the error to 10 %."""
-    trial, _ = plant_fixtures.trial("swing", alone(swing()))
-    g, dt, worst = plant_fixtures.points(trial), 0.1, 0.0
+    trial, _ = plant.trial("swing", alone(swing()))
+    g, dt, worst = plant.points(trial), 0.1, 0.0
     for each in g:
         x, u = np.asarray(each.x), float(each.u[0])
         rate = lambda t, x, u=u: [x[1], -9.81 / 0.5 * np.sin(x[0]) - 0.2 * x[1] + u]  # noqa: E731
@@ -197,7 +197,7 @@ def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_wi
         k4 = np.array(rate(0, x + dt * k3))
         worst = max(worst, (abs(x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4) - exact) / 0.1).max())
     assert together(trial, stepping(trial), dt) == pytest.approx(worst * 10.0 / dt, rel=0.1)
-    trial, _ = plant_fixtures.trial("swing", alone(swing(field=stiff)))
+    trial, _ = plant.trial("swing", alone(swing(field=stiff)))
     with pytest.raises(UserError, match="write dt = ") as said:
         CHECKS["tick"](trial)
     advised = float(str(said.value).split("write dt = ")[1].split(",")[0])

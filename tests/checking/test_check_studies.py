@@ -7,9 +7,9 @@ import pytest
 from loops import Q1, Q2, study
 
 from pcbench import checking
-from pcbench.checking import closed_loop, targets
+from pcbench.checking import observer, targets
 from pcbench.checking import study as of_studies
-from pcbench.checking.loading import Candidate
+from pcbench.checking.observer_fixtures import Candidate
 from pcbench.checking.targets import Noted, Skipped
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
@@ -87,7 +87,7 @@ def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(
 
 def in_lqr(entry, **changes):
     s = parse.grid_of(study(LQR, **SHORT), {}, []).cells[0].scenario
-    return closed_loop.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
+    return observer.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
 
 
 @pytest.mark.ci

@@ -10,10 +10,8 @@ import own_observer as own
 import pytest
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.fixtures import trial
-from pcbench.checking.loading import Candidate
-from pcbench.checking.noise_free_runs import none, replay
-from pcbench.checking.observer import CHECKS, findings
+from pcbench.checking.observer import CHECKS, findings, none, replay
+from pcbench.checking.observer_fixtures import Candidate, trial
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.scenarios import SCENARIOS
@@ -240,5 +238,8 @@ def test_a_shifted_packet_is_another_measurement():
 
 def test_a_nan_that_is_written_into_a_program_is_the_same_twice():
     """As the place of a lookup that finds nothing is."""
-    asked = jaxpr_checks.Asked("f", lambda x: jnp.where(x > 0, x, jnp.nan))
-    assert jaxpr_checks.alike(jaxpr_checks.program(asked, jnp.ones(2)), jaxpr_checks.program(asked, jnp.ones(2)))
+
+    def f(x):
+        return jnp.where(x > 0, x, jnp.nan)
+
+    assert jaxpr_checks.alike(jaxpr_checks.program(f, jnp.ones(2)), jaxpr_checks.program(f, jnp.ones(2)))

@@ -12,7 +12,7 @@ from documents import blocks
 import pcbench
 from pcbench.dataset import verify
 from pcbench.errors import UserError
-from pcbench.external import entry, export_draws, run_external, score
+from pcbench.external import entry, export_draws, score
 from pcbench.study import parse
 from pcbench.study.plugins import registry
 
@@ -259,14 +259,14 @@ def test_a_guest_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_pat
         ("short", "step returned 1 numbers, expected 2"),
     ):
         with pytest.raises(UserError, match=words):
-            run_external.run(folder, f"{tmp_path}/mine.py:{name}", "theirs")
+            score.run(folder, f"{tmp_path}/mine.py:{name}", "theirs")
     with pytest.raises(UserError, match="got no function 'nothing' in"):
-        run_external.run(folder, f"{tmp_path}/mine.py:nothing", "theirs")
-    result = run_external.run(folder, f"{tmp_path}/mine.py:Filter", "theirs")
+        score.run(folder, f"{tmp_path}/mine.py:nothing", "theirs")
+    result = score.run(folder, f"{tmp_path}/mine.py:Filter", "theirs")
     means = result.stats[(result.stats.metric == "rmse") & (result.stats.signal == "position")].set_index("observer")[
         "mean"
     ]
     assert means["theirs"] == pytest.approx(means["kf"], rel=1e-9)
     assert "guest: one run at a time" in json.dumps(result.provenance["certificates"])
     with pytest.raises(UserError, match="holds no draws"):
-        run_external.run(tmp_path, f"{tmp_path}/mine.py:Filter", "theirs")
+        score.run(tmp_path, f"{tmp_path}/mine.py:Filter", "theirs")

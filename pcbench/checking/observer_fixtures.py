@@ -7,27 +7,68 @@ so near its operating point that this is all there is.
 """
 
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jaxtyping import PyTree
+from pydantic import BaseModel, ValidationError
 
 from pcbench import planning
-from pcbench.checking.loading import Candidate
-from pcbench.errors import UserError, raised
+from pcbench.checking.jaxpr_checks import Functions, is_number
+from pcbench.checking.targets import WHERE
+from pcbench.errors import UserError, raised, short, unknown
+from pcbench.observers import ObserverSpec
 from pcbench.plants import entry_of, nonlinear
-from pcbench.protocols import Observer, Plant
+from pcbench.protocols import Arrival, Gains, Now, Observer, Plant
 from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.schedule import common_times
 from pcbench.simulation.types import GridPointParams, present, truth
 from pcbench.study import fits, times
 from pcbench.study.grid import cell_of
+from pcbench.study.plugins import registry
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
 NEAR = 1e-7  # of the spread of a start: there a plant is its linear model
 SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
 VARYING = ("one clock", "any schedule")
+TICK, AGE = 5, 2  # where the functions are asked: a tick and an age that every schedule has
+
+
+class Candidate(NamedTuple):
+    """An observer with the name it goes by and its options."""
+
+    label: str
+    entry: ObserverSpec
+    options: BaseModel
+
+
+def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
+    """Return the observer that MODULE:OBSERVER names, with the options `given`; raise UserError where there is none.
+
+    OBSERVER is an attribute of the module: an `ObserverSpec`, or an `Observer` whose module has its `design` and, where it
+    takes any, its `Options`.
+    """
+    entry, where = registry.load("observer", target, WHERE).entry, f"{WHERE} {short(target)}"
+    named = {key.replace("-", "_"): value for key, value in (given or {}).items()}
+    fields = getattr(entry.options, "model_fields", {})
+    for key in named:
+        if key not in fields:
+            raise unknown(where, "option", key, fields)
+    try:
+        return Candidate(target.rpartition(":")[2], entry, entry.options(**named))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UserError(
+            f"{where}: option {'.'.join(map(str, first['loc'])) or 'of Options'}: {first['msg']}; give it with "
+            "--set OPTION=VALUE, or write a default."
+        ) from None
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        raise UserError(f"{where}: its options cannot be made: {raised(error)}; mend that.") from None
 
 
 class Case(NamedTuple):
@@ -56,15 +97,6 @@ class Trial(NamedTuple):
     def observer(self) -> Observer:
         """Return its functions."""
         return self.candidate.entry.observer
-
-    @property
-    def knows_schedule(self) -> bool:
-        """Return whether it claims a perfect start."""
-        return self.candidate.entry.knows_schedule
-
-    def called(self, name: str) -> Case | None:
-        """Return the case of a name, or None where the observer refused it."""
-        return next((case for case in self.cases if case.name == name), None)
 
 
 def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
@@ -121,11 +153,6 @@ def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> 
     return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
 
 
-def plant_of(scenario: Scenario) -> Plant:
-    """Return the functions of a scenario's plant."""
-    return entry_of(scenario).plant
-
-
 def designed(candidate: Candidate, case: Case) -> Design:
     """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
     where = f"design on {case.name}"
@@ -143,7 +170,7 @@ def designed(candidate: Candidate, case: Case) -> Design:
             "that."
         )
     for leaf in jax.tree.leaves(made.gains):
-        if not isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int):
+        if not is_number(leaf):
             raise Broken(
                 f"{where}: got a {type(leaf).__name__} among the gains, expected arrays of numbers only; keep words and "
                 "functions out of gains."
@@ -177,4 +204,55 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
             f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
             "taken; name a --scenario that the observer is made for."
         )
-    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()), near)
+    return Trial(candidate, entry_of(scenario).plant, tuple(kept), tuple(refused.values()), near)
+
+
+class Given(NamedTuple):
+    """What an observer's functions take, of a plausible size."""
+
+    gains: Gains
+    memory: PyTree
+    value: Array  # [q]
+    snapshot: Array  # [r]
+    xhat0: Array  # [n]
+    inputs: Array  # [N+1, m]
+
+
+def functions(t: Trial, case: Case) -> Functions:
+    """Return every function of the observer, each of a `Given`."""
+    o, q = t.observer, case.problem.noise_std.shape[0]
+
+    def now(g: Given, decided: bool) -> Now:
+        return now_of(case.problem, g.inputs, decided)
+
+    def jump(g: Given) -> PyTree:
+        arrival = Arrival(g.value, jnp.ones(q, bool), jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
+        return o.jump(g.gains, g.memory, now(g, False), arrival)
+
+    return {
+        "init": lambda g: o.init(g.gains, g.xhat0),
+        "snapshot": lambda g: o.snapshot(g.gains, g.memory, now(g, False)),
+        "jump": jump,
+        "flow": lambda g: o.flow(g.gains, g.memory, now(g, True)),
+        "estimate": lambda g: o.estimate(g.gains, g.memory),
+    }
+
+
+def given(t: Trial, case: Case, gains: Gains | None = None) -> Given:
+    """Return what the functions are asked with, with the gains of the case or others, and a memory as the observer makes it."""
+    o, p = t.observer, case.problem
+    n, q = p.x0.shape[0], p.noise_std.shape[0]
+    gains, u = jax.tree.map(jnp.asarray, p.gains[t.label] if gains is None else gains), jnp.asarray(p.inputs)
+    xhat0 = jnp.asarray(p.x0) + jnp.arange(1.0, n + 1)
+
+    def start(gains: Gains, xhat0: Array) -> tuple[PyTree, Array]:
+        memory = o.init(gains, xhat0)
+        return memory, jnp.asarray(o.snapshot(gains, memory, now_of(p, u, False)))
+
+    memory, snapshot = jax.jit(start)(gains, xhat0)
+    return Given(gains, memory, jnp.arange(1.0, q + 1), snapshot, xhat0, u)
+
+
+def now_of(p: GridPointParams, inputs: Array, decided: bool) -> Now:
+    """Return the present of a tick, before or after its input is decided."""
+    return present(p._replace(inputs=inputs, dt=jnp.asarray(p.dt)), jnp.asarray(TICK), decided)
