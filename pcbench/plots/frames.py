@@ -13,8 +13,9 @@ from pcbench import statistics
 from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.plants import states_of
-from pcbench.plots import layout, output_units
+from pcbench.plants import entry_of, numbers_of, states_of
+from pcbench.plots import layout
+from pcbench.scenarios import Scenario
 from pcbench.statistics import ranking
 from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.statistics.number_format import ROUNDING
@@ -24,6 +25,7 @@ METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
 POINTS = 100  # of a distribution
+UNIT = 1e-12  # a row of C shows a state as it is if it differs from a unit vector by less
 ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are one run
 
 
@@ -106,10 +108,26 @@ def label(axis: str, units: dict[str, str] | None = None) -> str:
 def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     """Return the units of a scenario's axes that depend on its plant: of noise, of process noise."""
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
-    states = [unit for _, unit in states_of(scenario)]
-    seen = output_units.units(scenario)
-    each = {"noise_std": seen, "quantization_step": seen, "process_std": states}
+    measured = output_units(scenario)
+    each = {"noise_std": measured, "quantization_step": measured, "process_std": [u for _, u in states_of(scenario)]}
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
+
+
+def outputs_of_states(scenario: Scenario) -> dict[str, int]:
+    """Return the number of the output that shows a state as it is, by state."""
+    C, states = (
+        np.asarray(entry_of(scenario).nominal(numbers_of(scenario)).C),
+        [name for name, _ in states_of(scenario)],
+    )
+    return {states[j]: i for i, row in enumerate(C) for j, unit in enumerate(np.eye(len(row)))
+            if np.abs(row - unit).max() < UNIT}  # fmt: skip
+
+
+def output_units(scenario: Scenario) -> list[str]:
+    """Return the unit of every output; empty where it shows no single state."""
+    units = dict(states_of(scenario))
+    named = {output: units[state] for state, output in outputs_of_states(scenario).items()}
+    return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
 def said(axis: str, value: Any) -> str:
@@ -148,8 +166,7 @@ def distribution(
     scenario = scenario_of(result, scenario)
     signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
     part, out = runs[runs.signal == signal], []
-    part = part.assign(**{metric: part[metric].where(~part.diverged)})
-    for observer, values in part.groupby("observer", sort=False)[metric]:
+    for observer, values in part[metric].where(~part.diverged).groupby(part.observer, sort=False):
         ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
         if len(ordered):
             indices = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
@@ -190,30 +207,25 @@ def standings(
     see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
-    key, known = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
-    if key not in known:
-        known[key] = _standings(result, *key)
-    return known[key].copy()
+    key, kept = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
+    if key not in kept:
+        part, pairs, out = rows(result, *key), result.pairs_of(*key[:2]), []
+        axes, met = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
+        for cell, mine in ranking.by_cell(part).items():
+            found = ranking.stood(mine, met.get(cell, []))
+            first = next(row for row in mine if row["observer"] == found.order[0])
+            best = found.order[0] if np.isfinite(first["mean"]) else ""
+            out.append(
+                {name: first[name] for name in axes}
+                | {"cell": cell, "winner": found.winner, "best": best, "alike": found.alike, "leaders": found.leaders}
+                | {"p": found.p_value, "factor": found.factor, "mean": first["mean"]}
+                | {"text": found.winner or ("tie" if best else "all diverge")}
+            )
+        kept[key] = pd.DataFrame(out)
+    return kept[key].copy()
 
 
 _STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] = WeakKeyDictionary()  # asked for again
-
-
-def _standings(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
-    part, pairs, out = rows(result, scenario, signal, metric), result.pairs_of(scenario, signal), []
-    axes, met = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
-    for cell, mine in ranking.by_cell(part).items():
-        found = ranking.stood(mine, met.get(cell, []))
-        best = next(row for row in mine if row["observer"] == found.order[0])
-        lost = not np.isfinite(best["mean"])
-        known = {name: best[name] for name in axes}
-        text = found.winner or ("all diverge" if lost else "tie")
-        out.append(
-            known
-            | {"cell": cell, "winner": found.winner, "best": "" if lost else found.order[0], "alike": found.alike}
-            | {"leaders": found.leaders, "p": found.p_value, "factor": found.factor, "mean": best["mean"], "text": text}
-        )
-    return pd.DataFrame(out)
 
 
 def telling(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:

@@ -104,12 +104,12 @@ class Paper(NamedTuple):
                 lines[-1] = longer
         return "\n".join(lines)
 
-    def look(self) -> dict[str, Any]:
+    def look(self) -> mpl.RcParams:
         """Return the settings of matplotlib with which everything is drawn on it."""
         sizes = {"font.size": self.size, "axes.titlesize": self.size, "axes.labelsize": self.size,
                  "legend.fontsize": self.size, "legend.title_fontsize": self.size,
                  "xtick.labelsize": self.size - 1, "ytick.labelsize": self.size - 1}  # fmt: skip
-        return {**LOOK, **sizes, "font.family": [self.font, "DejaVu Sans"]}
+        return mpl.RcParams({**LOOK, **sizes, "font.family": [self.font, "DejaVu Sans"]})
 
 
 PAPER = Paper()
@@ -175,6 +175,7 @@ def _lay_out(
     figure.draw_without_rendering()
     for ax in axes:
         _thin_out(ax)
+    figure.set_layout_engine("none")  # laid out once, for all files
 
 
 def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
@@ -191,7 +192,7 @@ def _thin_out(ax: Axes) -> None:
     low, high = sorted(ax.get_xlim())
     ticks = [t for t in ax.xaxis.get_major_ticks() if t.label1.get_visible() and low <= t.get_loc() <= high]
     boxes = [t.label1.get_window_extent() for t in ticks if t.label1.get_text()]
-    gap = 0.3 * ax.xaxis.label.get_size() * ax.figure.dpi / 72
+    gap = 0.3 * float(ax.xaxis.label.get_fontsize()) * ax.figure.dpi / 72
     steps = range(1, len(boxes) + 1)
     step = next((n for n in steps if all(a.x1 + gap < b.x0 for a, b in zip(boxes[::n], boxes[n::n], strict=False))), 1)
     if step > 1:

@@ -22,12 +22,13 @@ from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, named, times, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, sheet
-from pcbench.plots.palette import INK, Style, on, pale, styles
+from pcbench.plots.palette import INK, SOFT, Style, on, pale, styles
 
 FINE = 24  # values of an axis beyond which a map is an image
 SIDE = 2.2  # inches of an image
 LINES = 6  # values of both axes from which on lines of equal value are drawn
 ROW, TALL = 0.42, 2.6  # inches of a cell, where there are few; of a map, where there are many
+KEYS = 5  # colours in the legend
 LEAST = 8  # letters' heights that a map is wide
 SAME = 1e-3  # a map whose values differ by a smaller part is of one colour, and has no lines
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
@@ -180,9 +181,9 @@ def _observer_maps(
 
     maps = [(str(observer), _cells(mine, x, y, cell)) for observer, mine in part.groupby("observer", sort=False)]
     log = isinstance(norm, LogNorm)
-    ends = np.array([norm.vmin, norm.vmax], float)
-    keys = [Patch(facecolor=colours(norm(v)), edgecolor="#6B6B6B", linewidth=0.4, label=layout.number(v))
-            for v in levels(ends, log, ends=True)]  # fmt: skip
+    scale = np.geomspace if log else np.linspace
+    keys = [Patch(facecolor=colours(norm(v)), edgecolor=SOFT, linewidth=0.4, label=layout.short(v))
+            for v in scale(norm.vmin, norm.vmax, KEYS)]  # fmt: skip
     others = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
     title = f"{title}, {about(result, part, others)}"
     return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
@@ -285,27 +286,19 @@ def _write(ax: Axes, cells: Cells, x: Side, y: Side, paper: Paper) -> None:
 def _draw_levels(ax: Axes, cells: Cells, x: Side, y: Side, log: bool, size: float | None) -> None:
     """Draw lines of equal value between the cells' middles, with their values where these have a size."""
     grid = grid_of(cells, x, y)
-    if values := levels(grid, log):
-        lines = ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=values, colors=INK, linewidths=0.6)
+    finite = grid[np.isfinite(grid)]
+    if finite.size and np.ptp(finite) > SAME * np.abs(finite).max():
+        locator = LogLocator(subs=(1.0, 2.0, 5.0)) if log else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
+        lines = ax.contour(
+            range(len(x.values)), range(len(y.values)), grid, locator=locator, colors=INK, linewidths=0.6
+        )
         if size:
-            ax.clabel(lines, fmt={value: layout.number(value) for value in values}, fontsize=size)
+            ax.clabel(lines, fmt=layout.number, fontsize=size)
 
 
 def grid_of(cells: Cells, x: Side, y: Side) -> NDArray[np.float64]:
     """Return the values of a map, [up, across]; NaN where it has none."""
     return np.array([[cells[a, b].value if (a, b) in cells else np.nan for a in x.values] for b in y.values])
-
-
-def levels(values: NDArray[np.float64], log: bool, ends: bool = False) -> list[float]:
-    """Return the round numbers between the least and the largest value, or with `ends` at these too."""
-    finite = values[np.isfinite(values)]
-    if not finite.size or np.ptp(finite) <= SAME * np.abs(finite).max():
-        return []
-    low, high = finite.min(), finite.max()
-    steps = (1.0,) if log and high >= 1e3 * low else (1.0, 2.0, 5.0)
-    locator = LogLocator(subs=steps, numticks=layout.TICKS) if log else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
-    ticks = [0.0 if abs(v) < 1e-9 * (high - low) else float(v) for v in locator.tick_values(low, high)]
-    return [v for v in ticks if low < v < high or (ends and low <= v <= high)]
 
 
 def _draw_marks(ax: Axes, x: Side, y: Side, marks: Marks, paper: Paper) -> None:

@@ -5,7 +5,6 @@ What pictures need besides the tables: made once, kept in the folder `examples` 
 
 import hashlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,14 +46,6 @@ class Thing(NamedTuple):
         return not any(map(is_absent, [*self.cell.own.values(), *self.cell.scenario.own.values()]))
 
 
-def kept(out: str | Path | None, thing: Thing, make: Callable[[], pd.DataFrame]) -> pd.DataFrame | None:
-    """Return a thing that stands in `out`, made where it does not; None where code that it takes is not here."""
-    there = found(out, thing)
-    if there is not None or not thing.can_be_made:
-        return there
-    return keep(out, thing, make())
-
-
 def found(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
     """Return a thing as it stands in `out`; None where it does not, or is of something else."""
     content = None if out is None else storage.get(storage.target(str(out)), thing.path)
@@ -79,11 +70,12 @@ def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd
     one = next(each for each in cells(study, scenario) if each.number == cell)
     if one.scenario.sampling.continuous:
         return None
-    return kept(out, Thing(f"{scenario}.costs", one, ["of the last sample"]), lambda: _made(one))
-
-
-def _made(cell: Cell) -> pd.DataFrame:
-    head = {"scenario": cell.scenario.name, "cell": cell.number}
+    thing = Thing(f"{scenario}.costs", one, ["of the last sample"])
+    costs = found(out, thing)
+    if costs is not None or not thing.can_be_made:
+        return costs
     with config.float64():
-        found = {label: each for p in drafts([cell]) for label, each in operation_counts.costs(p).items()}
-    return pd.DataFrame([head | {"observer": label, **each._asdict()} for label, each in found.items()])
+        counted = {label: each for p in drafts([one]) for label, each in operation_counts.costs(p).items()}
+    head = {"scenario": one.scenario.name, "cell": cell}
+    rows = [head | {"observer": label, **each._asdict()} for label, each in counted.items()]
+    return keep(out, thing, pd.DataFrame(rows))

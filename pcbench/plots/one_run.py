@@ -13,14 +13,14 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
-from pcbench.plots import observer_costs, output_units
+from pcbench.plots import frames, observer_costs
 from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation import trajectory
@@ -112,9 +112,9 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
             progress.step(len(group))
     parts: dict[str, list[pd.DataFrame]] = {scenario: [] for scenario in at}
     for task in tasks:
-        mine = parts[task.plan.cell.key[0]]
-        mine += list(_series(task, made[id(task)], first=not mine))
-    return {scenario: pd.concat(frames, ignore_index=True) for scenario, frames in parts.items()}
+        series = parts[task.plan.cell.key[0]]
+        series += list(_series(task, made[id(task)], first=not series))
+    return {scenario: pd.concat(mine, ignore_index=True) for scenario, mine in parts.items()}
 
 
 def _task(plan: Plan, root_seed: int, seed: int) -> Task:
@@ -132,10 +132,9 @@ def _task(plan: Plan, root_seed: int, seed: int) -> Task:
 def _record(group: list[Task], root_seed: int) -> list[Thinned]:
     """Return the runs of plans of one shape."""
     layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
+    call = trajectory.compiled_some()
     given = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
-    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), given[0])
-    call = jax.jit(lambda *a: trajectory.record_some(layout, every, rows, *a)).lower(*shapes).compile()
-    return [jax.tree.map(np.asarray, call(*a)) for a in given]
+    return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in given]
 
 
 def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
@@ -143,10 +142,10 @@ def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
     plan, scenario = task.plan, task.plan.cell.scenario
     t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
-    shown = output_units.shows(scenario)
+    shown = frames.outputs_of_states(scenario)
     plant = f"plant under {plan.labels[0]}" if closed else "plant"
 
-    def frame(signal: str, name: str, kind: str, values: NDArray[np.float64]) -> pd.DataFrame:
+    def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
 
     for i, (signal, _) in enumerate(signals_of(scenario)):
@@ -172,7 +171,7 @@ def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
                 yield frame("", label, kind, values)
 
 
-def _spread(errors: Floats) -> dict[str, Floats]:
+def _spread(errors: jax.Array) -> dict[str, Floats]:
     """Return between what nine in ten errors [K, L] lie, and their root mean square; nothing of one run."""
     if errors.shape[1] < 2:
         return {}
@@ -183,7 +182,7 @@ def _spread(errors: Floats) -> dict[str, Floats]:
         return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}
 
 
-def _mean_nees(squares: Floats, states: Floats) -> dict[str, Floats]:
+def _mean_nees(squares: jax.Array, states: jax.Array) -> dict[str, Floats]:
     """Return the mean of normalised squares [K, L], of so many states [K, L], over runs, and its band if P is true."""
     finite = np.isfinite(squares)
     degrees = np.where(finite, states, 0).sum(1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pcbench.dataset.result import Result
 from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
-from pcbench.plots import output_units
+from pcbench.plots import frames
 from pcbench.plots.labels import LTI
 from pcbench.plots.layout import number
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
@@ -82,7 +82,7 @@ def _channels(say: Callable[[float], str]) -> Callable[[Any], str]:
 
 def _facts(s: Scenario) -> list[Field]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
-    signals, seen = signals_of(s), output_units.units(s)
+    signals, seen = signals_of(s), frames.output_units(s)
 
     def with_units(units: list[str]) -> Callable[[Any], str]:
         return lambda values: _each(values, units)

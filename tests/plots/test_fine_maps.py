@@ -47,7 +47,7 @@ def test_lines_stand_where_the_value_is_and_none_where_it_does_not_vary(figure):
     assert lines
     assert second.collections
     assert not third.collections
-    for path in lines:
+    for path in (line for line in lines if len(line.vertices)):
         across, up = path.vertices.T
         values = np.interp(across, np.arange(30), X.values) + np.interp(up, np.arange(30), Y.values)
         np.testing.assert_allclose(values, values[0], atol=1e-12)
@@ -70,10 +70,11 @@ def test_ticks_are_few_and_say_their_cells_values(figure):
         assert all(not word or float(word) == over.values[int(t)] for t, word in zip(ticks, said, strict=True))
 
 
-def test_a_grid_has_values_across_and_up_and_levels_lie_between():
+def test_a_grid_has_values_across_and_up():
     grid = maps.grid_of(a_map(lambda a, b: a + 10 * b)[1], X, Y)
     assert grid[3, 5] == X.values[5] + 10 * Y.values[3]
-    levels = maps.levels(grid, False)
-    assert levels
-    assert all(grid.min() < v < grid.max() for v in levels)
-    assert maps.levels(np.full((3, 3), np.nan), False) == []
+
+
+def test_where_all_runs_diverge_there_are_no_lines():
+    figure = maps.draw([a_map(lambda a, b: np.nan)], X, Y, "error [m]", [], PAPER)
+    assert not figure.axes[0].collections
