@@ -32,8 +32,10 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
     `scenario` is what it is tried on: a published one, a study file or MODULE:NAME with one. `options` are an observer's or a
     controller's, numbers of a plant, or changes of a study by key. Raises UserError where something is not there.
     """
-    if scenario is not None:
-        _require_name(scenario)
+    if scenario is not None and not (
+        user_code.is_reference(scenario) or scenario.endswith(".toml") or scenario in STUDIES or scenario in SCENARIOS
+    ):  # it can name no scenario: this is said before any code is run
+        raise unknown(f"{WHERE} --scenario", "scenario", scenario, SCENARIOS)
     with config.float64():
         kind, given = kind_of(target), dict(options or {})
         label = target.rpartition(":")[2]
@@ -54,12 +56,6 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
             return Checked(kind, label, s.name, observer.findings(load(target, given), s))
         mine = registry.load("controller", target, WHERE)
         return Checked(kind, label, s.name, controller.findings(label, mine, s, given))
-
-
-def _require_name(name: str) -> None:
-    """Raise UserError where a word can name no scenario, before any code is run."""
-    if not (user_code.is_reference(name) or name.endswith(".toml") or name in STUDIES or name in SCENARIOS):
-        raise unknown(f"{WHERE} --scenario", "scenario", name, SCENARIOS)
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:

@@ -122,10 +122,10 @@ def delay_0(t: Trial) -> str:
     case = next((case for case in t.cases if case.name == "delay 0"), None)
     if case is None:
         raise Skipped("its design refuses delay 0")
-    for k in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
+    for bad in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
         raise UserError(
-            f"delay 0: got an estimate that is not finite at tick {k}, expected numbers when a sample of age 0 arrives; divide "
-            "by no age."
+            f"delay 0: got an estimate that is not finite at tick {bad}, expected numbers when a sample of age 0 arrives; "
+            "divide by no age."
         )
     k = int(case.setting.period[0])
     require(

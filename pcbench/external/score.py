@@ -155,10 +155,8 @@ def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
     size = np.abs(e)
     with np.errstate(invalid="ignore", over="ignore"):
         windows = [slice(a, b) for a, b in np.asarray(p.problem.windows)]
-        sums: Any = ErrorSums(
-            *(np.stack(each) for each in zip(*((size[w].sum(0), (e[w] * e[w]).sum(0), size[w].max(0, initial=0.0))
-                                               for w in windows), strict=True))
-        )  # fmt: skip
+        each = [(size[w].sum(0), (e[w] * e[w]).sum(0), size[w].max(0, initial=0.0)) for w in windows]
+        sums: Any = ErrorSums._make(np.stack(part) for part in zip(*each, strict=True))
         settling: Any = _settling(size, p)
     digits.require_of(p, x[:, n - 1].T, sums.absolute[1:].sum(0) / (n - tail))
     falls = bool((p.problem.jumps < n).any())

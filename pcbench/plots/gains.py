@@ -27,7 +27,9 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
         raise UserError(
             f"study {result.study.name}: got no table fair, expected a study with several tunings; run equal-tuning."
         )
-    table = with_ends(result.fair[result.fair.cell == cell])
+    table = result.fair[result.fair.cell == cell]
+    half = 1.96 * table.held_out_se  # of the 95 % interval
+    table = table.assign(low=table.held_out - half, high=table.held_out + half)
     look, first = styles(table.observer), table.iloc[0]
     hollow = Line2D([], [], linestyle="none", label="open: on training runs")
     with sheet(paper, f"{first.scenario}, held-out runs", keys=[hollow]) as (figure, (ax,)):
@@ -70,9 +72,3 @@ def trade_off(
             ax.annotate(layout.word(row[option]), (row[x], row[cost]), textcoords="offset points",
                         xytext=(-5 if right else 5, 3), ha="right" if right else "left", fontsize=paper.size - 1)  # fmt: skip
     return figure
-
-
-def with_ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table `fair` with the ends `low` and `high` of the 95 % intervals of what is held out."""
-    half = 1.96 * table.held_out_se
-    return table.assign(low=table.held_out - half, high=table.held_out + half)

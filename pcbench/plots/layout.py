@@ -29,44 +29,17 @@ DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower
 MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+TICK = {"color": SOFT, "labelcolor": INK, "major.pad": 2, "major.size": 2.5, "major.width": 0.6}
 LOOK = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": SOFT,
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlepad": 4.0,
-    "axes.labelpad": 2.0,
-    "figure.constrained_layout.h_pad": 0.04,
-    "figure.constrained_layout.w_pad": 0.02,
-    "figure.constrained_layout.hspace": 0.0,
-    "figure.constrained_layout.wspace": 0.02,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "legend.borderaxespad": 0.2,
-    "legend.borderpad": 0.0,
-    "legend.columnspacing": 1.0,
-    "legend.frameon": False,
-    "legend.handlelength": 2.4,
-    "legend.handletextpad": 0.4,
-    "legend.labelspacing": 0.3,
-    "text.color": INK,
-    "text.parse_math": False,  # a text is a text, never mathematics
-    **{
-        f"{axis}tick.{key}": value
-        for axis in "xy"
-        for key, value in {
-            "color": SOFT,
-            "labelcolor": INK,
-            "major.pad": 2,
-            "major.size": 2.5,
-            "major.width": 0.6,
-        }.items()
-    },
-}
+    "axes.axisbelow": True, "axes.edgecolor": SOFT, "axes.grid": True, "axes.labelcolor": INK, "axes.labelpad": 2.0,
+    "axes.linewidth": 0.6, "axes.spines.right": False, "axes.spines.top": False, "axes.titlelocation": "left",
+    "axes.titlepad": 4.0, "figure.constrained_layout.h_pad": 0.04, "figure.constrained_layout.hspace": 0.0,
+    "figure.constrained_layout.w_pad": 0.02, "figure.constrained_layout.wspace": 0.02,
+    "grid.color": GRID, "grid.linewidth": 0.6, "legend.borderaxespad": 0.2, "legend.borderpad": 0.0,
+    "legend.columnspacing": 1.0, "legend.frameon": False, "legend.handlelength": 2.4, "legend.handletextpad": 0.4,
+    "legend.labelspacing": 0.3, "text.color": INK, "text.parse_math": False,  # a text is a text, never mathematics
+    **{f"{axis}tick.{key}": value for axis in "xy" for key, value in TICK.items()},
+}  # fmt: skip
 
 
 class Paper(NamedTuple):
@@ -182,7 +155,7 @@ def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
     """Return how many columns of keys, whose labels are so wide, stand beside one another."""
     for columns in range(len(widths), 1, -1):
         parts = np.array_split(widths, columns)
-        if sum(part.max() + 3.8 * paper.em for part in parts) - paper.em <= width:
+        if sum(part.max() + 3.8 * paper.em for part in parts) <= width:
             return columns
     return 1
 

@@ -28,7 +28,7 @@ FINE = 24  # values of an axis beyond which a map is an image
 SIDE = 2.2  # inches of an image
 LINES = 6  # values of both axes from which on lines of equal value are drawn
 ROW, TALL = 0.42, 2.6  # inches of a cell, where there are few; of a map, where there are many
-KEYS = 5  # colours in the legend
+KEYS = 4  # colours in the legend
 LEAST = 8  # letters' heights that a map is wide
 SAME = 1e-3  # a map whose values differ by a smaller part is of one colour, and has no lines
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
@@ -76,9 +76,30 @@ def heatmaps(
     its place (x, y). Raises UserError where fewer than two axes vary, or for a word that is none.
     """
     whole = frames.rows(result, scenario, signal, metric)
-    values = whole["mean"]
-    title = title_of(metric, whole.signal.iloc[0], unit_of(whole))
-    return _observer_maps(result, whole, (x, y), at, values, title, unit_of(whole), ERRORS, None, paper, marks)
+    x, y = two_axes(whole, x, y)
+    part = frames.fixed(whole, [x, y], at)
+    values, unit, colours = part["mean"], unit_of(whole), ERRORS
+    norm, title = _norm(values), title_of(metric, whole.signal.iloc[0], unit)
+    if metric == "divergence_rate":
+        values, unit, colours = 100 * values, "%", LOST
+        norm, title = Normalize(0, 100), "diverged runs [%]"
+
+    def cell(row: dict[str, Any]) -> Cell:
+        value = row["value"]
+        if not isfinite(value):
+            return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
+        tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
+        return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
+
+    groups = part.assign(value=values).groupby("observer", sort=False)
+    maps = [(str(observer), _cells(mine, x, y, cell)) for observer, mine in groups]
+    log = isinstance(norm, LogNorm)
+    scale, (low, high) = np.geomspace if log else np.linspace, np.array([norm.vmin, norm.vmax], float)
+    keys = [Patch(facecolor=colours(norm(v)), edgecolor=SOFT, linewidth=0.4, label=layout.short(v))
+            for v in scale(low, high, KEYS)]  # fmt: skip
+    others = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
+    title = f"{title}, {about(result, part, others)}"
+    return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
 
 
 def divergence(
@@ -91,9 +112,7 @@ def divergence(
     paper: Paper = PAPER,
 ) -> Figure:
     """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
-    whole = frames.rows(result, scenario, None, "divergence_rate")
-    values, norm = 100 * whole["mean"], Normalize(0, 100)
-    return _observer_maps(result, whole, (x, y), at, values, "diverged runs [%]", "%", LOST, norm, paper)
+    return heatmaps(result, x, y, scenario=scenario, metric="divergence_rate", at=at, paper=paper)
 
 
 def winners(
@@ -152,41 +171,6 @@ def _standing(look: dict[str, Style], row: dict[str, Any]) -> Cell:
         return Cell(colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} surely{p}, the second {ahead}")
     tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
-
-
-def _observer_maps(
-    result: Result,
-    whole: pd.DataFrame,
-    axes: tuple[str | None, str | None],
-    at: dict[str, Any] | None,
-    values: pd.Series,
-    title: str,
-    unit: str,
-    colours: LinearSegmentedColormap,
-    norm: Normalize | None,
-    paper: Paper,
-    marks: Marks = MappingProxyType({}),
-) -> Figure:
-    """Draw a map of `values` for each observer, in colours."""
-    x, y = two_axes(whole, *axes)
-    part = frames.fixed(whole.assign(value=values), [x, y], at)
-    norm = norm or _norm(part.value)
-
-    def cell(row: dict[str, Any]) -> Cell:
-        value = row["value"]
-        if not isfinite(value):
-            return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
-        tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
-        return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
-
-    maps = [(str(observer), _cells(mine, x, y, cell)) for observer, mine in part.groupby("observer", sort=False)]
-    log = isinstance(norm, LogNorm)
-    scale = np.geomspace if log else np.linspace
-    keys = [Patch(facecolor=colours(norm(v)), edgecolor=SOFT, linewidth=0.4, label=layout.short(v))
-            for v in scale(norm.vmin, norm.vmax, KEYS)]  # fmt: skip
-    others = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
-    title = f"{title}, {about(result, part, others)}"
-    return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
 
 
 def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> Cells:

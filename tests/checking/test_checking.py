@@ -226,7 +226,7 @@ def test_a_shifted_packet_is_another_measurement():
     """What is added to a packet, to its values or its notes, shows from the tick on at which it arrives, and not before."""
     entry = OBSERVERS["pccebo"]
     t = trial(Candidate("pccebo", entry, entry.options()), SCENARIOS["cart/white"])
-    p, number, step = t.called("one period late").problem, 2, 0.25
+    p, number, step = next(case for case in t.cases if case.name == "one period late").problem, 2, 0.25
     nothing = none(p)
     plain = replay(t, p, nothing).estimates["pccebo"]
     arrives = int(np.flatnonzero((p.schedule.arrive == number).any(1))[0])
