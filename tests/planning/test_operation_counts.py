@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from jax import lax
 from matplotlib.collections import PathCollection
+from matplotlib.text import Text
 
 import pcbench
 from pcbench import plots
@@ -106,7 +107,7 @@ def test_error_against_cost_has_a_point_for_every_observer_that_costs_and_says_w
     costs = stats[["scenario", "cell", "observer"]].assign(sample=[60, 55, 0], tick=[10, 10, 6], memory=[100, 100, 16])
     result = result_of(pd.concat([stats, stats.assign(cell=1, delay=0.8)]))
     figure = plots.cost(result, costs, signal="position")
-    assert "cart/white, delay 0.1 s, 8 runs" in {text.get_text().replace("\u00a0", " ") for text in figure.texts}
+    assert "cart/white, delay 0.1 s, 8 runs" in {text.get_text() for text in figure.findobj(Text)}
     (ax,) = figure.axes
     points = [tuple(map(float, each.get_offsets()[0])) for each in ax.collections if len(each.get_offsets()) == 1]
     assert (60.0, 1.0) in points
