@@ -4,16 +4,16 @@ import re
 import tomllib
 from typing import Any
 
-DEEPEST = (
-    64  # tables and lists inside one another: no study has so many, and Python runs out of its stack at some thousand
-)
+TomlTable = dict[str, Any]  # a table: texts, numbers, dates, lists and tables by key
+# tables and lists inside one another: no study has so many, and Python runs out of its stack at some thousand
+DEEPEST = 64
 LARGEST = 64 * 2**20  # characters
 PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 # a key of so many parts nests as many tables, and the parser takes memory as the square of their number
 DOTTED = re.compile(rf"(?<![\w.-]){PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST}}}")
 
 
-def parse(text: str | bytes) -> dict[str, Any]:
+def parse(text: str | bytes) -> TomlTable:
     """Return what a TOML text holds, with or without a byte-order mark; raise ValueError for what is not valid, or too deep."""
     words = text.decode("utf-8-sig") if isinstance(text, bytes) else text
     if len(words) > LARGEST:

@@ -3,8 +3,6 @@
 An observer is tried as a run would plan it, with its gains. What is refused in one cell is excluded from the study.
 """
 
-from typing import Any
-
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.planning.build import draft
@@ -14,15 +12,16 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.study.labels import entry_in
 from pcbench.study.load import Described, raw_of, where_of
 from pcbench.study.parse import ALL, FROM_HERE
+from pcbench.toml_text import TomlTable
 
 
-def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
+def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a study with its cells, as `parse.grid_of`; "all" among its observers becomes those that can run."""
     raw, where = parse.changed(study, changes, overrides)
     return parse.grid(resolved(raw, where), where, FROM_HERE)
 
 
-def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
+def resolved(raw: TomlTable, where: str) -> TomlTable:
     """Return a raw study with every observer that can run in place of "all", and with the reasons of the others."""
     if not parse.names_all(raw):
         return raw
@@ -45,7 +44,7 @@ def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
     return raw | {"observers": kept, "excluded": excluded or None}
 
 
-def _try(raw: dict[str, Any], where: str, label: str) -> None:
+def _try(raw: TomlTable, where: str, label: str) -> None:
     """Plan the one observer of a study in every cell, and by its own design if the study compares gains; or raise UserError."""
     grid = parse.grid(raw, where, FROM_HERE)
     grids, designed = [grid], entry_in(grid.study, label).designed

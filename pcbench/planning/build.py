@@ -21,9 +21,8 @@ from pcbench.observers import base_of
 from pcbench.observers.parts import assumed_noise
 from pcbench.planning import loop_setup, memo, padding
 from pcbench.planning.design_context import prepared, setting
-from pcbench.planning.padding import Plan
+from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
-from pcbench.scenarios import Scenario
 from pcbench.scenarios.scenario import per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation.measurements import Outliers, Rounding
@@ -38,24 +37,34 @@ from pcbench.synthesis.certificate import DesignContext, power_of_2
 def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and normal noise and starts."""
     s = cell.scenario
-    other = differs(numbers_of(s), cell.parameters)
-    wrong = nonlinear(s) or s.truth.parameter_drift or other or s.truth.unknown_input or s.loop.command_std
-    wrong = wrong or len(s.belief.unknown_std) > 0  # what is not known of the plant is looked for
-    normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and np.isinf(s.sampling.student_t_dof)
-    normal = normal and not any(s.sampling.quantization_step)
-    normal = normal and not (cell.choices.random_initial_state and s.belief.initial_box)  # runs draw a uniform start
-    normal = normal and not cell.choices.initial_spread  # or one that is not of the prior
-    exact = not wrong and normal
+    uncertain = (  # of the plant, or looked for
+        nonlinear(s) or s.truth.parameter_drift or differs(numbers_of(s), cell.parameters),
+        s.truth.unknown_input or s.loop.command_std or len(s.belief.unknown_std) > 0,
+    )
+    abnormal = (  # noise, or starts: a uniform one, or one that is not of the prior
+        not all(s.sampling.noise_std) or s.sampling.outlier_probability or np.isfinite(s.sampling.student_t_dof),
+        any(s.sampling.quantization_step) or cell.choices.initial_spread,
+        cell.choices.random_initial_state and s.belief.initial_box,
+    )
     clocks = cell.times.clocks
-    if not exact or cell.times.random:
+    if any(uncertain) or any(abnormal) or cell.times.random:
         return None
     known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
     sees = known.model, known.dt, known.ticks, known.noise_covariance, known.P0, s.truth.process_std
     key = memo.key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = memo.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
     steps = ask("steps", alike, riccati.no_steps)
-    moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
-    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known, moved, steps))
+    moved: tuple[linear.Matrix, linear.Matrix] = ask(
+        "moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std)
+    )
+
+    def least() -> NDArray[np.float64]:
+        _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
+        samples = [(s.arrives, s.taken, s.channel) for s in common_times.samples(clocks, known.ticks)]
+        tail = range(cell.times.tail, known.ticks)
+        return np.sqrt(riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps))
+
+    found: NDArray[np.float64] = ask("bound", key, least)
     return found
 
 
@@ -64,21 +73,6 @@ def _over_ticks(known: DesignContext, process_std: Any) -> tuple[linear.Matrix, 
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     added = known._replace(process_std=process_std).process_noise
     return doubled, linear.noise_doublings(known.model, added, known.dt, len(doubled))
-
-
-def _bound(
-    cell: Cell, known: DesignContext, moved: tuple[linear.Matrix, linear.Matrix], steps: riccati.Steps
-) -> NDArray[np.float64]:
-    samples = [(s.arrives, s.taken, s.channel) for s in common_times.samples(cell.times.clocks, known.ticks)]
-    tail = range(cell.times.tail, known.ticks)
-    _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
-    variance = riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps)
-    return np.sqrt(variance)
-
-
-AnySchedule = (
-    common_times.Schedule | random_times.ClockParams
-)  # one for all runs, or numbers by which each run draws its own
 
 
 def plan(study: Study) -> list[Plan]:
@@ -112,17 +106,13 @@ def drafts(
             known = known._replace(spare=power_of_2(known.overtaking))
         else:
             known = known.roomier(most[cell.scenario.plant])
-        for options in _programs(cell, apart) if wanted is None or cell.key in wanted else [{}]:
+        loop = bool(cell.scenario.loop.controller)
+        own = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]  # each has a program of its own
+        others = {o: given for o, given in cell.options.items() if o not in own}
+        groups = [group for group in (others, *({o: cell.options[o]} for o in own)) if group] or [{}]
+        for options in groups if wanted is None or cell.key in wanted else [{}]:
             p = draft(cell, options, known, ask)
             yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell), options))) if runs else p
-
-
-def _programs(cell: Cell, apart: bool) -> list[dict[str, BaseModel]]:
-    """Return the options of a cell's observers, those of one program at a time."""
-    loop = bool(cell.scenario.loop.controller)
-    alone = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]
-    others = {o: given for o, given in cell.options.items() if o not in alone}
-    return [group for group in (others, *({o: cell.options[o]} for o in alone)) if group] or [{}]
 
 
 def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
@@ -146,20 +136,25 @@ def draft(
 ) -> Plan:
     """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
     s, known = cell.scenario, known or setting(cell, ask)
-    true, belief, choices = s.truth, s.belief, cell.choices
+    true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {o: memo.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
-    numbers = ({"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
-    numbers |= {"sensor_delay": _late(cell)} if "sensor_delay" in plant.numbers._fields else {}
+    numbers: dict[str, Any] = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
+    numbers |= cell.parameters
+    if "sensor_delay" in plant.numbers._fields:  # of samples [s]; the mean where it varies
+        clock = cell.times.clocks[0]
+        numbers["sensor_delay"] = float((clock.period if clock.delay is None else clock.delay) + clock.later) * s.dt
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
-    drawn, around = (
-        choices.random_initial_state and not belief.initial_box,
-        choices.random_initial_state and bool(belief.initial_box),
-    )
-    spread = belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)
-    signals = len(true.x0) + len(belief.unknown_std)
-    schedule, room = _schedule(cell, ask)
+    around = choices.random_initial_state and bool(belief.initial_box)
+    drawn = choices.random_initial_state and not around
+    chance, scale, step = measured.outlier_probability, measured.outlier_scale, measured.quantization_step
+    outliers: Any = ()
+    if chance:
+        many = len(measured.delay) if isinstance(chance, tuple) or isinstance(scale, tuple) else 0
+        outliers = Outliers(*(np.asarray(per_channel(a, many) if many else a) for a in (chance, scale)))
+    key = tuple(cell.times.clocks), n, cell.times.error, measured.continuous, len(measured.delay)
+    schedule, room = ask("schedule", key, lambda: schedule_of(cell))
     problem = GridPointParams(
         params=prepared(plant, plants.varied(plants.numbers_of(s), numbers), s.dt, n, ask),
         gains={names[o]: d.gains for o, d in designs.items()},
@@ -168,22 +163,22 @@ def draft(
         dt=np.asarray(s.dt),
         x0=np.array(belief.xhat0 if drawn else true.x0),
         xhat0=np.array(true.x0 if around else belief.xhat0),
-        spread0=np.diag(spread),
-        noise_std=np.array(s.sampling.noise_std),
+        spread0=np.diag(belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)),
+        noise_std=np.array(measured.noise_std),
         band=np.array(s.scoring.settle_band),
-        bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), signals),
+        bound=np.broadcast_to(
+            np.asarray(s.scoring.divergence_threshold, float), len(true.x0) + len(belief.unknown_std)
+        ),
         windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(belief.initial_box) * around,
         network=loop_setup.network(cell),
         weights=loop_setup.weights(cell),
-        outliers=_outliers(s),
-        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither))
-        if any(step := s.sampling.quantization_step)
-        else (),
-        tail=np.asarray(dof) if np.isfinite(dof := s.sampling.student_t_dof) else (),
-        noise_root=np.linalg.cholesky(rho) if (rho := s.sampling.noise_correlation) else np.zeros((0, 0)),
+        outliers=outliers,
+        rounding=Rounding(np.array(step), np.asarray(measured.dither)) if any(step) else (),
+        tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
+        noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
     layout = Layout(
         plant=plant.plant,
@@ -191,7 +186,7 @@ def draft(
         width=width(cell, labels=options),
         ring=room,
         random_initial_state=drawn or choices.initial_spread > 0,
-        continuous=s.sampling.continuous,
+        continuous=measured.continuous,
         drifting=bool(true.parameter_drift and plant.plant.of_run),
         controller=loop_setup.controller(cell),
         scattered=bool(belief.initial_box),
@@ -209,21 +204,6 @@ def draft(
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
-
-
-def _outliers(s: Scenario) -> Any:
-    """The numbers of samples that are outliers; (): none is."""
-    chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
-    if not chance:
-        return ()
-    many = len(s.sampling.delay) if isinstance(chance, tuple) or isinstance(scale, tuple) else 0
-    return Outliers(*(np.asarray(per_channel(a, many) if many else a) for a in (chance, scale)))
-
-
-def _late(cell: Cell) -> float:
-    """The delay of samples [s] of a plant that has it among its signals; the mean where it varies."""
-    clock = cell.times.clocks[0]
-    return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
 
 
 def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
@@ -247,21 +227,14 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
     if s.loop.controller:
         return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     n = cell.times.ticks
-    u: NDArray[np.float64] = ask(
-        "inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, s.dt * np.arange(n + 1, dtype=float), m)
-    )
+    t = s.dt * np.arange(n + 1, dtype=float)
+    u: NDArray[np.float64] = ask("inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, t, m))
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
             f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
     return u
-
-
-def _schedule(cell: Cell, ask: memo.Once) -> tuple[AnySchedule, int]:
-    """The same for all runs of a cell."""
-    key = tuple(cell.times.clocks), cell.times.ticks, cell.times.error, cell.scenario.sampling.continuous
-    return ask("schedule", (*key, len(cell.scenario.sampling.delay)), lambda: schedule_of(cell))
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:

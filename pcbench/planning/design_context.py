@@ -23,12 +23,12 @@ def prepared(plant: PlantSpec, numbers: Any, dt: float, ticks: int, ask: memo.On
         key = plant.prepare, memo.key_of(numbers), dt, ticks
     except TypeError:
         return plant.prepare(numbers, dt, ticks)
-    return ask("params", key, lambda: jax.tree.map(_here, plant.prepare(numbers, dt, ticks)))
 
+    def make() -> Any:  # jax's own arrays are fetched once, not for every cell
+        own = lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf  # noqa: E731
+        return jax.tree.map(own, plant.prepare(numbers, dt, ticks))
 
-def _here(leaf: Any) -> Any:
-    """A leaf as NumPy's: jax's own are fetched once, not for every cell."""
-    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+    return ask("params", key, make)
 
 
 def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
@@ -40,15 +40,24 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
     told = (plant.model, plant.successor, plant.sensor, plant.parts)
     params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
     field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
-    back = clocks[0].stamp.reach(n)[0]
     for clock in clocks:
+        each = clock.profile if isinstance(clock.profile, tuple) else (clock.period,)
         for j in clock.channels:
-            if isinstance(clock.profile, tuple):
-                period[j] = round(sum(clock.profile) / len(clock.profile))
-            else:
-                period[j] = clock.period
-            late = period[j] if clock.delay is None else clock.delay
-            delay[j] = late + clock.later + cell.times.error
+            period[j] = round(sum(each) / len(each))
+            delay[j] = (period[j] if clock.delay is None else clock.delay) + clock.later + cell.times.error
+
+    def overtaking() -> int:
+        """How many newer samples may arrive before one; of one clock with samples of one age, none."""
+        if sampling.any_random(clocks):
+            return random_times.overtaking(clocks, n)
+        alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
+        return 0 if alone else common_times.overtaking(common_times.samples(clocks, n))
+
+    def intervals() -> tuple[int, ...]:
+        return tuple(sampling.intervals(clocks[0], n))
+
+    spare = belief.assumed_noise_std or noise
+    latest = max(sampling.ages(clock, n)[1] for clock in clocks) + clocks[0].stamp.reach(n)[0]
     return DesignContext(
         scenario=s.name,
         model=plant.nominal(numbers_of(s)),
@@ -56,19 +65,16 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
         ticks=n,
         period=tuple(period),
         delay=tuple(delay),
-        noise_std=tuple(
-            belief.assumed_noise_scale * (std or spare)
-            for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)
-        ),
+        noise_std=tuple(belief.assumed_noise_scale * (a or b) for a, b in zip(noise, spare, strict=True)),
         noise_correlation=s.sampling.noise_correlation,
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
-        overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),
+        overtaking=ask("overtaking", (tuple(clocks), n), overtaking),
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         flight=random_times.room(clocks, n, cell.times.error),
-        latest=max(sampling.ages(clock, n)[1] for clock in clocks) + cell.times.error + back,
+        latest=latest + cell.times.error,
         unknown_std=belief.unknown_std,
         unknown0=belief.unknown0 or (0.0,) * many,
         unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,
@@ -78,9 +84,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
         parts=parts,
         variant=partial(_variant, s),
         xhat0=belief.xhat0,
-        intervals=ask("intervals", (clocks[0], n), lambda: tuple(sampling.intervals(clocks[0], n)))
-        if len(clocks) == 1
-        else (),
+        intervals=() if len(clocks) > 1 else ask("intervals", (clocks[0], n), intervals),
     )
 
 
@@ -91,11 +95,3 @@ def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
         if name not in known:
             raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, known)
     return entry_of(s).nominal(varied(numbers_of(s), parameters))
-
-
-def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
-    """How many newer samples may arrive before one; of one clock with samples of one age, none."""
-    if sampling.any_random(clocks):
-        return random_times.overtaking(clocks, ticks)
-    alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
-    return 0 if alone else common_times.overtaking(common_times.samples(clocks, ticks))

@@ -49,8 +49,19 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
     if share.max(initial=0.0) <= 0.5:
         return
     worst, typical = int(share.argmax()), np.median(np.abs(actual), -1)
-    if not np.isfinite(typical[worst]) or _matters(p, typical):
-        raise DigitsError(sentence(p, worst, float(typical[worst])))
+    if np.isfinite(typical[worst]) and not _matters(p, typical):
+        return
+    s, size_of_it = p.cell.scenario, float(typical[worst])
+    name, unit = signals_of(s)[worst]
+    if np.isfinite(size_of_it):
+        reaches = f"reaches {amount(size_of_it, unit)}, where float64 numbers are {np.spacing(size_of_it):.1g} apart"
+    else:
+        reaches = f"grows beyond {np.finfo(np.float64).max:.1e}, the largest float64"
+    steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
+    raise DigitsError(
+        f"{s.name}, cell {p.cell.number}: {name} {reaches}, so that fewer than two digits of the errors are left, whatever the "
+        f"observer; expected a smaller state: take a shorter horizon, {steady}, or an origin near the state."
+    )
 
 
 def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
@@ -94,21 +105,6 @@ def _require_response(p: Plan, label: str, gains: Any, steady_mae: Floats) -> No
         )
 
 
-def sentence(p: Plan, signal: int, size: float) -> str:
-    """Return what to say of a cell in which a signal is so large."""
-    s = p.cell.scenario
-    name, unit = signals_of(s)[signal]
-    if np.isfinite(size):
-        said = f"reaches {amount(size, unit)}, where float64 numbers are {np.spacing(size):.1g} apart"
-    else:
-        said = f"grows beyond {np.finfo(np.float64).max:.1e}, the largest float64"
-    steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
-    return (
-        f"{s.name}, cell {p.cell.number}: {name} {said}, so that fewer than two digits of the errors are left, whatever the "
-        f"observer; expected a smaller state: take a shorter horizon, {steady}, or an origin near the state."
-    )
-
-
 def amount(size: float, unit: str) -> str:
     """Return a size with its unit, if it has one."""
     return f"{size:.2g}" if unit in ("", "1") else f"{size:.2g} {unit}"
@@ -119,9 +115,11 @@ def _matters(p: Plan, size: Floats) -> bool:
     n = len(p.problem.x0)
     state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
     y = np.asarray(_MEASURED(p.layout, jax.tree.map(np.asarray, p.problem), state))
+    process = np.asarray(p.problem.process_std)  # [n] of a tick, [n, n] a root of its covariance, or [0]: none
+    process = np.sqrt(np.square(process).sum(-1)) if process.ndim == 2 else process
     return bool(
         (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
-        or _beyond(size[:n], _process(p.problem))
+        or _beyond(size[:n], process)
         or _beyond(np.abs(y), np.asarray(p.problem.noise_std))
     )
 
@@ -132,12 +130,6 @@ def _output(layout: Layout, p: GridPointParams, x: Any) -> Any:
 
 
 _MEASURED = program_cache.bounded(_output, static_argnums=0)  # it is asked after each call of a cell: compiled once
-
-
-def _process(problem: GridPointParams) -> Floats:
-    """The standard deviations [n] of the process noise of a tick; [0]: there is none."""
-    std = np.asarray(problem.process_std)
-    return np.sqrt(np.square(std).sum(-1)) if std.ndim == 2 else std
 
 
 def _beyond(size: Floats, std: Floats) -> bool:

@@ -9,13 +9,12 @@ from pydantic import BaseModel
 
 from pcbench import controllers
 from pcbench.controllers import ControllerContext
-from pcbench.controllers.parts.common import Options
+from pcbench.controllers.parts.common import Options, matrix
 from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
 from pcbench.simulation import command_network, law_conformance, metrics
-from pcbench.simulation import command_network as network_of
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import controller_table, times
 from pcbench.study.grid import Cell
@@ -76,52 +75,45 @@ def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
 
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, command_network.Line]:
-    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
+    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end.
+
+    Raises UserError where a law of a user's own does not keep to the protocol.
+    """
     s, known = cell.scenario, told(cell, reach, ticks)
-    law = _numbers(cell, known)
+    entry, name = controllers.entry_of(s), s.loop.controller
+    if "controller" not in s.own:
+        law = entry.prepare(options(cell), known)
+    else:
+        try:
+            law = entry.prepare(options(cell), known)
+            traced = jax.tree.map(np.asarray, law)
+        except UserError:
+            raise
+        except Exception as error:
+            raise UserError(
+                f"controller {name}: prepare: got {raised(error)}, expected a pytree of arrays; mend that line."
+            ) from error
+        (n, m), signals = known.model.B.shape, len(s.scoring.settle_band)
+        sizes = law_conformance.Sizes(n, signals - n, m)
+        law_conformance.check(name, controllers.law_of(entry, options(cell)), traced, sizes)
     if controller_table.held(s):
         return law, command_network.held_line(known.late, reach.back, ticks + reach.ahead)
     return law, command_network.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
 
 
-def _numbers(cell: Cell, told: ControllerContext) -> Any:
-    """The law's numbers; raise UserError where a law of a user's own does not keep to the protocol."""
-    s, entry = cell.scenario, controllers.entry_of(cell.scenario)
-    if "controller" not in s.own:
-        return entry.prepare(options(cell), told)
-    name = s.loop.controller
-    try:
-        numbers = entry.prepare(options(cell), told)
-        traced = jax.tree.map(np.asarray, numbers)
-    except Exception as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(
-            f"controller {name}: prepare: got {raised(error)}, expected a pytree of arrays; mend that line."
-        ) from error
-    (n, m), signals = told.model.B.shape, len(s.scoring.settle_band)
-    law_conformance.check(
-        name, controllers.law_of(entry, options(cell)), traced, law_conformance.Sizes(n, signals - n, m)
-    )
-    return numbers
-
-
 def pending(cell: Cell) -> int:
     """Return the room of the network to the plant; 0 where all runs share an actuator line."""
     numbers = network(cell)
-    if not numbers:
-        return 0
-    return network_of.room(int(numbers.every), int(numbers.delay), int(numbers.jitter))
+    return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0
 
 
 def network(cell: Cell) -> Any:
     """Return the numbers of the network to the plant; () where there is none."""
-    s = cell.scenario
-    loop = s.loop
+    s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
         return ()
     told = controller_table.told(s)
-    return network_of.Numbers(
+    return command_network.Numbers(
         every=np.asarray(told.every(getattr(options(cell), "period", None))),
         delay=np.asarray(times.whole(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.whole(loop.command_jitter, s)),
@@ -144,6 +136,4 @@ def weights(cell: Cell) -> Any:
     points = given.set_point if isinstance(given, Options) else {}
     aims = reference(points, known.states, known.tick, known.dt, cell.times.ticks + 1) if points else none
     sizes = controller_table.sizes(s, "controller")
-    return metrics.Weights(
-        controller_table.matrix(Q1, (n, n), "Q1", sizes), controller_table.matrix(Q2, (m, m), "Q2", sizes), *aims
-    )
+    return metrics.Weights(matrix(Q1, (n, n), "Q1", sizes), matrix(Q2, (m, m), "Q2", sizes), *aims)

@@ -5,6 +5,8 @@ later cell whose fields of those names hold the same has the same design. So gai
 noises, and nobody has to say what an observer sees. Only pcbench's own designs are taken to be functions of what they read.
 """
 
+import inspect
+import os
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from functools import partial
@@ -14,13 +16,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from pcbench.errors import is_ours
+from pcbench.errors import UserError, is_ours, line_of, raised
 from pcbench.observers import ObserverSpec
-from pcbench.planning.run_design import designed
-from pcbench.synthesis.certificate import Design, DesignContext
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
 ROOM = 256  # of each kind: as many schedules of 10,000 ticks are 100 MB,
 DESIGNS = 4096  # and as many gains; with more of them the first are found again when their tasks are drawn
+EXPECTED = "expected Design(gains, Certificate)"
 Once = Callable[[str, Hashable, Callable[[], Any]], Any]  # (kind, what it is made from, how) -> what is made
 
 
@@ -44,6 +46,24 @@ def once() -> Once:
 def anew(kind: str, key: Hashable, make: Callable[[], Any]) -> Any:
     """Make a thing, whatever was made before."""
     return make()
+
+
+def designed(label: str, entry: ObserverSpec, known: DesignContext, options: Any) -> Design:
+    """Return an observer's gains with their certificate; raise UserError where its design refuses, or is not as it must be."""
+    code = getattr(inspect.unwrap(entry.design), "__code__", None)
+    where = f", {os.path.basename(code.co_filename)} line {code.co_firstlineno}" if code else ""
+    try:
+        found = entry.design(known, options)
+    except UserError:
+        raise
+    except Exception as error:
+        if is_ours(entry.design):
+            raise
+        place = "" if line_of(error) else where
+        raise UserError(f"observer {label}: design got {raised(error)}{place}, {EXPECTED}; mend that line.") from error
+    if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
+        raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; mend it.")
+    return found
 
 
 class Watched(DesignContext):

@@ -16,30 +16,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 
 from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.planning.padding import Plan
-from pcbench.protocols import Arrival
+from pcbench.protocols import Arrival, Gains, Memory, Observer
 from pcbench.simulation.types import present
 
-ONCE = {
-    "mul",
-    "div",
-    "sqrt",
-    "rsqrt",
-    "cbrt",
-    "square",
-    "integer_pow",
-    "pow",
-    "exp",
-    "exp2",
-    "expm1",
-    "log",
-    "log1p",
-    "logistic",
-}
-ONCE |= {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "rem"}
+ONCE = {"mul", "div", "rem", "sqrt", "rsqrt", "cbrt", "square", "integer_pow", "pow", "exp", "exp2", "expm1", "log"}
+ONCE |= {"log1p", "logistic", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
 Value = Callable[[], Any]  # computed when it is asked for
 CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as it solves
 
@@ -57,10 +42,9 @@ def costs(p: Plan) -> dict[str, Cost]:
     return {label: _of(p, name, o) for label, (name, o) in zip(p.labels, p.layout.observers, strict=True)}
 
 
-def _of(p: Plan, name: str, o: Any) -> Cost:
+def _of(p: Plan, name: str, o: Observer) -> Cost:
     problem: Any = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
-    gains, q = problem.gains[name], len(p.cell.scenario.sampling.delay)
-    clocks = p.cell.times.clocks
+    gains, q, clocks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     period = max(clock.period for clock in clocks)
     last = max((p.cell.times.ticks - age) // period, 1)
@@ -69,11 +53,11 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
     snapshot = o.snapshot(gains, memory, present(problem, k - age, False))
     decided, open_ = (present(problem, k, known) for known in (True, False))
 
-    def sample(gains: Any, memory: Any, value: Any) -> Any:
+    def sample(gains: Gains, memory: Memory, value: Array) -> Any:
         told = o.on_sample(gains, memory, open_, jnp.ones(q, bool)) if o.on_sample else memory
         return o.snapshot(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, snapshot))
 
-    def tick(gains: Any, memory: Any) -> Any:
+    def tick(gains: Gains, memory: Memory) -> Any:
         return o.flow(gains, memory, decided), o.estimate(gains, memory)
 
     size = sum(np.size(leaf) * np.asarray(leaf).dtype.itemsize for leaf in jax.tree.leaves(memory))
@@ -143,28 +127,19 @@ def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
         return _walked(program.jaxpr, [*map(_known, program.consts)], given[1:])
     if name == "while":
         return _while(eqn, given)
-    out = _when_asked(eqn, given)
-    if name == "scan":
-        body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
-        rows = [partial(_first, row) for row in given[consts + carry :]]
-        held = [*map(_known, body.consts)]
-        return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
-    return _products(eqn), out
-
-
-def _when_asked(eqn: Any, given: list[Value]) -> list[Value]:
-    """What an operation makes, once somebody asks for it."""
 
     @cache
-    def made() -> Any:
+    def made() -> Any:  # what the operation makes, once somebody asks for it
         out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
         return out if eqn.primitive.multiple_results else [out]
 
-    return [partial(lambda i: made()[i], i) for i in range(len(eqn.outvars))]
-
-
-def _first(rows: Value) -> Any:
-    return rows()[0]
+    out: list[Value] = [partial(lambda i: made()[i], i) for i in range(len(eqn.outvars))]
+    if name == "scan":
+        body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
+        rows: list[Value] = [partial(lambda rows: rows()[0], row) for row in given[consts + carry :]]
+        held = [*map(_known, body.consts)]
+        return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
+    return _products(eqn), out
 
 
 def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:

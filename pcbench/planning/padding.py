@@ -23,6 +23,9 @@ from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import Certificate, power_of_2
 
+# one for all runs, or numbers by which each run draws its own
+AnySchedule = common_times.Schedule | random_times.ClockParams
+
 
 class Plan(NamedTuple):
     """A cell ready to run."""
@@ -102,23 +105,19 @@ def fitted(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
     ]
     falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=common_times.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
-    problem = problem if p.layout.defined else _with_neutral(problem, room)
+    if not p.layout.defined:  # what other cells draw, where this one has none: what changes no sample
+        no_outliers, no_step = Outliers(np.asarray(0.0), np.asarray(1.0)), np.zeros(len(problem.noise_std))
+        problem = problem._replace(
+            outliers=problem.outliers or (no_outliers if room.outliers else ()),
+            rounding=problem.rounding or (Rounding(no_step, np.asarray(0.0)) if room.rounding else ()),
+            tail=np.asarray(np.inf) if room.tail and isinstance(problem.tail, tuple) else problem.tail,
+        )
     layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
     if p.reach:
         law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.ahead), p.cell.times.ticks)
-        pending = room.pending if layout.pending else 0
         problem = problem._replace(control=law, line=line)
-        layout = layout._replace(commands=room.back, pending=pending)
+        layout = layout._replace(commands=room.back, pending=room.pending if layout.pending else 0)
     return p._replace(problem=problem, layout=layout)
-
-
-def _with_neutral(p: GridPointParams, room: Capacity) -> GridPointParams:
-    """Give a problem what other cells draw, where it has none: what changes no sample."""
-    return p._replace(
-        outliers=p.outliers or (Outliers(np.asarray(0.0), np.asarray(1.0)) if room.outliers else ()),
-        rounding=p.rounding or (Rounding(np.zeros(len(p.noise_std)), np.asarray(0.0)) if room.rounding else ()),
-        tail=np.asarray(np.inf) if room.tail and isinstance(p.tail, tuple) else p.tail,
-    )
 
 
 def stacked(each: list[common_times.Schedule]) -> common_times.Schedule:
@@ -132,14 +131,11 @@ def stacked(each: list[common_times.Schedule]) -> common_times.Schedule:
     return stacked
 
 
-def _padded(
-    schedule: common_times.Schedule | random_times.ClockParams, room: Capacity
-) -> common_times.Schedule | random_times.ClockParams:
-    if isinstance(schedule, common_times.Schedule):
-        return common_times.pad_notes(
-            common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early), room.notes
-        )
-    return random_times.padded(schedule, room.due, room.shares)
+def _padded(schedule: AnySchedule, room: Capacity) -> AnySchedule:
+    if isinstance(schedule, random_times.ClockParams):
+        return random_times.padded(schedule, room.due, room.shares)
+    with_room = common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early)
+    return common_times.pad_notes(with_room, room.notes)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:

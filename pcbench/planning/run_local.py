@@ -54,10 +54,7 @@ def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Re
 
 
 def execute(
-    study: Study,
-    planned: list[Plan],
-    seeds: NDArray[np.int64] | None = None,
-    devices: int | None = None,
+    study: Study, planned: list[Plan], seeds: NDArray[np.int64] | None = None, devices: int | None = None
 ) -> Iterator[CellResults]:
     """Run every planned cell in this process; yield its results, kept in memory, when its last run is in.
 
