@@ -1,7 +1,6 @@
 """What gains of several origins are worth: on the runs they were tuned on, on others, and against the bound."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +13,7 @@ from pcbench.dataset.verify import FAIR
 from pcbench.gains.gain_variants import ExplicitStudy, Version, trained_on
 from pcbench.gains.objective import Objective
 from pcbench.study import parse
+from pcbench.toml_text import TomlTable
 
 
 def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
@@ -40,7 +40,7 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
 
 def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_out: pd.DataFrame) -> pd.DataFrame:
     """Return the table from the stats of the training runs and of the study's own."""
-    rows: list[dict[str, Any]] = []
+    rows: list[TomlTable] = []
     for cell in held_out.cell.unique():
         for v in versions:
             a, b = (_row(stats, cell, v.label, aim, aim.metric) for stats in (training, held_out))
@@ -60,7 +60,7 @@ def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_
     return pd.DataFrame(rows)
 
 
-def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> dict[str, Any]:
+def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> TomlTable:
     mine = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
-    found: list[dict[str, Any]] = stats[mine].to_dict("records")  # type: ignore[assignment]
+    found: list[TomlTable] = stats[mine].to_dict("records")  # type: ignore[assignment]
     return found[0] if found else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)

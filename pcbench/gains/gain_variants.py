@@ -25,7 +25,7 @@ from pcbench.dataset import run_study, storage
 from pcbench.dataset.manifest import BESIDE, TEXT
 from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import expected_objective, parameters, tune, validation
+from pcbench.gains import objective_eval, parameters, tune, validation
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.runtime.progress import SILENT, Progress
@@ -34,8 +34,10 @@ from pcbench.study.grid import Grid, cells
 from pcbench.study.grid import points as grid_points
 from pcbench.study.labels import entry_in
 from pcbench.study.parse import grid_of, one_cell
+from pcbench.toml_text import TomlTable
 
 JUDGES = counted(tune.JUDGES.first, 256)
+Options = dict[str, TomlTable]  # by label or observer
 
 
 class Version(NamedTuple):
@@ -77,38 +79,37 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
             "for one task; run a study for each."
         )
-    aim = objective_of(
-        study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
-    )
+    scenario, where = scenarios_of(study)[study.scenarios[0]], f"{study.name}: tune"
+    aim = objective_of(study.tune.objective, scenario, study.tune.signal, where)
     if study.tune.exact_objective:
-        expected_objective.offered(aim, f"{study.name}: tune")
-    _apart(study)
-    _ours(study, out, overwrite)
-    scenario = scenarios_of(study)[study.scenarios[0]]
-    paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
-    validation.require_tunable(study, list(paper))
-    validation.require_free_labels(study, scenario, list(paper))
-    points = _points(study) if "tuned" in study.tunings else [{}]
-    gains = []
+        objective_eval.require_exact_value(aim, where)
+    _require_other_seeds(study)
+    _require_own_folder(study, out, overwrite)
+    published = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
+    validation.require_tunable(study, list(published))
+    validation.require_free_labels(study, scenario, list(published))
+    tunes, points, gains = "tuned" in study.tunings, [TomlTable()], []
+    if tunes:  # the values of the axes in every cell in which gains are tuned
+        every = grid_points(study.vary, list(study.axes.values()))
+        every = itertools.islice(every, 1) if study.tune.cells == "first" else every
+        points = [dict(zip(study.axes, point, strict=True)) for point in every]
     for i, point in enumerate(points):
-        here = _at(study, point) if "tuned" in study.tunings else study
+        here = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if tunes else study
         folder = None if out is None else f"{out}/tuning"
         if len(points) > 1:
             folder = folder and f"{folder}/{cells(here, scenario.name)[0].digest}"
             progress.note(f"tuning in cell {i + 1} of {len(points)}")
-        gains.append(_gains_in(here, paper, aim, folder, progress))
+        gains.append(_gains_in(here, published, aim, folder, progress))
     versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
     if len(study.tunings) == 1:  # no other version to be told from
-        observer_of = {v.label: v.observer for v in versions}
-        gains = [each.renamed(observer_of) for each in gains]
+        gains = [each.renamed({v.label: v.observer for v in versions}) for each in gains]
         versions = [v._replace(label=v.observer) for v in versions]
-    order = list(paper)
+    order = list(published)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
-    every = {v.label: gains[0].options[v.label] for v in versions}
     record = None
-    if "tuned" in study.tunings:
+    if tunes:
         tuned = [v.label for v in versions if v.tuning == "tuned"]
-        cells_tuned = [
+        by_cell = [
             TunedCell(cell=point, options={label: each.options[label] for label in tuned})
             for point, each in zip(points, gains, strict=True)
         ]
@@ -118,44 +119,47 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
             metric=aim.metric,
             signal=aim.name,
             options={label: gains[0].found.get(label, {}) for label in tuned},
-            cells=cells_tuned if len(points) > 1 else None,
+            cells=by_cell if len(points) > 1 else None,
         )
-    return ExplicitStudy(_with(study, every, list(every), record), versions, aim)
+    options = {v.label: gains[0].options[v.label] for v in versions}
+    return ExplicitStudy(_with(study, options, list(options), record), versions, aim)
 
 
 class _Gains(NamedTuple):
     """The gains of all versions in one cell."""
 
     versions: list[Version]
-    options: dict[str, dict[str, Any]]  # by label
-    found: dict[str, dict[str, Any]]  # by label, the options that tuning found; none where the start was kept
+    options: Options  # by label
+    found: Options  # by label, the options that tuning found; none where the start was kept
 
     def renamed(self, labels: dict[str, str]) -> "_Gains":
         """Return these gains under other labels; a label without a new one is left out."""
-        return _Gains(
-            [v._replace(label=labels[v.label]) for v in self.versions if v.label in labels],
-            {labels[label]: each for label, each in self.options.items() if label in labels},
-            {labels[label]: each for label, each in self.found.items() if label in labels},
+        versions = [v._replace(label=labels[v.label]) for v in self.versions if v.label in labels]
+        options, found = (
+            {labels[o]: each for o, each in all_of.items() if o in labels} for all_of in (self.options, self.found)
         )
+        return _Gains(versions, options, found)
 
 
-def _gains_in(
-    study: Study, paper: dict[str, dict[str, Any]], aim: Objective, folder: str | None, progress: Progress
-) -> _Gains:
+def _gains_in(study: Study, published: Options, aim: Objective, folder: str | None, progress: Progress) -> _Gains:
     """The gains of all versions in a study of one cell; what tuning leaves stands in `folder`."""
-    versions, options = _untuned(study, paper)
-    by_label: dict[str, dict[str, Any]] = {}
+    gains = _Gains([], {}, {})
+    for observer, paper in published.items():
+        ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
+        for tuning, more in ways.items():
+            if more is not None:
+                gains.versions.append(Version(f"{observer}-{tuning}", observer, tuning))
+                gains.options[f"{observer}-{tuning}"] = paper | dict(more)
     if "tuned" in study.tunings:
-        starts = _better(study, versions, options, aim, progress)
-        for observer, start in starts.items():
-            note, found = _tuned(study, observer, start, aim, folder, progress)
+        for observer, start in _better(study, gains.versions, gains.options, aim, progress).items():
+            note, found = _tuned(study, observer, start, folder, progress)
             label = f"{observer}-tuned"
-            versions.append(Version(label, observer, "tuned", note))
-            options[label], by_label[label] = start | found, found
-    return _Gains(versions, options, by_label)
+            gains.versions.append(Version(label, observer, "tuned", note))
+            gains.options[label], gains.found[label] = start | found, found
+    return gains
 
 
-def _versions_in(points: list[dict[str, Any]], gains: list[_Gains]) -> list[Version]:
+def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
     """The versions that there are in some cell. One that a cell lacks has the gains as printed there, and its note says so."""
     first: dict[str, Version] = {}
     for each in gains:
@@ -175,26 +179,10 @@ def _versions_in(points: list[dict[str, Any]], gains: list[_Gains]) -> list[Vers
 
 
 def _with(
-    study: Study,
-    options: dict[str, dict[str, Any]],
-    observers: list[str] | None = None,
-    record: TunedOptions | None = None,
+    study: Study, options: Options, observers: list[str] | None = None, record: TunedOptions | None = None
 ) -> Grid:
-    changes: dict[str, Any] = {"options": study.options | options, "tuning": "published"}
-    return grid_of(study, changes | {"observers": observers, "tuned": record and record.model_dump()}, [])
-
-
-def _points(study: Study) -> list[dict[str, Any]]:
-    """The values of the axes in every cell in which gains are tuned."""
-    every = grid_points(study.vary, list(study.axes.values()))
-    if study.tune.cells == "first":
-        every = itertools.islice(every, 1)
-    return [dict(zip(study.axes, point, strict=True)) for point in every]
-
-
-def _at(study: Study, point: dict[str, Any]) -> Study:
-    """The study in one cell."""
-    return study.model_copy(update={"axes": {name: [value] for name, value in point.items()}})
+    changes = {"options": study.options | options, "tuning": "published", "observers": observers}
+    return grid_of(study, changes | {"tuned": record and record.model_dump()}, [])
 
 
 def trained_on(study: Study) -> Study:
@@ -205,12 +193,10 @@ def trained_on(study: Study) -> Study:
     return study.model_copy(update={"first_seed": its.first, "seeds": its.many})
 
 
-def _apart(study: Study) -> None:
-    """Raise UserError where the study's own seeds are among those it tunes on."""
-    if study.tune.exact_objective:  # it is tuned on none
-        return
+def _require_other_seeds(study: Study) -> None:
+    """Raise UserError where the study's own seeds are among those it tunes on; of an exact objective there are none."""
     mine = counted(study.first_seed, study.seeds)
-    for its in (_training(study), JUDGES):
+    for its in () if study.tune.exact_objective else (_training(study), JUDGES):
         if common(mine, its).many:
             raise UserError(
                 f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
@@ -222,18 +208,18 @@ def _training(study: Study) -> Seeds:
     return counted(tune.TRAINING.first, study.tune.training)
 
 
-def _ours(study: Study, out: str | Path | None, overwrite: bool) -> None:
+def _require_own_folder(study: Study, out: str | Path | None, overwrite: bool) -> None:
     """Raise UserError where a folder holds something else, before anything is written; `overwrite` removes earlier tunings."""
     if out is None:
         return
     target = storage.target(str(out))
-    said, names = storage.text(target, TEXT), storage.names(target)
+    there, names = storage.text(target, TEXT), storage.names(target)
     others = [name for name in names if not name.startswith(BESIDE)]
-    if said is None and others:
+    if there is None and others:
         raise UserError(
             f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
         )
-    if said is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
+    if there is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
         raise UserError(
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --overwrite."
@@ -243,86 +229,61 @@ def _ours(study: Study, out: str | Path | None, overwrite: bool) -> None:
         storage.remove(target, name)
 
 
-def _untuned(study: Study, papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
-    """The versions as printed and by design, and the options of each."""
-    versions: list[Version] = []
-    options: dict[str, dict[str, Any]] = {}
-    for observer, paper in papers.items():
-        ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
-        for tuning, more in ways.items():
-            if more is not None:
-                versions.append(Version(f"{observer}-{tuning}", observer, tuning))
-                options[f"{observer}-{tuning}"] = paper | dict(more)
-    return versions, options
-
-
-def _better(
-    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Objective, progress: Progress
-) -> dict[str, dict[str, Any]]:
+def _better(study: Study, versions: list[Version], options: Options, aim: Objective, progress: Progress) -> Options:
     """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
-    free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
-    if not free_ones:
+    free = {v.label: v for v in versions if _is_free(study, v, options[v.label])}
+    if not free:
         return {}
     progress.note("comparing starts")
-    here = trained_on(study)
-    labels = [v.label for v in free_ones]
-    stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
+    stats = run_study.execute(_with(trained_on(study), {label: options[label] for label in free}, list(free))).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
-    for v in free_ones:
-        mean = float(rows["mean"][v.label])
-        merit = float(rows["diverged"][v.label]), mean if np.isfinite(mean) else np.inf
+    for label, v in free.items():
+        mean = float(rows["mean"][label])
+        merit = float(rows["diverged"][label]), mean if np.isfinite(mean) else np.inf
         if v.observer not in best or merit < best[v.observer][0]:
-            best[v.observer] = merit, v.label
+            best[v.observer] = merit, label
     return {observer: options[label] for observer, (_, label) in best.items()}
 
 
-def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
+def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
-    only = validation.only(study, version.observer)
-    if not parameters.tunable(entry_in(study, version.observer)) or only == []:
+    observer = version.observer
+    only = validation.only(study, observer)
+    if not parameters.tunable(entry_in(study, observer)) or only == []:
         return False
-    here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "published"})
-    cell = one_cell(here, [version.observer], [])[1]
-    known, chosen = planning.setting(cell), cell.options[version.observer]
-    entry = cell.entry(version.observer)
-    designed = planning.designed(version.observer, entry, known, chosen)
+    here = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
+    cell = one_cell(here, [observer], [])[1]
+    entry, known, chosen = cell.entry(observer), planning.setting(cell), cell.options[observer]
+    designed = planning.designed(observer, entry, known, chosen)
     try:
-        return bool(tune.freed(version.observer, entry, known, chosen, designed, only, study.name))
+        return bool(tune.freed(observer, entry, known, chosen, designed, only, study.name))
     except parameters.NothingFree:
         return False
 
 
 def _tuned(
-    study: Study, observer: str, start: dict[str, Any], aim: Objective, folder: str | None, progress: Progress
-) -> tuple[str, dict[str, Any]]:
+    study: Study, observer: str, start: TomlTable, folder: str | None, progress: Progress
+) -> tuple[str, TomlTable]:
     """Why the start is kept (empty: it is not), and the options found."""
-    renamed = Progress(
-        begin=lambda what, many: progress.note(f"tuning {observer}"),
-        note=lambda text: progress.note(f"tuning {observer}: {text}"),
-    )
-    options = study.options | {observer: start}
-    changes: dict[str, Any] = {
-        "options": options,
-        "tuning": "published",
-        "observers": [observer],
-        "seeds": 1,
-        "first_seed": 0,
-    }
-    here = study.model_copy(update=changes)
+    how = study.tune
+    seeds: TomlTable = {"training": _training(study), "judges": JUDGES}
+    changes = {"options": study.options | {observer: start}, "tuning": "published", "observers": [observer]}
     try:
         found = tune.tune(
-            here,
+            study.model_copy(update=changes | {"seeds": 1, "first_seed": 0}),
             observer,
-            budget=study.tune.budget,
-            objective=study.tune.objective,
-            signal=study.tune.signal,
-            exact_objective=study.tune.exact_objective,
+            budget=how.budget,
+            objective=how.objective,
+            signal=how.signal,
+            exact_objective=how.exact_objective,
             only=validation.only(study, observer),
-            training=tune.TRAINING if study.tune.exact_objective else _training(study),
-            judges=tune.JUDGES if study.tune.exact_objective else JUDGES,
             out=folder and f"{folder}/{observer}",
-            progress=renamed,
+            progress=Progress(
+                begin=lambda what, many: progress.note(f"tuning {observer}"),
+                note=lambda text: progress.note(f"tuning {observer}: {text}"),
+            ),
+            **({} if how.exact_objective else seeds),
         )
     except tune.NoStart:
         return "no start of it works on the training runs", {}

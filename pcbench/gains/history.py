@@ -19,6 +19,7 @@ from pcbench.gains.parameters import Vector
 from pcbench.study import Study
 from pcbench.study.grid import Cell
 from pcbench.study.serialize import resolved
+from pcbench.toml_text import TomlTable
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
 REFIT = "history-whole.parquet"  # of a second descent, on all data
@@ -57,9 +58,7 @@ class Evaluation(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
-    def __init__(
-        self, target: storage.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY
-    ):
+    def __init__(self, target: storage.Target, about: str, names: list[str], basis: TomlTable, file: str = HISTORY):
         self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
         self.points: list[Evaluation] = []
         self.before = _read(target, about, basis, file)
@@ -76,10 +75,8 @@ class History:
             value, slope = evaluate(at)
             point = Evaluation(key, value, tuple(map(float, slope)), monotonic() - start)
         self.points.append(point)
-        late = monotonic() - self.written > PAUSE and isfinite(
-            self.points[0].value
-        )  # a start that fails leaves nothing
-        if number >= len(self.before) and late:
+        works = isfinite(self.points[0].value)  # a start that fails leaves nothing
+        if number >= len(self.before) and works and monotonic() - self.written > PAUSE:
             self.write()
         return point.value, np.array(point.slope)
 
@@ -89,29 +86,26 @@ class History:
         return min(self.points, key=lambda point: point.value)
 
     def write(self) -> None:
-        """Write the history."""
-        storage.put_table(self.target, self.file, _table(self.points, self.names, self.about, self.basis))
+        """Write the history: the objective is null where the gains were refused."""
+        points, float64 = self.points, pa.float64()
+        columns: TomlTable = {"point": np.arange(len(points))}
+        columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(self.names)}
+        columns["objective"] = pa.array([p.value if isfinite(p.value) else None for p in points], float64)
+        for i, name in enumerate(self.names):
+            slopes = [p.slope[i] if p.slope and isfinite(p.slope[i]) else None for p in points]
+            columns[f"slope.{name}"] = pa.array(slopes, float64)
+        columns["seconds"] = np.array([p.seconds for p in points])
+        metadata = {ABOUT: self.about.encode(), BASIS: json.dumps(self.basis).encode()}
+        storage.put_table(self.target, self.file, pa.table(columns).replace_schema_metadata(metadata))
         self.written = monotonic()
 
 
-def basis_of(study: Study, cell: Cell) -> dict[str, Any]:
+def basis_of(study: Study, cell: Cell) -> TomlTable:
     """Return what a tuning depends on: its study with all options, and the digests of the files of users' code."""
     return json.loads(json.dumps({"study": resolved(study, [cell]), "files": stored_code.files_of(study)}))
 
 
-def _table(points: list[Evaluation], names: list[str], about: str, basis: dict[str, Any]) -> pa.Table:
-    """The history as a table: value is null where the gains were refused."""
-    columns: dict[str, Any] = {"point": np.arange(len(points))}
-    columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(names)}
-    columns |= {"objective": pa.array([p.value if isfinite(p.value) else None for p in points], pa.float64())}
-    for i, name in enumerate(names):
-        slopes = [p.slope[i] if p.slope and isfinite(p.slope[i]) else None for p in points]
-        columns[f"slope.{name}"] = pa.array(slopes, pa.float64())
-    columns["seconds"] = np.array([p.seconds for p in points])
-    return pa.table(columns).replace_schema_metadata({ABOUT: about.encode(), BASIS: json.dumps(basis).encode()})
-
-
-def _read(target: storage.Target, about: str, basis: dict[str, Any], file: str) -> list[Evaluation]:
+def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
     """What an earlier run has seen; raise AnotherTuning where that was another tuning."""
     content = storage.get(target, file)
     if content is None:
@@ -125,16 +119,11 @@ def _read(target: storage.Target, about: str, basis: dict[str, Any], file: str) 
         metadata = table.schema.metadata or {}
         said, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
-        rows = table.to_pylist()
-        points = [
-            Evaluation(
-                tuple(row[c] for c in free),
-                float("inf") if row["objective"] is None else row["objective"],
-                tuple(float("nan") if row[c] is None else row[c] for c in slopes),
-                row["seconds"],
-            )
-            for row in rows
-        ]
+        points = []
+        for row in table.to_pylist():
+            value = float("inf") if row["objective"] is None else row["objective"]
+            slope = tuple(float("nan") if row[c] is None else row[c] for c in slopes)
+            points.append(Evaluation(tuple(row[c] for c in free), value, slope, row["seconds"]))
     except (pa.ArrowException, OSError, ValueError, KeyError):
         raise UserError(
             f"{target.name}/{file}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
@@ -156,30 +145,28 @@ def finish(target: storage.Target, about: str, tuned: Any) -> None:
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(target: storage.Target, whole: str, about: str, basis: dict[str, Any]) -> dict[str, Any] | None:
+def finished(target: storage.Target, whole: str, about: str, basis: TomlTable) -> TomlTable | None:
     """Return what an earlier run of the same tuning has found; None where there is none.
 
     `whole` describes the finished tuning, `about` and `basis` its history.
     """
-    content = storage.text(target, FOUND)
     try:
-        study = toml_text.parse(content or b"")
+        study = toml_text.parse(storage.text(target, FOUND) or b"")
         said = study.pop("resolved")["tuning"]
         if said.pop("about") != whole:
             return None
-        judged = [_judged(**j) for j in said.pop("judged")]
+        judged = []
+        for each in said.pop("judged"):
+            first, many, (start, tuned) = each.pop("first"), each.pop("seeds"), each.pop("diverged")
+            judged.append(Judgement(seeds=counted(first, many), diverged=(start, tuned), **each))
         return said | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
 
 
-def plain(judged: Judgement) -> dict[str, Any]:
+def plain(judged: Judgement) -> TomlTable:
     """Return a judgement as it is written: of its seeds the first, and how many."""
     said = judged._asdict()
     seeds = said.pop("seeds")
     head = {"what": said.pop("what"), "first": seeds.first, "seeds": seeds.many}
     return head | said | {"diverged": list(judged.diverged)}
-
-
-def _judged(first: int, seeds: int, diverged: list[int], **rest: Any) -> Judgement:
-    return Judgement(seeds=counted(first, seeds), diverged=(diverged[0], diverged[1]), **rest)

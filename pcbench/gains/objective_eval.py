@@ -1,4 +1,9 @@
-"""How the objective of a tuning is evaluated, and by which optimizer."""
+"""How the objective of a tuning is evaluated, by which optimizer: over training runs, or as its expected value.
+
+The expected value is over all noise, with its gradient: no training runs, no judging runs. Value and derivatives along the
+directions in which free parameters move the gains are exact moments (`moments.gradients`); the directions come from the
+observer's own design by central differences, as those over runs do.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,17 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from pcbench.dataset.seed_ranges import counted
 from pcbench.engine import runner
 from pcbench.errors import DigitsError, UserError
 from pcbench.gains import optimizers
+from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
+from pcbench.moments import gradients, stats_rows
+from pcbench.moments.exactness import refusal
+from pcbench.moments.realisations import Realised
 from pcbench.planning import run_local
 from pcbench.planning.padding import Plan
 from pcbench.simulation.schedule.common_times import Schedule
+from pcbench.statistics import POOLED
 
 METHODS = ("descent", "search")
 Evaluate = Callable[[Vector], tuple[float, Vector]]
+SQUARES = {"mse": ("square", 0), "steady_mse": ("square", 1)}
+SIZES = {"mae": ("absolute", 0), "steady_mae": ("absolute", 1)}
+SUMS = SQUARES | SIZES  # of `moments.error_sums`, and which of its two: over the horizon, or over the tail
+OFFERED = (*SUMS, *POOLED)
+INSTEAD = "leave exact out, and it is tuned on runs"
 
 
 def check_estimates(p: Plan, aim: Objective, where: str) -> None:
@@ -34,8 +50,11 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
         )
 
 
-def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
-    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for without one."""
+def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: str) -> str:
+    """Return descent where there is a gradient, as every exact objective has, or else search.
+
+    Raises UserError where descent is asked for without one.
+    """
     if asked not in (None, *METHODS):
         raise UserError(f"{where}: --optimizer: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
@@ -44,7 +63,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
         "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
         "a closed loop is not differentiated": p.layout.controller is not None,
     }
-    reasons = [reason for reason, holds in against.items() if holds]
+    reasons = [] if exact else [reason for reason, holds in against.items() if holds]
     if asked == "descent" and reasons:
         raise UserError(f"{where}: --optimizer: got descent, but {reasons[0]}; expected search; leave it out.")
     return asked or ("search" if reasons else "descent")
@@ -79,3 +98,65 @@ def evaluator(
             return float("inf"), np.full(len(point), np.nan)
 
     return at
+
+
+def require_exact_value(aim: Objective, where: str) -> None:
+    """Raise UserError where a metric has no exact value, whatever the cell."""
+    if aim.metric not in OFFERED:
+        why = stats_rows.RUNS_ONLY.get(aim.metric, "it is of runs alone")
+        raise UserError(
+            f"{where}: --objective: got {aim.metric}, which has no exact value ({why}), expected one of {', '.join(OFFERED)}; "
+            f"write one of them, or {INSTEAD}."
+        )
+
+
+def exact_cell(aim: Objective, p: Plan, where: str) -> Realised:
+    """Return the cell as its moments move; raise UserError where its objective has no exact value."""
+    require_exact_value(aim, where)
+    one = gradients.single(p)
+    if one is None:
+        raise UserError(
+            f"{where}: exact: got runs with schedules or plants of their own, expected what all runs share, as a gradient "
+            f"is of one schedule; {INSTEAD}."
+        )
+    if aim.metric in SIZES and (one.layout.scattered or one.chance < 1):
+        raise UserError(
+            f"{where}: --objective: got {aim.metric} of an error that is not normal (a start in a box, or a mixture over "
+            f"losses), expected one of {', '.join((*SQUARES, *POOLED))}; write one of them, or {INSTEAD}."
+        )
+    return one
+
+
+def exact_evaluator(
+    p: Plan, one: Realised, aim: Objective, many: int, design: Callable[[Vector], Any], where: str
+) -> Evaluate:
+    """Return what evaluates a point of `many` free parameters: infinite where its gains are refused, or nothing is exact.
+
+    Raises UserError where nothing is exact at the first point: that is the observer's nature, not its gains'.
+    """
+    call, (kind, part) = gradients.sloped(p, one, many), SUMS[aim.base]
+    count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
+    seen: list[Vector] = []
+
+    def at(point: Vector) -> tuple[float, Vector]:
+        lost = float("inf"), np.full(many, np.nan)
+        try:
+            found = call(design(point), optimizers.directions(design, point))
+        except (UserError, ValidationError):  # its design refuses, or it is no option
+            return lost
+        if why := refusal(found.cell, p.labels[0], INSTEAD):
+            if not seen:
+                raise UserError(f"{where}: exact: {why}")
+            return lost
+        seen.append(point)
+        mean = float(getattr(found.cell.sums, kind)[part, aim.signal, 0]) / count
+        slope = getattr(found.slopes, kind)[part, aim.signal] / count
+        return aim.of(mean), aim.slope(mean) * slope
+
+    return at
+
+
+def exact_judgement(aim: Objective, start: float, tuned: float) -> Judgement:
+    """Return start and tuned as their expected values: no seeds, no errors."""
+    a, b = aim.mean(start), aim.mean(tuned)
+    return Judgement("exact", counted(0, 0), a, 0.0, b, 0.0, difference=b - a, difference_se=0.0, diverged=(0, 0))

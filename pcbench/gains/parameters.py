@@ -66,7 +66,16 @@ def start(
     `names` None: every tunable option that has such a start. Raises UserError where a name is not of an
     option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
     """
-    allowed, found, values = tunable(entry), list[Free](), list[Vector]()
+    allowed, free, values = tunable(entry), list[Free](), list[Vector]()
+
+    def holds(one: Free, at: Vector) -> bool:
+        """Say whether the option can hold such a value: not where it asks for one number and gets one for each output."""
+        try:
+            put(options, [one._replace(first=0)], at)
+        except ValidationError:
+            return False
+        return True
+
     for name in allowed if names is None else names:
         if name not in allowed:
             raise UserError(
@@ -74,43 +83,37 @@ def start(
             )
         value = getattr(options, name)
         value = designed.get(name) if value is None or isinstance(value, str) else value
-        one = None if value is None else _free(entry, name, value, sum(f.size for f in found))
-        if one is not None and not one[0].shape and not _holds(options, *one):  # it takes a list, if only of one
-            one = one[0]._replace(shape=(1,)), one[1]
-        if one is None or not _holds(options, *one):
-            if names is None:
+        if value is not None:
+            one, at = _free(entry, name, value, sum(f.size for f in free))
+            if not one.shape and not holds(one, at):  # it takes a list, if only of one
+                one = one._replace(shape=(1,))
+            if holds(one, at):
+                free.append(one)
+                values.append(at)
                 continue
+        if names is not None:
             raise UserError(
                 f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
             )
-        found.append(one[0])
-        values.append(one[1])
-    if not found:
+    if not free:
         raise NothingFree(
             f"{where}: got an observer without free parameters, expected one that has some; tune another."
         )
-    return found, np.concatenate(values)
+    return free, np.concatenate(values)
 
 
 def _free(entry: ObserverSpec, name: str, value: Any, first: int) -> tuple[Free, Vector]:
-    """One parameter, and its numbers at a value."""
+    """One parameter, bounded as its option's declaration says, and its numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
-    kind, edges = _kind(field), extra(field)[TUNABLE]
+    bounds, edges = [*field.metadata, *_inside(field.annotation)], extra(field)[TUNABLE]
+    positive = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
+    kind = "between" if edges else "positive" if positive else "real"
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
     scale = high - low if high - low > LEAST else 1.0  # a gain of 0 says nothing of its size
     one = Free(name, kind, number.shape, low, scale, first)
     return one, _unbounded(number, one).ravel()
-
-
-def _holds(options: BaseModel, one: Free, at: Vector) -> bool:
-    """Say whether an option can hold such a value: not where it asks for one number and gets one for each output."""
-    try:
-        put(options, [one._replace(first=0)], at)
-    except ValidationError:
-        return False
-    return True
 
 
 def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Any]]) -> list[str]:
@@ -173,15 +176,6 @@ def _unbounded(value: Vector, f: Free) -> Vector:
         inside = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
         return np.asarray(np.log(inside / (1 - inside)))
     return np.asarray(value / f.scale)
-
-
-def _kind(field: FieldInfo) -> str:
-    """How an option is bounded, by its own declaration."""
-    if extra(field)[TUNABLE]:
-        return "between"
-    bounds = [*field.metadata, *_inside(field.annotation)]
-    low = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
-    return "positive" if low else "real"
 
 
 def _inside(annotation: Any) -> list[Any]:

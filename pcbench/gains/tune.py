@@ -13,7 +13,8 @@ from pcbench import planning
 from pcbench.dataset import storage
 from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import expected_objective, history, objective_eval, optimizers, parameters
+from pcbench.gains import history, objective_eval, optimizers, parameters
+from pcbench.gains.design import BACK, changed
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
@@ -23,17 +24,16 @@ from pcbench.planning import padding
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, given, parse
-from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.options import own_options
 from pcbench.study.plugins.references import absolute
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design, DesignContext, is_certified
+from pcbench.toml_text import TomlTable
 
 BUDGET = 60
 TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
 JUDGES = counted(3_500_000_000, 1024)
-BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
 
 
 class NoStart(UserError):
@@ -43,9 +43,9 @@ class NoStart(UserError):
 class Tuning(NamedTuple):
     """What a tuning found."""
 
-    study: dict[str, Any]  # the scenario and the observer with the options chosen: what tuned.toml says
-    start: dict[str, Any]  # the free parameters as they were,
-    found: dict[str, Any]  # and at the least value seen
+    study: TomlTable  # the scenario and the observer with the options chosen: what tuned.toml says
+    start: TomlTable  # the free parameters as they were,
+    found: TomlTable  # and at the least value seen
     kept_start: str  # why the start was kept; empty: what was found is chosen
     judged: list[Judgement]
     points: list[Evaluation]
@@ -86,7 +86,7 @@ def tune(
         study, cell = parse.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"
-        aim = objective_of(objective or default(exact_objective), cell.scenario, signal, where)
+        aim = objective_of(objective or ("pooled_rmse" if exact_objective else "rmse"), cell.scenario, signal, where)
         draws = "exact" if exact_objective else f"seeds {training}"
         how_far = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
@@ -98,7 +98,10 @@ def tune(
         if done := history.finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
-        study, cell, designed = _startable(study, cell, observer, known)
+        designed = planning.designed(observer, cell.entry(observer), known, cell.options[observer])
+        if decay := getattr(cell.options[observer], "decay", None):
+            # a gain found for a rate stands at its edge, where another proof of the same rate may fail
+            study, cell = parse.one_cell(changed(study, observer, {"decay": BACK * decay}), [observer], [])
         options, entry = cell.options[observer], cell.entry(observer)
         every, start = freed(observer, entry, known, options, designed, only, where)
 
@@ -107,11 +110,11 @@ def tune(
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         objective_eval.check_estimates(p, aim, where)
+        how = objective_eval.method_for(optimizer, aim, p, exact_objective, where)
         if exact_objective:
-            how, one = expected_objective.method_for(optimizer, where), expected_objective.check(aim, p, where)
-            evaluate = expected_objective.evaluator(p, one, aim, len(start), design, where)
+            one = objective_eval.exact_cell(aim, p, where)
+            evaluate = objective_eval.exact_evaluator(p, one, aim, len(start), design, where)
         else:
-            how = objective_eval.method_for(optimizer, aim, p, where)
             evaluate = objective_eval.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(target, about, parameters.entries(every), basis)
         progress.begin("points", budget)
@@ -119,7 +122,7 @@ def tune(
         descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
         if exact_objective:
-            judged, kept = [expected_objective.judgement(aim, trials.points[0].value, trials.best.value)], ""
+            judged, kept = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)], ""
         else:
             progress.note("judging on other seeds")
             judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
@@ -141,26 +144,6 @@ def tune(
         return tuned
 
 
-def default(exact: bool) -> str:
-    """Return the objective that is taken where none is named: the mean of a root has no exact value."""
-    return "pooled_rmse" if exact else "rmse"
-
-
-def _startable(study: Study, cell: Cell, observer: str, known: DesignContext) -> tuple[Study, Cell, Design]:
-    """The study and its cell with their observer's design; a decay is asked for a little slower.
-
-    A gain found for a rate stands at its edge, where another proof of the same rate may fail.
-    """
-    options = cell.options[observer]
-    designed = planning.designed(observer, cell.entry(observer), known, options)
-    decay = getattr(options, "decay", None)
-    if not decay:
-        return study, cell, designed
-    mine = study.options.get(observer, {}) | {"decay": BACK * decay}
-    slower = study.model_copy(update={"options": study.options | {observer: mine}})
-    return *parse.one_cell(slower, [observer], []), designed
-
-
 def freed(
     observer: str,
     entry: ObserverSpec,
@@ -171,11 +154,13 @@ def freed(
     where: str,
 ) -> tuple[list[parameters.Free], Vector]:
     """Return the free parameters that gains depend on here, and where they start; errors as of `parameters.start`."""
-    every, at = parameters.start(observer, entry, options, designed.certificate.numbers, only, where)
+    numbers = designed.certificate.numbers
+    every, at = parameters.start(observer, entry, options, numbers, only, where)
 
     def gains(there: Vector) -> list[Any]:
-        there_too = parameters.put(options, every, there)
-        return optimizers.numbers(planning.designed(observer, entry, known, there_too).gains)
+        return optimizers.numbers(
+            planning.designed(observer, entry, known, parameters.put(options, every, there)).gains
+        )
 
     used = parameters.used(every, at, gains)
     if not used:
@@ -184,7 +169,7 @@ def freed(
             f"{where}: got free parameters ({names}) that its gains do not depend on as they are found here, expected one that "
             "they do; change the way they are found, or tune another observer."
         )
-    return parameters.start(observer, entry, options, designed.certificate.numbers, used, where)
+    return parameters.start(observer, entry, options, numbers, used, where)
 
 
 def descend(
@@ -236,7 +221,7 @@ def _check(budget: int, training: Seeds, judges: Seeds, exact: bool, where: str)
         )
 
 
-def with_options(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
+def with_options(study: Study, observer: str, chosen: TomlTable) -> TomlTable:
     """Return the study with the observer's options put in, as TOML writes it."""
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     options = raw.get("options", {})

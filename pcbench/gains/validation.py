@@ -3,8 +3,6 @@
 What a study's `tune.only` names of each observer, and whether the labels of its versions are free.
 """
 
-from typing import Any
-
 from pcbench.dataset import run_study
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError, unknown
@@ -16,17 +14,12 @@ from pcbench.scenarios import Scenario
 from pcbench.statistics import POOLED
 from pcbench.study import Study, given, parse, scenarios_of
 from pcbench.study.labels import entry_in
+from pcbench.toml_text import TomlTable
 
 WORSE = 2.0  # standard errors that tuned may be worse than its start
 
 
-def judge(
-    study: Study,
-    observer: str,
-    found: dict[str, Any],
-    aim: Objective,
-    seeds: dict[str, Seeds],
-) -> list[Judgement]:
+def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: dict[str, Seeds]) -> list[Judgement]:
     """Run start and tuned on the same draws, for each range of seeds."""
     base = base_of(observer) or observer
     mine = given(study, scenarios_of(study)[study.scenarios[0]], observer)

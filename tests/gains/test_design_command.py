@@ -170,7 +170,7 @@ TRADES = {
 @pytest.mark.parametrize("observer", TRADES)
 def test_a_faster_promise_costs_something(observer):
     scenario, option, values, options, cost = TRADES[observer]
-    study = parse.study_of(scenario, {"options": {observer: options}}, [])
+    study = parse.grid_of(scenario, {"options": {observer: options}}, []).study
     table = pcbench.trade_off(study, observer, option, values)
     assert table.rate[1] > table.rate[0]
     assert table[cost][1] > table[cost][0]

@@ -11,7 +11,7 @@ from reference import linear, moments
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.gains import expected_objective, tune
+from pcbench.gains import objective_eval, tune
 from pcbench.gains.objective import objective_of
 from pcbench.planning import padding
 from pcbench.runtime import config
@@ -58,8 +58,8 @@ def asked(study, observer, objective, signal=None, only=None):
 
     (p,) = padding.fit(list(planning.drafts([cell])))
     aim = objective_of(objective, cell.scenario, signal, "test")
-    return expected_objective.evaluator(
-        p, expected_objective.check(aim, p, "test"), aim, len(start), design, "test"
+    return objective_eval.exact_evaluator(
+        p, objective_eval.exact_cell(aim, p, "test"), aim, len(start), design, "test"
     ), start
 
 
@@ -146,9 +146,9 @@ def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
         _, cell = parse.one_cell(OWN, ["model-only"], [])
         (p,) = padding.fit(list(planning.drafts([cell])))
     boxed = p._replace(layout=p.layout._replace(scattered=True))
-    expected_objective.check(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
+    objective_eval.exact_cell(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
     with pytest.raises(UserError, match="got steady_mae of an error that is not normal"):
-        expected_objective.check(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
+        objective_eval.exact_cell(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
 
 
 @pytest.mark.ci
