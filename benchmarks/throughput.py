@@ -176,7 +176,7 @@ def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
     for kind, given in OTHERS.items():
         table = "lti" if "lti" in given else "scenario"
         cut = {table: given[table] | {"duration": SHORT[kind], "steady_start": SHORT[kind] / 2}} if small else {}
-        (p,) = planning.plan(parse.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
+        (p,) = planning.plan(parse.grid_of({"name": "kind", "seeds": lanes} | given | cut, {}, []).study)
         layout, seeds, ticks = p.layout._replace(width=lanes), np.arange(lanes), p.cell.times.ticks
         jobs = [runner.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
         made, start = runner.program(layout, jobs[0]), perf_counter()
@@ -283,7 +283,7 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
             "options": {"scenario": {"random_initial_state": random}},
             "engine": "products",
         }
-        (planned,) = planning.plan(parse.study_of(parse.load(SCENARIO, []), given, []))
+        (planned,) = planning.plan(parse.grid_of(parse.load(SCENARIO, []), given, []).study)
         ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)

@@ -4,13 +4,14 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from pcbench import fields
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import CHAIN, LOST, TURNS
+from pcbench.scenarios.scenario import LOST, TURNS
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -27,12 +28,25 @@ AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
 ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
+Limit = tuple[Callable[[float], bool], str]  # what a number must be, and the same in words
+PROBABILITY: Limit = (lambda n: n <= 1, "a probability from 0 to 1; divide a percentage by 100.")
+LIMITS: dict[str, Limit] = dict.fromkeys(SHARES, PROBABILITY) | {
+    "dither": (lambda n: n in (0, 1), "1 (with subtractive dither) or 0 (without)."),
+    "delay_gamma_shape": (lambda n: n > 0, "a shape greater than 0; write 1 for an exponential."),
+    "assumed_noise_scale": (
+        lambda n: n > 0,
+        "a number greater than 0: how many times larger noise is believed to be than it is; write 1 where that is right.",
+    ),
+    "student_t_dof": (
+        lambda n: n > 2,
+        "more than 2 degrees of freedom, so that Student's t has a variance; write 2.5 or more, or inf for Gaussian noise.",
+    ),
+}
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
-    parameters = [f"plant.{p}" for p in parameters_in(base)]
-    known = [*axes_of(base), *parameters]
+    known = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
     if name not in known:
         raise unknown(where, f"axis of {base.name}", name, known)
     if not values:
@@ -55,21 +69,20 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
 
 def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
-    if name == "sampling_pattern":
-        return _profile(value, base, where)
-    if name in (*CHAIN, "delay_weights"):
-        return _of_the_chain(name, value, base, where)
-    if name in TURNS:
-        return _turns(value, base, where)
-    if name in SENSORS and isinstance(value, list | tuple):
-        each = _each(name, list(value), base, where)
-        found = tuple(_single(name, v, base, where) for v in each)
-        return found if len(set(found)) > 1 else found[0]
-    if name not in (*CHANNELS, *STATES, *OUTPUTS):
+    if name in LISTS or name == "delay_self_transition":
+        return _list(name, value, base, where)
+    several = isinstance(value, list | tuple)
+    if name not in (*CHANNELS, *STATES, *OUTPUTS) and not (name in SENSORS and several):
         return _single(name, value, base, where)
     if name in OUTPUTS and value in ([], ()):
         return ()
-    each = _each(name, value, base, where)
+    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    each = list(value) if isinstance(value, list) or (name in SENSORS and several) else [value] * many
+    if len(each) != many:
+        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
+    if name in SENSORS:
+        numbers = tuple(_single(name, v, base, where) for v in each)
+        return numbers if len(set(numbers)) > 1 else numbers[0]
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
             raise UserError(
@@ -78,51 +91,27 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             )
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (INTERVAL,) * len(each)
-    numbers = [number(v, where, least=0.0) for v in each]
-    if name in TIMES:
-        for v in numbers:
-            _whole_ticks(name, v, base, where)
-    return tuple(numbers)
-
-
-def _each(name: str, value: Any, base: Scenario, where: str) -> list[Any]:
-    """One value as that of all states or output channels, or a list of one for each."""
-    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
-    each = value if isinstance(value, list) else [value] * many
-    if len(each) != many:
-        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
-    return each
+        return (INTERVAL,) * many
+    numbers = tuple(number(v, where, least=0.0) for v in each)
+    for v in numbers if name in TIMES else ():
+        _require_whole_ticks(name, v, base, where)
+    return numbers
 
 
 def _single(name: str, value: Any, base: Scenario, where: str) -> float:
     """A number of an axis that is one."""
-    least = None if name in SIGNED or name.startswith("plant.") else 0.0
     if name == "student_t_dof" and value == math.inf:
         return math.inf
-    n = number(value, where, least)
+    n = number(value, where, None if name in SIGNED or name.startswith("plant.") else 0.0)
     if name in TIMES:
-        _whole_ticks(name, n, base, where)
-    if name.removeprefix("plant.") in entry_of(base).positive and n <= 0:
+        _require_whole_ticks(name, n, base, where)
+    plant, parameter = entry_of(base), name.removeprefix("plant.")
+    if parameter in plant.positive and n <= 0:
         raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
-    if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
+    if parameter in plant.signs and abs(n) != 1:
         raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-    if name in SHARES and n > 1:
-        raise UserError(f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100.")
-    if name == "dither" and n not in (0, 1):
-        raise UserError(f"{where}: got {shown(value)}, expected 1 (with subtractive dither) or 0 (without).")
-    if name == "delay_gamma_shape" and n <= 0:
-        raise UserError(f"{where}: got {shown(value)}, expected a shape greater than 0; write 1 for an exponential.")
-    if name == "assumed_noise_scale" and n <= 0:
-        raise UserError(
-            f"{where}: got {shown(value)}, expected a number greater than 0: how many times larger noise is believed to be "
-            "than it is; write 1 where that is right."
-        )
-    if name == "student_t_dof" and n <= 2:
-        raise UserError(
-            f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, so that Student's t has a variance; "
-            "write 2.5 or more, or inf for Gaussian noise."
-        )
+    if name in LIMITS and not LIMITS[name][0](n):
+        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name][1]}")
     return n
 
 
@@ -143,49 +132,36 @@ def number(value: Any, where: str, least: float | None) -> float:
     return float(value)
 
 
-def _profile(value: Any, base: Scenario, where: str) -> str | tuple[float, ...]:
-    if isinstance(value, str):
+def _list(name: str, value: Any, base: Scenario, where: str) -> str | tuple[float | str, ...]:
+    """A list of numbers, or what may stand for it; of the sampling's intervals, a name."""
+    if name == "sampling_pattern" and isinstance(value, str):
         if value not in PROFILES:
             raise unknown(where, "sampling_pattern (or list of intervals)", value, PROFILES)
         return value
-    if not isinstance(value, list | tuple) or not value:
-        raise UserError(
-            f"{where}: got {shown(value)}, expected one of {', '.join(PROFILES)} or a list of intervals [s]."
-        )
-    out = tuple(number(v, where, least=None) for v in value)
-    for v in out:
-        if v <= 0:
-            raise UserError(f"{where}: got an interval of {v:g} s, expected at least one tick, {base.dt:g} s.")
-        _whole_ticks("sampling_period", v, base, where)
-    return out
-
-
-def _of_the_chain(name: str, value: Any, base: Scenario, where: str) -> tuple[float, ...]:
+    expected = {
+        "sampling_pattern": f"one of {', '.join(PROFILES)} or a list of intervals [s].",
+        "delay_sequence": f"a list of seconds and '{LOST}', one for each sample in turn.",
+    }
+    if name in expected and (not isinstance(value, list | tuple) or (not value and name == "sampling_pattern")):
+        raise UserError(f"{where}: got {shown(value)}, expected {expected[name]}")
+    least = None if name == "sampling_pattern" else 0.0
     each = value if isinstance(value, list | tuple) else [value]
-    out = tuple(number(v, where, least=0.0) for v in each)
+    out = tuple(v if v == LOST and name in TURNS else number(v, where, least) for v in each)
     for v in out:
-        if name == "delay_values":
-            _whole_ticks("delay", v, base, where)
-        elif name == "delay_self_transition" and v >= 1:
+        if isinstance(v, str):
+            continue
+        if name == "sampling_pattern" and v <= 0:
+            raise UserError(f"{where}: got an interval of {v:g} s, expected at least one tick, {base.dt:g} s.")
+        if name == "delay_self_transition" and v >= 1:
             raise UserError(
                 f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
             )
+        if name not in ("delay_self_transition", "delay_weights"):
+            _require_whole_ticks("sampling_period" if name == "sampling_pattern" else "delay", v, base, where)
     return out
 
 
-def _turns(value: Any, base: Scenario, where: str) -> tuple[float | str, ...]:
-    if not isinstance(value, list | tuple):
-        raise UserError(
-            f"{where}: got {shown(value)}, expected a list of seconds and '{LOST}', one for each sample in turn."
-        )
-    out = tuple(v if v == LOST else number(v, where, least=0.0) for v in value)
-    for v in out:
-        if not isinstance(v, str):
-            _whole_ticks("delay", v, base, where)
-    return out
-
-
-def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
+def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
     ticks = value / base.dt
     if abs(ticks - round(ticks)) > 1e-6:
         below, above = max(math.floor(ticks), int(name == "sampling_period")) * base.dt, math.ceil(ticks) * base.dt

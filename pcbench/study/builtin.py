@@ -1,14 +1,14 @@
 """The studies that pcbench brings along, by name."""
 
 from math import inf
-from typing import Any
 
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
+from pcbench.toml_text import TomlTable
 
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
-BELIEFS: dict[str, dict[str, Any]] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
+BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
     "as-assumed": {},
     "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain knows R against Q alone
     "noise-under": {"assumed_process_std": [std * 4 for std in WANDER]},
@@ -141,9 +141,7 @@ STUDIES = {
         },
     ),
     "reactor": Study(  # a poor start: who fails, who is told to doubt, who knows what cannot be?
-        name="reactor",
-        scenarios=["reactor/batch"],
-        seeds=256,
+        name="reactor", scenarios=["reactor/batch"], seeds=256
     ),
     "equal-tuning-reactor": Study(  # does tuning, the same for all, do what bounds do?
         name="equal-tuning-reactor",

@@ -1,15 +1,14 @@
 """A study's own controller, `[controller]`: which law closes the loop of its scenarios, with what options, how far away."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from pcbench.controllers import CONTROLLERS, ControllerContext
 from pcbench.controllers import entry_of as law_of
-from pcbench.controllers.parts.common import Sizes, matrix
-from pcbench.dynamics.linear import Model
+from pcbench.controllers.parts.common import Sizes
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import DesignError, UserError, unknown
 from pcbench.plants import entry_of, numbers_of, states_of
@@ -17,10 +16,9 @@ from pcbench.scenarios import Scenario
 from pcbench.study import axes, times
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.plugins.user_observers import filled
-from pcbench.study.pydantic_errors import sentence
 from pcbench.synthesis import lqr
+from pcbench.toml_text import TomlTable
 
-__all__ = ["Network", "Slowest", "closed", "held", "matrix", "sizes", "slowest", "told", "warning"]
 Size = Annotated[float, Strict(), Field(ge=0)]
 
 
@@ -39,15 +37,12 @@ class Network(BaseModel):
     command_std: Size = Field(0.0, description="standard deviation of the noise of a command")
 
 
-def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own]) -> Scenario:
+def closed(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) -> Scenario:
     """Return a scenario with its loop closed by a study's controller; `own` has those of the user's, by MODULE:NAME.
 
     Raises UserError naming the key that does not fit.
     """
-    try:
-        way = Network.model_validate(given)
-    except ValidationError as error:
-        raise sentence(where, error, {"": [*Network.model_fields]}) from None
+    way = filled(Network, given, where)
     able = [name for name, entry in CONTROLLERS.items() if entry.check]
     mine = own.get(way.use)
     if mine is None and way.use not in able:
@@ -96,10 +91,20 @@ def sizes(s: Scenario, where: str) -> Sizes:
 
 
 def told(s: Scenario) -> ControllerContext:
-    """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open."""
-    late = s.loop.actuator_delay or 0.0
+    """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open.
+
+    Its model has the known part of the plant's unknown input in it, linearised at x = 0.
+    """
+    model, late = entry_of(s).nominal(numbers_of(s)), s.loop.actuator_delay or 0.0
+    if model.known is not None and model.E is not None:
+        import jax
+        import jax.numpy as jnp
+
+        known = jax.tree.map(jnp.asarray, model.known)
+        slope = np.asarray(jax.jacfwd(known)(jnp.zeros(len(model.A))))
+        model = model._replace(A=model.A + model.E @ slope)
     return ControllerContext(
-        model=_at_rest(entry_of(s).nominal(numbers_of(s))),
+        model=model,
         dt=s.dt,
         ticks=0,
         rows=0,
@@ -108,18 +113,6 @@ def told(s: Scenario) -> ControllerContext:
         states=tuple(name for name, _ in states_of(s)),
         delay=times.actuator_delay(s),
     )
-
-
-def _at_rest(model: Model) -> Model:
-    """The model with the known part of its unknown input in it, linearised at x = 0."""
-    if model.known is None or model.E is None:
-        return model
-    import jax
-    import jax.numpy as jnp
-
-    known = jax.tree.map(jnp.asarray, model.known)
-    slope = np.asarray(jax.jacfwd(known)(jnp.zeros(len(model.A))))
-    return model._replace(A=model.A + model.E @ slope)
 
 
 class Slowest(NamedTuple):
@@ -132,12 +125,10 @@ class Slowest(NamedTuple):
 
 def slowest(s: Scenario, where: str) -> Slowest | None:
     """Return what a scenario's loop settles by, the state known; None where it has no law for any plant, or no linear one."""
-    if not held(s):
+    entry = law_of(s) if held(s) else None
+    if entry is None or entry.linear is None:
         return None
-    entry, known = law_of(s), told(s)
-    options = entry.options.model_validate(dict(s.loop.control))
-    if entry.linear is None:
-        return None
+    known, options = told(s), entry.options.model_validate(dict(s.loop.control))
     try:
         law = entry.linear(options, known)
     except DesignError as error:

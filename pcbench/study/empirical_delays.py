@@ -21,6 +21,7 @@ from pcbench.recordings.survey import survey
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
 from pcbench.study.lti import Lti
+from pcbench.toml_text import TomlTable
 
 FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
@@ -31,7 +32,7 @@ INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and wha
 Ticks = NDArray[np.float64]
 
 
-def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float) -> dict[str, Any]:
+def resolved(table: TomlTable, where: str, folder: Path | None, tick: float) -> TomlTable:
     """Return a study's table with the delays of the log that it names; as it is where it names none."""
     if not names_log(table):
         return table
@@ -62,13 +63,13 @@ def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float
     return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
 
 
-def names_log(table: dict[str, Any]) -> bool:
+def names_log(table: TomlTable) -> bool:
     """Say whether the delay of a table is that of a log."""
     asked = table.get("delay")
     return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
 
 
-def duration_of(table: dict[str, Any]) -> float:
+def duration_of(table: TomlTable) -> float:
     """Return the horizon of a table [s], as it says it or as its base has it; inf where that is a scenario of a user's own."""
     said, base = table.get("duration"), table.get("base")
     if isinstance(said, int | float) and said > 0:
@@ -78,7 +79,7 @@ def duration_of(table: dict[str, Any]) -> float:
     return float(Lti.model_fields["duration"].default)
 
 
-def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> dict[str, Any]:
+def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> TomlTable:
     """Return instants and delays as they came, of samples sorted by when they were taken [s]; late [ticks], NaN: lost.
 
     Raises UserError, which begins with what was `got`, where there are fewer than two instants, or samples of one tick were
@@ -110,7 +111,7 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     }
 
 
-def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> dict[str, Any]:
+def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> TomlTable:
     """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the

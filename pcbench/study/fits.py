@@ -1,6 +1,8 @@
-"""Whether a cell can be run: periods, delays and loops that fit the tick, the horizon and the observers."""
+"""Whether a cell can be run: periods, delays, faults of samples and loops that fit the tick, the horizon and the observers."""
 
+import itertools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -8,208 +10,306 @@ from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
-from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import STAMPS, PerChannel, per_channel
+from pcbench.scenarios import INTERVAL, Belief, Sampling, Scenario
+from pcbench.scenarios.scenario import LOST, STAMPS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
-from pcbench.study import validate
 from pcbench.study.axes import plain
-from pcbench.study.times import OF_A_SENSOR, clocks, require_few_samples, whole
+from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, whole
 
 # what makes delays differ from sample to sample, besides a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
 STAMPED = ("clock_skew", "timestamp_jitter")  # and what makes them seem to
+OF_A_SAMPLER = (  # axes without effect where measurement is continuous
+    *("sampling_pattern", "sampling_jitter", "delay_jitter", *LATENESS, "loss", "quantization_step", *STAMPS),
+    *("assumed_delay_error", "outlier_probability", "student_t_dof", "assumed_noise_scale"),
+)
+REACH = 10  # times the horizon: no sample that is later ever arrives
 
 
 def fits(s: Scenario, where: str) -> None:
-    """Raise UserError where a scenario's times do not fit together."""
-    ticks, measured = whole(s.duration, s), s.sampling
-    if measured.continuous:
-        _at_every_stage(s, where)
-    _loop(s, where)
-    if s.truth.parameter_drift and not drifts(s):
-        raise UserError(
-            f"{where}: got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, where nothing drifts, expected "
-            f"0; leave it out."
-        )
-    validate.require_delays_within_reach(s, where)
-    for clock in clocks(s):
-        least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
-        if clock.jitter and 2 * clock.jitter >= least:
-            raise UserError(
-                f"{where}: got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, "
-                f"expected less than "
-                f"half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
-            )
-        youngest = sampling.ages(clock, ticks)[0]
-        if late := clock.stamp.reach(ticks)[1]:
-            validate.require_stamps_before_arrivals(s, late, youngest + whole(s.belief.assumed_delay_error, s), where)
-        if youngest * s.dt + s.belief.assumed_delay_error < -1e-9:
-            raise UserError(
-                f"{where}: got an assumed_delay_error of {s.belief.assumed_delay_error:g} s where samples may be only "
-                f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
-                f"{-youngest * s.dt:g}."
-            )
-    validate.fits(s, where)
-    if not measured.continuous:
-        require_few_samples(clocks(s), ticks, s.dt, where)
+    """Raise UserError where times do not fit together, or a fault of samples has no effect or cannot be as asked."""
+    misfits = itertools.chain(
+        _of_continuous(s), _of_loop(s), _of_clocks(s), _of_sensors(s), _of_delays(s), _of_stamps(s)
+    )
+    if sentence := next(misfits, ""):
+        raise UserError(f"{where}: {sentence}")
+    if not s.sampling.continuous:
+        require_few_samples(clocks(s), whole(s.duration, s), s.dt, where)
 
 
-def _at_every_stage(s: Scenario, where: str) -> None:
-    """Raise UserError where a scenario that measures continuously is given a sampler's axis."""
-    nothing = {
-        "sampling_period": (s.dt,) * len(s.sampling.delay),
-        "delay": (0.0,) * len(s.sampling.delay),
-        "noise_std": (0.0,) * len(s.sampling.delay),
-        "sampling_pattern": "periodic",
-        "sampling_jitter": 0.0,
-        "delay_jitter": 0.0,
-        "delay_values": (),
-        "delay_sequence": (),
-        "delay_gamma_mean": 0.0,
-        "loss": 0.0,
-        "quantization_step": (),
-        "timestamp_offset": 0.0,
-        "clock_skew": 0.0,
-        "timestamp_jitter": 0.0,
-        "assumed_delay_error": 0.0,
-        "outlier_probability": 0.0,
-        "student_t_dof": math.inf,
-        "assumed_noise_scale": 1.0,
-    }
+def _of_continuous(s: Scenario) -> Iterator[str]:
+    """Say which of a sampler's axes a scenario has that measures continuously."""
+    if not s.sampling.continuous:
+        return
+    q, usual = len(s.sampling.delay), {**Sampling._field_defaults, **Belief._field_defaults}
+    nothing: dict[str, object] = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
+    nothing |= {name: usual[name] for name in OF_A_SAMPLER}
     for name, value in nothing.items():
-        if s.value(name) != value and any(np.ravel(s.value(name)) if name == "quantization_step" else (True,)):
-            raise UserError(
-                f"{where}: got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without "
-                f"noise, expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
+        if s.value(name) != value and (name != "quantization_step" or any(s.value(name))):
+            yield (
+                f"got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without noise, "
+                "expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
             )
 
 
-def _loop(s: Scenario, where: str) -> None:
-    """Raise UserError for delays that a closed loop cannot have, and for an actuator delay where the loop is open."""
+def _of_loop(s: Scenario) -> Iterator[str]:
+    """Say which delays a closed loop cannot have, and which drift or actuator delay has no effect."""
     measured, actuator_delay = s.sampling, s.loop.actuator_delay
-    if not s.loop.controller:
-        if actuator_delay is not None:
-            raise UserError(
-                f"{where}: got actuator_delay = {actuator_delay:g} s in {s.name}, where no controller gives commands, "
-                "expected a closed loop such as helicopter/constant; leave it out."
+    if not s.loop.controller and actuator_delay is not None:
+        yield (
+            f"got actuator_delay = {actuator_delay:g} s in {s.name}, where no controller gives commands, expected a closed "
+            "loop such as helicopter/constant; leave it out."
+        )
+    # of a loop for any plant the sampler is any: its commands have a delay of their own
+    if s.loop.controller and measured.prefilled:
+        if measured.delay_sequence:
+            yield (
+                f"got delay_sequence in {s.name}, whose measuring began before t = 0, expected one delay of samples; leave "
+                "them out, or close the loop of another scenario (guide: loops)."
             )
-        return
-    if not measured.prefilled:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
-        return
-    if measured.delay_sequence:
-        raise UserError(
-            f"{where}: got delay_sequence in {s.name}, whose measuring began before t = 0, expected one delay of "
-            f"samples; leave "
-            "them out, or close the loop of another scenario (guide: loops)."
+        if any(clock.random for clock in clocks(s)):
+            yield (
+                f"got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
+                "offered with times of each run's own; leave sampling_jitter, delay_jitter, delay_values, delay_gamma_mean, "
+                "timestamp_jitter, loss and the sampling_pattern 'uniform' out."
+            )
+        if INTERVAL in measured.delay:
+            yield f"got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
+        if len(set(measured.delay)) > 1:
+            each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
+            yield f"got delays of {each} s in {s.name}, expected one for all channels; write one number."
+        least = 0.0 if actuator_delay is not None else s.dt / 2
+        yield from _too_short(s, "delay", float(measured.delay[0]), least)
+        if actuator_delay is not None:
+            yield from _too_short(s, "actuator_delay", actuator_delay, s.dt / 2)
+    if s.truth.parameter_drift and not drifts(s):
+        yield (
+            f"got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, where nothing drifts, expected 0; leave it "
+            "out."
         )
-    if any(clock.random for clock in clocks(s)):
-        raise UserError(
-            f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-            "offered with times of each run's own; leave sampling_jitter, delay_jitter, delay_values, delay_gamma_mean, "
-            "timestamp_jitter, loss and the sampling_pattern 'uniform' out."
-        )
-    if INTERVAL in measured.delay:
-        raise UserError(
-            f"{where}: got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
-        )
-    if len(set(measured.delay)) > 1:
-        each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
-        raise UserError(
-            f"{where}: got delays of {each} s in {s.name}, expected one for all channels; write one number."
-        )
-    _long_enough(s, "delay", float(measured.delay[0]), 0.0 if actuator_delay is not None else s.dt / 2, where)
-    if actuator_delay is not None:
-        _long_enough(s, "actuator_delay", actuator_delay, s.dt / 2, where)
 
 
-def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
-    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
+def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[str]:
+    """Say whether a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
     (swing, pace), t = s.sampling.delay_sine, (np.arange(whole(s.duration, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
-        raise UserError(
-            f"{where}: got {name} = {mean:g} s in {s.name}, which falls to {max(lowest, 0):g} s or less as it varies, expected "
-            f"at least half a tick on the way to the plant, and never below 0; write at least {need:g}."
+        yield f"got {name} = {mean:g} s in {s.name}, " + (
+            f"which falls to {max(lowest, 0):g} s or less as it varies, expected at least half a tick on the way to the "
+            f"plant, and never below 0; write at least {need:g}."
             if swing
-            else f"{where}: got {name} = {mean:g} s in {s.name}, expected 0 or at least half a tick; write {need:g}."
+            else f"expected 0 or at least half a tick; write {need:g}."
         )
 
 
-def _at_rest(label: str, s: Scenario, where: str) -> bool:
-    """Whether a plant has a linear model at its operating point; raise UserError where that is no equilibrium."""
-    residual = plant_of(s).residual
-    if residual is None:
-        return False
-    moves = residual(numbers_of(s))
-    if moves.any():
-        i = int(np.argmax(np.abs(moves)))
-        raise UserError(
-            f"{where}: {label} in {s.name} got an operating point that is no equilibrium ({states_of(s)[i][0]} changes by "
-            f"itself, by {moves[i]:.3g}), expected one, where the plant has a linear model; move the point, leave {label} out, "
-            "or take ekf."
+def _of_clocks(s: Scenario) -> Iterator[str]:
+    """Say which delays are beyond all that can arrive, and which jitter or assumed delay does not fit the intervals or ages."""
+    ticks, error = whole(s.duration, s), s.belief.assumed_delay_error
+    for one in sensors(s):  # before their steps are listed
+        mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
+        if not mean or s.sampling.continuous:
+            continue
+        if not (latest := sampling.latest_of_gamma(mean, shape)) <= REACH * s.duration:
+            yield (
+                f"got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, by which one sample of 10,000 is "
+                f"later than {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
+                "smaller mean."
+            )
+    for clock in clocks(s):
+        least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
+        if clock.jitter and 2 * clock.jitter >= least:
+            yield (
+                f"got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, expected less "
+                f"than half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
+            )
+        youngest, early = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
+        if early > (assumed := youngest + whole(error, s)) and early:
+            yield (
+                f"got stamps up to {early * s.dt:g} s ahead in {s.name}, where samples may be only {assumed * s.dt:g} s late, "
+                "expected none to arrive before its stamp; take smaller errors of stamps, a negative timestamp_offset, or a "
+                "longer delay."
+            )
+        if youngest * s.dt + error < -1e-9:
+            yield (
+                f"got an assumed_delay_error of {error:g} s where samples may be only {youngest * s.dt:g} s late, expected an "
+                f"assumed delay of 0 or more; write at least {-youngest * s.dt:g}."
+            )
+
+
+def _of_sensors(s: Scenario) -> Iterator[str]:
+    """Say which noise, losses or delays of one sensor have no effect, or cannot be drawn as asked."""
+    for one in sensors(s):
+        measured, belief = one.sampling, one.belief
+        noiseless = not any(measured.noise_std)
+        if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
+            yield (
+                f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, where no noise is believed in, "
+                "expected a noise_std above 0; give one, or leave it out."
+            )
+        if noiseless and np.isfinite(measured.student_t_dof):
+            yield (
+                f"got student_t_dof = {measured.student_t_dof:g} in {s.name}, whose samples have no noise, expected a "
+                "noise_std above 0; give one, or leave it out."
+            )
+        if noiseless and measured.outlier_probability:
+            yield (
+                f"got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to be "
+                "larger, expected a noise_std above 0; give one, or leave it out."
+            )
+        values, weights, mean = measured.delay_values, measured.delay_weights, measured.delay_gamma_mean
+        if weights and len(weights) != len(values):
+            yield (
+                f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each: a "
+                "histogram has as many bars as places."
+            )
+        if weights and not all(each > 0 for each in weights):
+            yield "got a delay_weights of 0, expected shares greater than 0; leave that step out."
+        if weights and measured.delay_self_transition:
+            yield (
+                "got delay_weights and delay_self_transition, expected one of them: delays are drawn one by one or are a "
+                "Markov chain."
+            )
+        if mean and values:
+            yield f"got delay_gamma_mean = {mean:g} and delay_values, expected one of them; leave one out."
+        loss, burst = number(measured.loss), number(measured.mean_burst_length)
+        if not burst or (s.sampling.loss and not loss):  # a length of bursts is of the channels that lose samples
+            continue
+        got = f"got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected "
+        if not 0 < loss < 1:
+            yield f"{got}a loss between 0 and 1 to come in bursts; give one, or leave mean_burst_length out."
+        elif burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
+            least = max(1, loss / (1 - loss))
+            yield f"{got}gaps of at least {least:g} samples in the mean, which so many losses leave at least; write more."
+
+
+def _of_delays(s: Scenario) -> Iterator[str]:
+    """Say which field has no effect without another, and which delays cannot be a chain, or come in turn, as asked."""
+    for name, needs in (("outlier_scale", "outlier_probability"), ("delay_gamma_shape", "delay_gamma_mean")):
+        if not s.value(needs) and s.value(name) != Sampling._field_defaults[name]:
+            article = "an" if needs[0] in "aeiou" else "a"
+            yield (
+                f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, where it has no effect, "
+                "expected both or neither; leave it out there."
+            )
+    values, stay, turns = s.sampling.delay_values, s.sampling.delay_self_transition, s.sampling.delay_sequence
+    if stay and not values:
+        yield (
+            f"got delay_self_transition in {s.name} without delay_values, where it has no effect, expected both or neither; "
+            "write delay_values = [0.0, ...], or leave it out."
         )
-    return True
+    if len(values) == 1 or len(set(values)) < len(values):
+        yield (
+            f"got delay_values of {', '.join(f'{v:g}' for v in values)} s, expected two different values or more; a delay "
+            "that is always so much longer is written as delay."
+        )
+    if len(stay) not in (0, 1, len(values)):
+        yield (
+            f"got {len(stay)} values of delay_self_transition for {len(values)} delay_values, expected one, or one for each."
+        )
+    if turns and set(turns) == {LOST}:
+        yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them."
+    drawn = ("sampling_jitter", "delay_jitter", "delay_values", "delay_gamma_mean", "loss", "timestamp_jitter")
+    beside = [name for name in drawn if s.value(name)]
+    beside += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
+    if turns and beside:
+        yield (
+            f"got {beside[0]} beside delay_sequence in {s.name}, expected one of them: delays in turn are the same in all "
+            "runs, and a network that is drawn is another in each; leave one out."
+        )
+    if s.sampling.dither and not any(s.sampling.quantization_step):
+        yield (
+            f"got dither = 1 in {s.name}, where samples are not rounded, expected a quantization_step above 0; give one, or "
+            "leave it out."
+        )
 
 
-def _each(value: PerChannel) -> str:
-    return ", ".join(f"{v:g}" for v in per_channel(value, 1))
+def _of_stamps(s: Scenario) -> Iterator[str]:
+    """Say where stamps would not be in the order of the samples of a sensor, or a drift moves none of them."""
+    drift, ticks = abs(s.sampling.clock_skew), whole(s.duration, s)
+    if drift and round(1e-6 * drift * ticks) == 0:
+        yield (
+            f"got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no stamp by half a tick "
+            f"({s.dt / 2:g} s) within the horizon, so no result would change; write more than {5e5 / ticks:.3g} ppm, take a "
+            "shorter tick, or leave it out."
+        )
+    if drift > 1e5:
+        yield f"got a clock_skew of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
+    for clock in clocks(s):
+        least = sampling.intervals(clock, ticks)[0]
+        if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
+            yield (
+                f"got a timestamp_jitter of {s.sampling.timestamp_jitter:g} s with intervals down to {least * s.dt:g} s, "
+                "expected less than half the shortest interval, so that stamps stay in order; write at most "
+                f"{max((least - 2) // 2, 0) * s.dt:g}."
+            )
 
 
 def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
-    if nonlinear(s) and not entry.nonlinear and not _at_rest(label, s, where):
-        able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
-        raise UserError(
-            f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
-            f"out, or take one of {able}."
-        )
+    if sentence := next(_refusals(label, entry, s), ""):
+        raise UserError(f"{where}: {label} in {s.name} got {sentence}")
+
+
+def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
+    """Say what an observer cannot work with, what it takes instead, and which observer does."""
+    if nonlinear(s) and not entry.nonlinear:
+        residual = plant_of(s).residual
+        moves = np.ones(0) if residual is None else residual(numbers_of(s))
+        if moves.any():
+            i = int(np.argmax(np.abs(moves)))
+            yield (
+                f"an operating point that is no equilibrium ({states_of(s)[i][0]} changes by itself, by {moves[i]:.3g}), "
+                f"expected one, where the plant has a linear model; move the point, leave {label} out, or take ekf."
+            )
+        if residual is None:
+            able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
+            yield (
+                f"a nonlinear plant, expected a linear model to be designed from; leave {label} out, or take one of {able}."
+            )
     if s.loop.controller and not entry.loops:
-        raise UserError(
-            f"{where}: {label} in {s.name} got a closed loop, expected an input that is known beforehand: it looks back "
-            f"further than a loop keeps its inputs; leave {label} out, or take ekf."
+        yield (
+            "a closed loop, expected an input that is known beforehand: it looks back further than a loop keeps its inputs; "
+            f"leave {label} out, or take ekf."
         )
     if s.sampling.continuous and entry.observer.field is None:
         able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)
-        raise UserError(
-            f"{where}: {label} in {s.name} got continuous measurements, expected samples: it is no vector field; leave {label} "
-            f"out, take one of {able}, or a scenario that samples."
+        yield (
+            f"continuous measurements, expected samples: it is no vector field; leave {label} out, take one of {able}, or a "
+            "scenario that samples."
         )
-    takes, found, measured = entry.takes, clocks(s), s.sampling
-    follows = INTERVAL in measured.delay and (measured.sampling_pattern != "periodic" or bool(measured.sampling_jitter))
+    measured = s.sampling
+    regular = measured.sampling_pattern == "periodic"
+    follows = INTERVAL in measured.delay and not (regular and not measured.sampling_jitter)
     drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
-    if takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
-        spread = measured.delay_jitter
-        varies = f"a delay_jitter of {_each(spread)} s" if spread else "a delay of one varying interval"
-        varies = ", ".join(drawn) if drawn and not spread else varies
-        raise UserError(
-            f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
-            f"sample; leave {label} out, or take pccebo, pco or kf."
+    if entry.takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
+        varies = ", ".join(drawn) or "a delay of one varying interval"
+        yield (
+            f"{f'a delay_jitter of {_each(measured.delay_jitter)} s' if measured.delay_jitter else varies}, expected one "
+            f"constant delay: it does not use the age of a sample; leave {label} out, or take pccebo, pco or kf."
         )
-    random = measured.delay_jitter or drawn or measured.sampling_jitter
-    if takes == "constant delays" and (random or measured.sampling_pattern != "periodic"):
-        times = {"a delay_jitter of": measured.delay_jitter, "a sampling_jitter of": measured.sampling_jitter}
-        unsteady = [f"{what} {_each(v)} s" for what, v in times.items() if v]
+    if entry.takes == "constant delays":
+        unsteady = [f"a {name} of {_each(v)} s" for name in ("delay_jitter", "sampling_jitter") if (v := s.value(name))]
         unsteady += drawn
-        unsteady += (
-            [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
-            if measured.sampling_pattern != "periodic"
-            else []
+        unsteady += [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
+        if unsteady:
+            yield (
+                f"{', '.join(unsteady)}, expected regular samples of constant ages: it works sample by sample; leave {label} "
+                "out, or take kf."
+            )
+    if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
+        yield (
+            f"{wrong}, expected stamps that are right: it is told of a sample when that is taken, whatever its stamp says; "
+            f"leave {label} out, or take kf."
         )
-        raise UserError(
-            f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "
-            f"sample by sample; leave {label} out, or take kf."
-        )
-    if entry.observer.on_sample and any(s.value(name) for name in STAMPS):
-        wrong = ", ".join(name for name in STAMPS if s.value(name))
-        raise UserError(
-            f"{where}: {label} in {s.name} got {wrong}, expected stamps that are right: it is told of a sample when that is "
-            f"taken, whatever its stamp says; leave {label} out, or take kf."
-        )
-    if takes == "one clock" and len(found) > 1:
+    if entry.takes == "one clock" and len(clocks(s)) > 1:
         each = {name: s.value(name) for name in OF_A_SENSOR}
         several = "; ".join(f"{k} = {plain(k, v)}" for k, v in each.items() if isinstance(v, tuple) and len(set(v)) > 1)
-        raise UserError(
-            f"{where}: {label} in {s.name} got channels that differ ({several}), expected one period, one delay and one "
-            "network for all; give equal ones, or take kf."
+        yield (
+            f"channels that differ ({several}), expected one period, one delay and one network for all; give equal ones, or "
+            "take kf."
         )
+
+
+def _each(value: PerChannel) -> str:
+    return ", ".join(f"{v:g}" for v in per_channel(value, 1))

@@ -18,9 +18,10 @@ from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
 from pcbench.study.labels import own_in
 from pcbench.study.lti_plant import require_plant
-from pcbench.study.options import options_in_cell
+from pcbench.study.options import checked_options
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.times import Timing, require_few_cells, times_of, whole
+from pcbench.toml_text import TomlTable
 
 MANY = 300_000  # runs of a scenario from which products save more than they take to compile
 
@@ -30,8 +31,8 @@ class Cell(NamedTuple):
 
     scenario: Scenario  # with the axes' values put in
     number: int  # from 0, within its scenario
-    values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
-    parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
+    values: TomlTable  # by axis, seconds and SI units: what the tables say
+    parameters: TomlTable  # the plant's, where the scenario or an axis changes them
     choices: Choices
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
@@ -65,22 +66,14 @@ class Grid(NamedTuple):
 def cell_of(
     scenario: Scenario,
     number: int = 0,
-    values: dict[str, Any] | None = None,
-    parameters: dict[str, Any] | None = None,
+    values: TomlTable | None = None,
+    parameters: TomlTable | None = None,
     choices: Choices | None = None,
 ) -> Cell:
     """Return a scenario as a cell that belongs to no study, with its times in ticks."""
+    values, parameters, choices = values or {}, parameters or {}, choices or Choices()
     return Cell(
-        scenario=scenario,
-        number=number,
-        values=values or {},
-        parameters=parameters or {},
-        choices=choices or Choices(),
-        times=times_of(scenario),
-        options={},
-        own={},
-        told={},
-        digest="",
+        scenario, number, values, parameters, choices, times_of(scenario), options={}, own={}, told={}, digest=""
     )
 
 
@@ -94,80 +87,74 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     lengths = [len(values) for values in axes.values()]
     many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
     require_few_cells(many, whole(base.duration, base), where)
-    choices, out, apart = choices_of(study), [], channels_apart(study)
+    choices, out, apart, its_axes = choices_of(study), [], channels_apart(study), axes_of(base)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
     digests = {o: told(each, mine.get(o)) for o, each in options.items()}
-    tuned = _TunedCells(study, base, where)
+    names, tuned = _tuned_by_point(study, base, where)
     for index, point in enumerate(points(study.vary, list(axes.values()))):
         given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
-        changed = base.having(**fields, input=choices.input or base.loop.input)
+        fields = {k: v for k, v in given.items() if k in its_axes}
+        if "process_std" in given and base.belief.assumed_process_std == base.truth.process_std:
+            fields["assumed_process_std"] = given["process_std"]  # designers know it as it is, like the scenario's own
+        s = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
                 raise UserError(
                     f"{where}: options.scenario.unknown_input: got {choices.unknown_input!r} for {scenario}, whose plant has "
                     "no unknown input; expected a scenario such as arm/sine; leave it out."
                 )
-            changed = changed.having(unknown_input=choices.unknown_input)
-        _of_the_loop(changed, choices, where)
-        fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {
-            name: axis.plain(name, changed.value(name), name in apart)
-            for name in axes_of(base)
-            if name in given or name not in axis.ASKED
-        }
-        parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
-        values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        parameters = dict(base.truth.parameters) | parameters
+            s = s.having(unknown_input=choices.unknown_input)
+        _require_loop(s, choices, where)
+        fits.fits(s, where if where == scenario else f"{where}: {scenario}")
+        shown = [name for name in its_axes if name in given or name not in axis.ASKED]
+        values = {name: axis.plain(name, s.value(name), name in apart) for name in shown}
+        of_plant = {k: v for k, v in given.items() if k.startswith("plant.")}
+        parameters = dict(base.truth.parameters) | {k.removeprefix("plant."): v for k, v in of_plant.items()}
         if base.plant == "lti":
-            require_plant(changed, parameters, where)
-        cell = cell_of(changed, index, values, parameters, choices)
-        here = tuned.options(cell, list(options))
+            require_plant(s, parameters, where)
+        cell = cell_of(s, index, values | of_plant, parameters, choices)
+        here = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
         by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
         identified = cell._replace(digest=identity(cell, study.root_seed), engine=usable(study.engine or "steps"))
         out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
 
 
-class _TunedCells:
-    """The options of the cells of a scenario that were tuned each for itself; of any other study there are none."""
+Tuned = dict[tuple[Any, ...], dict[str, TomlTable]]  # by values of axes, the options of each label
 
-    def __init__(self, study: Study, base: Scenario, where: str):
-        record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
-        cells = (record and record.cells) or []
-        self.study, self.where, self.by_point = study, where, dict[tuple[Any, ...], dict[str, dict[str, Any]]]()
-        self.names = list(cells[0].cell) if cells else []
-        for i, each in enumerate(cells):
-            place = f"{where}: tuned.cells[{i}].cell"
-            if list(each.cell) != self.names:
-                raise UserError(
-                    f"{place}: got {', '.join(each.cell)}, expected {', '.join(self.names)}, as the first has."
-                )
-            point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in each.cell.items())
-            self.by_point[point] = each.options
 
-    def options(self, cell: Cell, labels: list[str]) -> dict[str, BaseModel]:
-        """Return the options of the labels that were tuned in this cell.
+def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str], Tuned]:
+    """The names of axes and the options of the cells of a scenario that were tuned each for itself; else none."""
+    record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
+    cells, out = (record and record.cells) or [], Tuned()
+    names = list(cells[0].cell) if cells else []
+    for i, each in enumerate(cells):
+        place = f"{where}: tuned.cells[{i}].cell"
+        if list(each.cell) != names:
+            raise UserError(f"{place}: got {', '.join(each.cell)}, expected {', '.join(names)}, as the first has.")
+        point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in each.cell.items())
+        out[point] = each.options
+    return names, out
 
-        Raises UserError if they were tuned in other cells only.
-        """
-        if not self.by_point:
-            return {}
-        values = {f"plant.{name}": value for name, value in cell.parameters.items()}
-        point = tuple(values[name] if name in values else cell.scenario.value(name) for name in self.names)
-        if point in self.by_point:
-            found = self.by_point[point]
-            return {label: options_in_cell(self.study, label, found[label]) for label in labels if label in found}
-        lacking = sorted({label for found in self.by_point.values() for label in found} & set(labels))
-        if not lacking:
-            return {}
-        plain = [axis.plain(name, value, False) for name, value in zip(self.names, point, strict=True)]
-        at = ", ".join(f"{name} = {value}" for name, value in zip(self.names, plain, strict=True))
-        raise UserError(
-            f"{self.where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every cell; "
-            "tune again with this cell among the axes."
-        )
+
+def _tuned_options(
+    study: Study, cell: Cell, labels: list[str], names: list[str], tuned: Tuned, where: str
+) -> dict[str, BaseModel]:
+    """The options of the labels that were tuned in this cell; raise UserError if they were tuned in other cells only."""
+    values = {f"plant.{name}": value for name, value in cell.parameters.items()}
+    point = tuple(values[name] if name in values else cell.scenario.value(name) for name in names)
+    if (found := tuned.get(point)) is not None:
+        place = f"{study.name}: tuned.cells: options"
+        return {o: checked_options(study, o, found[o], f"{place}.{o}") for o in labels if o in found}
+    lacking = sorted({label for each in tuned.values() for label in each} & set(labels))
+    if not lacking:
+        return {}
+    at = ", ".join(f"{name} = {axis.plain(name, value)}" for name, value in zip(names, point, strict=True))
+    raise UserError(
+        f"{where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every cell; tune again with "
+        "this cell among the axes."
+    )
 
 
 def points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
@@ -181,24 +168,17 @@ def points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
         yield from ((*first[:i], value, *first[i + 1 :]) for value in values[1:])
 
 
-def _told_too(given: dict[str, Any], base: Scenario) -> dict[str, Any]:
-    """Process noise of a cell that designers are told as it is, where they are told the scenario's own as it is."""
-    told = "process_std" in given and base.belief.assumed_process_std == base.truth.process_std
-    return {"assumed_process_std": given["process_std"]} if told else {}
-
-
-def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
+def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
     """Raise UserError where a choice is for a closed loop and this one is open, or the other way round."""
-    given = [name for name, value in choices.loop().items() if value is not None]
-    if given and not s.loop.controller:
-        raise UserError(
-            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
-            "commands, expected a closed loop such as helicopter/constant; leave it out."
-        )
+    given = [(name, value) for name, value in choices.loop().items() if value is not None]
     if given and s.loop.controller != "pd":
+        got = f"{where}: options.scenario.{given[0][0]}: got {given[0][1]!r} for {s.name}"
+        if not s.loop.controller:
+            raise UserError(
+                f"{got}, where no controller gives commands, expected a closed loop such as helicopter/constant; leave it out."
+            )
         raise UserError(
-            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, whose loop is closed by "
-            f"{s.loop.controller}, expected pd, which alone has it; leave it out."
+            f"{got}, whose loop is closed by {s.loop.controller}, expected pd, which alone has it; leave it out."
         )
     if choices.input and s.loop.controller:
         raise UserError(
@@ -219,28 +199,23 @@ def channels_apart(study: Study) -> set[str]:
 
 def identity(cell: Cell, root_seed: int) -> str:
     """Return the digest of all that decides a cell's numbers except its observers: equal for equal numbers."""
-    said = {
+    decisive = {
         "scenario": cell.scenario.flat(),
         "parameters": cell.parameters,
         "choices": cell.choices.model_dump(),
         "root_seed": root_seed,
     }
-    return _hashed(said)[:16]
+    return _hashed(decisive)
 
 
 def told(options: BaseModel, own: Own | None = None) -> str:
     """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
-    if own:
-        return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]
-    return _hashed(options.model_dump())[:16]
+    return _hashed([options.model_dump(exclude_none=True), own.code.digest] if own else options.model_dump())
 
 
-def _hashed(said: Any) -> str:
-    return hashlib.sha256(json.dumps(said, sort_keys=True, default=_plain).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else dict(value)
+def _hashed(decisive: object) -> str:
+    text = json.dumps(decisive, sort_keys=True, default=lambda v: v.tolist() if hasattr(v, "tolist") else dict(v))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def with_engine(grid: Grid, engine: str | None) -> Grid:
@@ -267,9 +242,8 @@ def usable(engine: str) -> str:
 
 def engine_warnings(grid: Grid) -> list[str]:
     """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
-    if grid.study.engine == "definition" or grid.study.evaluation == "exact":
-        return []
-    if all(c.engine != "definition" for c in grid.cells):
+    slower = any(c.engine == "definition" for c in grid.cells)
+    if not slower or grid.study.engine == "definition" or grid.study.evaluation == "exact":
         return []
     return [
         f"jax {version('jax')} is newer than what pcbench's engines were read against: runs are computed by their definition, "

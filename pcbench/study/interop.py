@@ -19,6 +19,7 @@ from pcbench.study import Study
 from pcbench.study.lti import Lti
 from pcbench.study.parse import parse
 from pcbench.study.plugins.user_plants import plain
+from pcbench.toml_text import TomlTable
 
 
 def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
@@ -45,7 +46,7 @@ def to_scipy(study: Study) -> Any:
     """Return a study's own plant as scipy.signal's StateSpace (continuous) or dlti (discrete)."""
     from scipy import signal
 
-    matrices, dt = _matrices(_plant(study))
+    matrices, dt, _ = _plant(study)
     return signal.StateSpace(*matrices, **({} if dt is None else {"dt": dt}))
 
 
@@ -55,13 +56,12 @@ def to_control(study: Study) -> Any:
         import control
     except ImportError:
         raise UserError('to_control: python-control is not installed; run pip install "pcbench[control]".') from None
-    plant = _plant(study)
-    matrices, dt = _matrices(plant)
-    labels = [text.split("[")[0].strip() for text in plant.states or []]
+    matrices, dt, states = _plant(study)
+    labels = [text.split("[")[0].strip() for text in states]
     return control.StateSpace(*matrices, 0 if dt is None else dt, **({"states": labels} if labels else {}))
 
 
-def _state_space(system: Any) -> dict[str, Any]:
+def _state_space(system: Any) -> TomlTable:
     """The [lti] table's matrices of a system."""
     try:
         form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
@@ -85,16 +85,11 @@ def _state_space(system: Any) -> dict[str, Any]:
     return matrices | ({"dt": float(dt)} if dt else {})
 
 
-def _plant(study: Study) -> Lti:
-    """Return a study's own plant; raise UserError where it has none."""
+def _plant(study: Study) -> tuple[list[NDArray[np.float64]], float | None, list[str]]:
+    """A, B, C and D of a study's own plant, its time base [s], None of a continuous one, and the texts of its states."""
     if study.lti is None:
         raise UserError(
             f"{study.name}: has no plant of its own, expected a study with [lti] or one made by pcbench.lti."
         )
-    return study.lti
-
-
-def _matrices(plant: Lti) -> tuple[list[NDArray[np.float64]], float | None]:
-    """Return A, B, C, D and the time base [s], None of a continuous plant."""
-    model = nominal(plant.numbers("lti"))
-    return [model.A, model.B, model.C, model.feedthrough], plant.dt
+    model = nominal(study.lti.numbers("lti"))
+    return [model.A, model.B, model.C, model.feedthrough], study.lti.dt, study.lti.states or []

@@ -12,6 +12,7 @@ What a study names: its scenarios, its observers, and the labels under which the
 """
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from pcbench.errors import UserError, short, shown
@@ -23,45 +24,47 @@ from pcbench.study.plugins import user_code
 from pcbench.study.plugins.registry import installed
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.schema import Study
+from pcbench.toml_text import TomlTable
 
 LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
 
-def labelled(raw: dict[str, Any], where: str) -> dict[str, Any]:
+def labelled(raw: TomlTable, where: str) -> TomlTable:
     """Return a raw study whose observers are labels, those of the user's own found by its table `use`.
 
     Raises UserError for a label that is none, or that two observers have.
     """
-    given, use = (
-        raw.get("observers"),
-        dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {},
-    )
-    options = raw.get("options")
+    given, options = raw.get("observers"), raw.get("options")
+    use = dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {}
     if isinstance(given, dict):
         raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
     elif isinstance(given, list):
         raw = raw | {"observers": _labels(given, use, f"{where}: observers")}
-    for table in ("lti", "scenario"):
-        raw = _inside(raw, table, use, f"{where}: {table}")
-    if isinstance(raw.get("tables"), dict):
-        tables = dict(raw["tables"])
-        for name in tables:
-            tables = _inside(tables, name, use, f"{where}: scenarios.{name}")
-        raw = raw | {"tables": tables}
+
+    def with_labels(table: TomlTable, place: str) -> TomlTable:
+        names = table.get("observers")
+        return (
+            table | {"observers": _labels(names, use, f"{where}: {place}.observers")}
+            if isinstance(names, list)
+            else table
+        )
+
+    raw = each_table(raw, with_labels)
     return raw | {"custom_observers": use} if use else raw
+
+
+def each_table(raw: TomlTable, change: Callable[[TomlTable, str], TomlTable]) -> TomlTable:
+    """Return a raw study with the table of each scenario of its own changed; `change` takes it and where it stands."""
+    out = raw | {name: change(raw[name], name) for name in ("lti", "scenario") if isinstance(raw.get(name), dict)}
+    if isinstance(raw.get("tables"), dict):
+        tables = raw["tables"].items()
+        out["tables"] = {k: change(v, f"scenarios.{k}") if isinstance(v, dict) else v for k, v in tables}
+    return out
 
 
 def label_of(name: str) -> str:
     """Return the label that a name has in a list of observers."""
     return name.rpartition(":")[2] if user_code.is_reference(name) else name
-
-
-def _inside(raw: dict[str, Any], key: str, use: dict[str, str], where: str) -> dict[str, Any]:
-    """A dict whose table of a key has labels for its list of observers, where it has one."""
-    table = raw.get(key)
-    if not isinstance(table, dict) or not isinstance(table.get("observers"), list):
-        return raw
-    return raw | {key: table | {"observers": _labels(table["observers"], use, f"{where}.observers")}}
 
 
 def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
@@ -87,7 +90,7 @@ def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
     return out
 
 
-def _options(given: dict[str, Any], options: Any, use: dict[str, str], where: str) -> dict[str, Any]:
+def _options(given: TomlTable, options: Any, use: dict[str, str], where: str) -> TomlTable:
     """The options of a study whose observers are tables; what they `use` is put into that."""
     out = dict(options) if isinstance(options, dict) else {}
     for label, table in given.items():

@@ -13,32 +13,34 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.errors import UserError, short, shown, unknown
-from pcbench.scenarios.sources import SHAPES, Source, Sources, Table, Wave
+from pcbench.scenarios.sources import SHAPES, Sources, Table, Wave
 from pcbench.signal_names import unit
 from pcbench.study import axes
+from pcbench.toml_text import TomlTable
 
 ROWS = 200_000  # of a table
 REPEATING = [name for name in SHAPES if name != "step"]
 
 
-def files_in(table: dict[str, Any]) -> list[str]:
+def files_in(table: TomlTable) -> list[str]:
     """Return the keys of a table that name a CSV file."""
-    return [key for key in ("input", "unknown_input") if _is_csv(table.get(key))]
+    given = {key: table.get(key) for key in ("input", "unknown_input")}
+    return [key for key, text in given.items() if isinstance(text, str) and text.strip().lower().endswith(".csv")]
 
 
-def filled(table: dict[str, Any], where: str, folder: Path | None) -> dict[str, Any]:
+def filled(table: TomlTable, where: str, folder: Path | None) -> TomlTable:
     """Return a table with the rows of the CSV files that it names, found from the study's folder; None: from where one is.
 
     Raises UserError for a file that cannot be read.
     """
-    return table | {key: _rows((folder or Path()) / table[key].strip(), f"{where}.{key}") for key in files_in(table)}
-
-
-def _rows(path: Path, where: str) -> list[list[float]]:
-    try:
-        return _read(path)
-    except ValueError as error:
-        raise UserError(f"{where}: got {shown(str(path))}, expected {error}.") from None
+    out = dict(table)
+    for key in files_in(table):
+        path = (folder or Path()) / table[key].strip()
+        try:
+            out[key] = _read(path)
+        except ValueError as error:
+            raise UserError(f"{where}.{key}: got {shown(str(path))}, expected {error}.") from None
+    return out
 
 
 def _read(path: Path) -> list[list[float]]:
@@ -54,10 +56,15 @@ def _read(path: Path) -> list[list[float]]:
         raise ValueError("a CSV file whose first line is t,u1 or t,u1,u2 ...")
     if len(rows) > ROWS:
         raise ValueError(f"a CSV file of at most {ROWS:,} rows")
+    out: list[list[float]] = []
     for i, row in enumerate(rows):
-        if len(row) != len(head) or not all(_is_number(v) for v in row):
+        try:
+            out.append([float(v) for v in row])
+        except ValueError:
+            row = []
+        if len(row) != len(head):
             raise ValueError(f"a CSV file with {len(head)} numbers in line {i + 2}")
-    return [[float(v) for v in row] for row in rows]
+    return out
 
 
 def sources(given: Any, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
@@ -77,15 +84,16 @@ def sources(given: Any, many: int, valid: Iterable[str], ticks: tuple[int, float
     if all(isinstance(each, dict | str) for each in given):
         if len(given) not in (1, many):
             raise UserError(f"{where}: got {len(given)} signals, expected one, or one for each of {many} {kind}.")
-        return tuple(_one(each, valid, f"{where}[{i}]") for i, each in enumerate(given))
+        return tuple(
+            _wave(each, f"{where}[{i}]")
+            if isinstance(each, dict)
+            else _named(each, valid, 1, "input", f"{where}[{i}]")[0]
+            for i, each in enumerate(given)
+        )
     return (_table(given, many, ticks, kind, where),)
 
 
-def _one(given: Any, valid: Iterable[str], where: str) -> Source:
-    return _named(given, valid, 1, "input", where)[0] if isinstance(given, str) else _wave(given, where)
-
-
-def _wave(given: dict[str, Any], where: str) -> Wave:
+def _wave(given: TomlTable, where: str) -> Wave:
     """A wave from its table."""
     for key in given:
         if key not in ("signal", *Wave._fields[1:]):
@@ -148,18 +156,7 @@ def _named(text: str, valid: Iterable[str], many: int, kind: str, where: str) ->
     for name in names:
         if name not in valid:
             raise unknown(where, "input", short(name), valid)
-    if len(names) not in (1, many):
-        raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {kind}.")
+    columns = len(names) + sum(name.startswith("heater") for name in names)  # of which each is two
+    if columns not in (1, many):
+        raise UserError(f"{where}: got {columns} signals, expected one, or one for each of {many} {kind}.")
     return names
-
-
-def _is_csv(given: Any) -> bool:
-    return isinstance(given, str) and given.strip().lower().endswith(".csv")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,39 +1,27 @@
-"""A plant of one's own as observers know it, with its named numbers, and in what it differs from that (`[lti.plant]`).
+"""A study's table `[lti]`, and the plant in it: as observers know it, and in what it differs from that (`[lti.plant]`).
 
-The numbers of a study's `[lti]` table: their types, and whether matrices, vectors and names fit together.
+Whether matrices, named numbers and formulas of them fit together.
 """
 
 import re
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 from pcbench.dynamics import expression
 from pcbench.errors import UserError, short, shown, unknown
 from pcbench.plants import numbers_of, varied
 from pcbench.plants.lti import MATRICES, Numbers, actual
 from pcbench.scenarios import Scenario
-from pcbench.signal_names import names_and_units
-from pcbench.study import axes
+from pcbench.study.scenario_schema import LEAST, Number, Positive, Size
 from pcbench.study.times import whole
+from pcbench.toml_text import TomlTable
 
-LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
 # powers of ten by which a plant may grow over its horizon, so that powers of its map, up to the eighth, stay finite
 GROWTH = 30
 MOST = 50  # states, inputs, outputs or unknown inputs
-
-
-def _told_from_zero(number: float) -> float:
-    if 0 < abs(number) < LEAST:
-        raise ValueError(f"0 or a number of at least {LEAST:g} in size")
-    return number
-
-
-Bounded = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
-Number = Annotated[Bounded, AfterValidator(_told_from_zero)]
-Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
-Size = Annotated[Number, Field(ge=0)]
+TAKEN = {*Numbers._fields, "own", "x0"}  # what no named number can be called
 
 
 def _formula(text: str) -> str:
@@ -52,21 +40,74 @@ def _rows(given: Any, info: ValidationInfo) -> Any:
 
 NumberRows = Annotated[list[list[Number]], BeforeValidator(_rows)]
 Rows = Annotated[list[list[Number | Annotated[str, AfterValidator(_formula)]]], BeforeValidator(_rows)]
-PerChannel = Number | list[Number]
-PerState = Size | list[Size]
+Intensity = Size | list[Size] | list[list[Number]]
 
 
-class Matrices(Protocol):
-    """What has the matrices of a plant, as rows."""
+class Differing(BaseModel):
+    """`[lti.plant]`: what is true of the plant and told to no observer; besides the matrices any of the named numbers."""
 
-    A: Any
-    B: Any
-    C: Any
-    D: Any
-    E: Any
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+    __pydantic_extra__: dict[str, Number]
+    A: Rows | None = Field(None, description="[n, n]")
+    B: Rows | None = Field(None, description="[n, m]")
+    C: Rows | None = Field(None, description="[q, n]")
+    D: Rows | None = Field(None, description="[q, m]")
+    E: Rows | None = Field(None, description="[n, r]")
+
+    def given(self) -> TomlTable:
+        """Return what it says, by letter and by name."""
+        return self.model_dump(exclude_none=True)
 
 
-def dimensions(lti: Matrices, where: str) -> tuple[int, int, int]:
+class LtiTable(BaseModel):
+    """The keys of `[lti]` that are no axes. n states, m inputs, q outputs; r unknown inputs."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    parameters: dict[str, Number] | None = Field(
+        None, description='named numbers; entries of A to E may be formulas of them, such as "-k/m"'
+    )
+    plant: Differing | None = Field(
+        None, description="what is true of the plant and told to no observer: any of A to E, or of the parameters"
+    )
+    A: Rows = Field(description="[n, n]")
+    B: Rows = Field(description="[n, m]")
+    C: Rows = Field(description="[q, n]")
+    D: Rows | None = Field(None, description="[q, m]; left out: zero")
+    E: Rows | None = Field(None, description="[n, r] how an unknown input enters; left out: there is none")
+    dt: Positive | None = Field(None, description="tick of a discrete plant [s]; left out: a continuous plant")
+    tick: Positive | None = Field(None, description="tick of the simulation [s]; default 0.001, or dt")
+    states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
+    process_std: Size | list[Size] | None = Field(
+        None, description="of the noise added at every tick, one for all states or one for each; default: none"
+    )
+    G: NumberRows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
+    QN: Intensity | None = Field(
+        None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
+    )
+    assumed_process_std: Size | list[Size] | None = Field(
+        None, description="what designers assume in place of the process noise that there is"
+    )
+    input: Any = Field(
+        "sine",
+        description="a signal's name for all inputs, or one for each, with commas; or a wave, values, rows, a CSV file",
+    )
+    unknown_input: Any | None = Field(None, description="likewise, of what pushes by E; default: sine")
+    unknown_std: Number | list[Number] | None = Field(None, description="[r] its typical size; default: ones")
+    x0: Number | list[Number] | None = Field(None, description="[n] default: ones")
+    xhat0: Number | list[Number] | None = Field(None, description="[n] default: zeros")
+    prior_std: Size | list[Size] | None = Field(
+        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, and 1 of a state in which they are equal"
+    )
+    settle_band: Size | list[Size] | None = Field(
+        None, description="[n] default: 5 % of prior_std (of its default if it is 0) and unknown_std; [n + r] with E"
+    )
+    divergence_threshold: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")
+    duration: Positive = Field(10.0, description="[s]")
+    steady_start: Size | None = Field(None, description="where the tail starts [s]; default: 30 % of the horizon")
+    observers: list[str] = Field(["kf", "model-only"], min_length=1)
+
+
+def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
     """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
     n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
     shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, max(r, 1))}
@@ -112,43 +153,7 @@ def vector(given: float | list[float] | None, default: Any, n: int, where: str, 
     return given
 
 
-def signals(states: list[str] | None, n: int, where: str) -> tuple[tuple[str, str], ...]:
-    """Return state names and units from texts such as "angle [rad]"."""
-    if states is None:
-        return tuple((f"x{i + 1}", "1") for i in range(n))
-    if len(states) != n:
-        raise UserError(f"{where}: got {len(states)} names, expected {n}, one for each state.")
-    return names_and_units(states, where)
-
-
-TAKEN = {*Numbers._fields, "own", "x0"}  # what no named number can be called
-
-
-class Differing(BaseModel):
-    """`[lti.plant]`: what is true of the plant and told to no observer; besides the matrices any of the named numbers."""
-
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
-    __pydantic_extra__: dict[str, Number]
-    A: Rows | None = Field(None, description="[n, n]")
-    B: Rows | None = Field(None, description="[n, m]")
-    C: Rows | None = Field(None, description="[q, n]")
-    D: Rows | None = Field(None, description="[q, m]")
-    E: Rows | None = Field(None, description="[n, r]")
-
-    def given(self) -> dict[str, Any]:
-        """Return what it says, by letter and by name."""
-        return self.model_dump(exclude_none=True)
-
-
-class Described(Protocol):
-    """What has the matrices of a plant as rows, with named numbers and what is true of the plant."""
-
-    dt: float | None
-    parameters: dict[str, float] | None
-    plant: Differing | None
-
-
-def known(lti: Described, where: str) -> Numbers:
+def known(lti: LtiTable, where: str) -> Numbers:
     """Return the plant's numbers as observers know them.
 
     Raises UserError where a formula names what is no parameter or has no value, or a parameter enters no matrix.
@@ -160,29 +165,39 @@ def known(lti: Described, where: str) -> Numbers:
                 f"{where}.parameters: got a parameter called '{short(name)}', expected a name of letters and digits that the "
                 "plant does not have yet; rename it."
             )
-    given = lti.plant.given() if lti.plant else {}
-    used = set[str]()
-    for place, all_rows in (("", rows), (".plant", given)):
-        for letter in MATRICES:
-            used |= _names(all_rows.get(letter), own, f"{where}{place}.{letter}")
+    given, used = lti.plant.given() if lti.plant else {}, set[str]()
+    formulas = [(f"{where}.{letter}", text) for letter in MATRICES for text in _formulas(rows[letter])]
+    formulas += [(f"{where}.plant.{letter}", text) for letter in MATRICES for text in _formulas(given.get(letter))]
+    for place, (i, j, text) in formulas:
+        for name in sorted(expression.names(expression.parsed(text))):
+            if not own:
+                raise UserError(
+                    f"{place}[{i}][{j}]: got '{short(text)}', expected a number, or a table [lti.parameters] with {name}."
+                )
+            if name not in own:
+                raise unknown(f"{place}[{i}][{j}]", "parameter of lti", name, own)
+            used.add(name)
     for name in own:
         if name not in used:
             raise UserError(
                 f"{where}.parameters: got {name}, which enters no matrix, expected one that does; write it into A, B, C, D or "
                 "E, or leave it out."
             )
-    values = {letter: _values(r, own, f"{where}.{letter}") for letter, r in rows.items()}
+    values: TomlTable = {letter: None if r is None else [list(row) for row in r] for letter, r in rows.items()}
+    for letter, numbers in values.items():
+        for i, j, text in _formulas(rows[letter]):
+            try:
+                numbers[i][j] = expression.value(expression.parsed(text), own)
+            except ValueError:
+                raise UserError(
+                    f"{where}.{letter}[{i}][{j}]: got '{short(text)}', expected a finite number at "
+                    f"{_named_values(own) or 'all times'}; mend the formula or its parameters."
+                ) from None
     written = {letter: r for letter, r in rows.items() if _formulas(r)}
     return Numbers(**values, discrete=lti.dt is not None, own=own, written=written)
 
 
-def told(numbers: Numbers) -> dict[str, Any]:
-    """Return what a scenario's belief says of the plant."""
-    out = {letter: getattr(numbers, letter) for letter in MATRICES} | {"discrete": numbers.discrete}
-    return out | ({"own": dict(numbers.own), "written": dict(numbers.written)} if numbers.own else {})
-
-
-def differing(lti: Described, numbers: Numbers, where: str) -> dict[str, Any]:
+def differing(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
     """Return in what the plant differs from the model: rows by letter, numbers by name; UserError for what does not fit."""
     if lti.plant is None:
         return {}
@@ -190,35 +205,33 @@ def differing(lti: Described, numbers: Numbers, where: str) -> dict[str, Any]:
     if not given:
         raise UserError(f"{where}.plant: got an empty table, expected what differs; write A = ... or leave it out.")
     there = [letter for letter in MATRICES if letter == "D" or getattr(numbers, letter) is not None]
-    for name, value in given.items():
+    for name, rows in given.items():
         if name not in [*there, *numbers.own]:
             raise unknown(f"{where}.plant", "matrix or parameter of the plant", name, [*there, *numbers.own])
-        if name in MATRICES:
-            _same_shape(name, value, numbers, f"{where}.plant.{name}")
+        if name not in MATRICES:
+            continue
+        want = (len(numbers.C), len(numbers.B[0])) if name == "D" else np.shape(getattr(numbers, name))
+        widths = sorted({len(row) for row in rows})
+        if len(rows) != want[0] or any(width != want[1] for width in widths):
+            raise UserError(
+                f"{where}.plant.{name}: got {len(rows)} rows of {', '.join(map(str, widths))} numbers, expected {want[0]} x "
+                f"{want[1]}, as the model's."
+            )
     return given
 
 
-def require_plant(s: Scenario, parameters: dict[str, Any], where: str) -> None:
+def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
     """Raise UserError where a cell's plant has no finite matrices, or grows so fast that it cannot be computed."""
     numbers = varied(numbers_of(s), {"drift": s.truth.parameter_drift} | parameters)
     try:
         model = actual(numbers)
     except ValueError:
         raise UserError(
-            f"{where}: got a plant with {_said(numbers.own)}, where a formula of a matrix has no finite value, expected "
-            "numbers at which each has one; leave that value out."
+            f"{where}: got a plant with {_named_values(numbers.own)}, where a formula of a matrix has no finite value, "
+            "expected numbers at which each has one; leave that value out."
         ) from None
     if numbers.own or numbers.plant:
         require_slow(model.A, model.discrete, whole(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
-
-
-def _same_shape(letter: str, rows: list[list[Any]], numbers: Numbers, where: str) -> None:
-    want = (len(numbers.C), len(numbers.B[0])) if letter == "D" else np.shape(getattr(numbers, letter))
-    if len(rows) != want[0] or any(len(row) != want[1] for row in rows):
-        raise UserError(
-            f"{where}: got {len(rows)} rows of {', '.join(map(str, sorted({len(row) for row in rows})))} numbers, expected "
-            f"{want[0]} x {want[1]}, as the model's."
-        )
 
 
 def _formulas(rows: Any) -> list[tuple[int, int, str]]:
@@ -226,36 +239,5 @@ def _formulas(rows: Any) -> list[tuple[int, int, str]]:
     return [(i, j, v) for i, row in enumerate(rows or []) for j, v in enumerate(row) if isinstance(v, str)]
 
 
-def _names(rows: Any, own: dict[str, float], where: str) -> set[str]:
-    """The named numbers in a matrix; raise UserError for a name that is none of them."""
-    used = set[str]()
-    for i, j, text in _formulas(rows):
-        for name in sorted(expression.names(expression.parsed(text))):
-            if not own:
-                raise UserError(
-                    f"{where}[{i}][{j}]: got '{short(text)}', expected a number, or a table [lti.parameters] with {name}."
-                )
-            if name not in own:
-                raise unknown(f"{where}[{i}][{j}]", "parameter of lti", name, own)
-            used.add(name)
-    return used
-
-
-def _values(rows: Any, own: dict[str, float], where: str) -> Any:
-    """Rows with a number in place of every formula; None of None."""
-    if rows is None:
-        return None
-    out = [list(row) for row in rows]
-    for i, j, text in _formulas(rows):
-        try:
-            out[i][j] = expression.value(expression.parsed(text), own)
-        except ValueError:
-            raise UserError(
-                f"{where}[{i}][{j}]: got '{short(text)}', expected a finite number at {_said(own) or 'all times'}; mend the "
-                "formula or its parameters."
-            ) from None
-    return out
-
-
-def _said(own: Any) -> str:
+def _named_values(own: Any) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in own.items())

@@ -12,6 +12,7 @@ from pcbench.study import axes
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import filled
 from pcbench.study.schema import Choices, Study
+from pcbench.toml_text import TomlTable
 
 LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the least noise is larger
 
@@ -21,14 +22,9 @@ def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
     return checked_options(study, observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
 
 
-def options_in_cell(study: Study, observer: str, tuned: dict[str, Any]) -> BaseModel:
-    """Return the options of a label that was tuned in one cell for itself, checked and complete."""
-    return checked_options(study, observer, tuned, f"{study.name}: tuned.cells: options.{observer}")
-
-
-def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
+def given(study: Study, scenario: Scenario, observer: str) -> TomlTable:
     """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
-    out: dict[str, Any] = {}
+    out: TomlTable = {}
     for label in dict.fromkeys([base_in(study, observer) or observer, observer]):
         out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
     return out
@@ -45,7 +41,7 @@ def choices_of(study: Study) -> Choices:
     return Choices.model_validate(dashes(study.options.get("scenario", {})))
 
 
-def checked_options(study: Study, name: str, given: dict[str, Any], where: str) -> BaseModel:
+def checked_options(study: Study, name: str, given: TomlTable, where: str) -> BaseModel:
     """Return the options in the table of an observer's label, or of 'scenario', checked and complete."""
     bare = name.rstrip("0123456789")
     if bare != name and base_in(study, name) is None and base_in(study, bare) == bare:
@@ -66,32 +62,32 @@ def checked_options(study: Study, name: str, given: dict[str, Any], where: str) 
             raise unknown(where, "key here", key, model.model_fields)
     underscored(given, where)
     for key, value in given.items():
-        _of_sensible_size(value, f"{where}.{key}")
+        _require_sensible_size(value, f"{where}.{key}")
     options = filled(model, dashes(given), where)
-    if isinstance(options, Choices):
-        for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
-            if signal is not None and signal not in valid:
-                raise unknown(f"{where}.{key}", "input", signal, valid)
-        if options.path is not None and options.path not in PATHS:
-            raise unknown(f"{where}.path", "path", options.path, PATHS)
-        if options.random_initial_state and options.initial_spread:
-            raise UserError(
-                f"{where}: got random_initial_state and initial_spread, expected one of them; leave the other out."
-            )
-        if options.consistency and not options.random_initial_state:
-            raise UserError(
-                f"{where}: got consistency where every run starts alike, expected starts drawn from what observers believe "
-                "of them; write random_initial_state = true beside it."
-            )
+    if not isinstance(options, Choices):
+        return options
+    names = {"input": ("input", SIGNALS), "unknown_input": ("input", SINGLE), "path": ("path", PATHS)}
+    for key, (kind, valid) in names.items():
+        if (signal := getattr(options, key)) is not None and signal not in valid:
+            raise unknown(f"{where}.{key}", kind, signal, valid)
+    if options.random_initial_state and options.initial_spread:
+        raise UserError(
+            f"{where}: got random_initial_state and initial_spread, expected one of them; leave the other out."
+        )
+    if options.consistency and not options.random_initial_state:
+        raise UserError(
+            f"{where}: got consistency where every run starts alike, expected starts drawn from what observers believe of "
+            "them; write random_initial_state = true beside it."
+        )
     return options
 
 
-def dashes(given: dict[str, Any]) -> dict[str, Any]:
+def dashes(given: TomlTable) -> TomlTable:
     """Return a table with _ for - in its keys."""
     return {key.replace("-", "_"): value for key, value in given.items()}
 
 
-def underscored(given: dict[str, Any], where: str, but: str = "\n") -> dict[str, Any]:
+def underscored(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
     """Return a table with _ for - in its keys, except in those that begin with `but`; raise UserError for a key given twice."""
     out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
     if len(out) < len(given):
@@ -100,15 +96,12 @@ def underscored(given: dict[str, Any], where: str, but: str = "\n") -> dict[str,
     return out
 
 
-def _of_sensible_size(value: Any, where: str) -> None:
+def _require_sensible_size(value: Any, where: str) -> None:
     """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
     inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
     for each in inside:
-        _of_sensible_size(each, where)
-    if not isinstance(value, int | float) or value != value:
-        return
-    if LEAST <= abs(value) <= axes.LARGEST or value == 0:
-        return
-    raise UserError(
-        f"{where}: got {shown(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
-    )
+        _require_sensible_size(each, where)
+    if isinstance(value, int | float) and value == value and value and not LEAST <= abs(value) <= axes.LARGEST:
+        raise UserError(
+            f"{where}: got {shown(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
+        )

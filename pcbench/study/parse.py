@@ -3,9 +3,6 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
-from collections.abc import Iterator
-from typing import Any
-
 from pydantic import ValidationError
 
 from pcbench.errors import UserError, short, unknown
@@ -31,7 +28,7 @@ from pcbench.study.plugins import registry
 from pcbench.study.plugins.references import Gate, Named, named_in
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.plugins.user_plants import plain
-from pcbench.study.scenario_schema import ScenarioTable
+from pcbench.toml_text import TomlTable
 
 ALL = "all"  # among observers: every one that can run
 
@@ -49,7 +46,7 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
     return parse(raw_of(what, overrides or [], FROM_HERE), what)
 
 
-def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
+def described(raw: TomlTable, where: str, gate: Gate) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
     `gate` is what the study may reach beside its own text.
@@ -57,39 +54,39 @@ def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
     Raises UserError naming the place in it that is wrong.
     """
     raw = named(raw, where, None, gate)
-    own = _own(raw)
-    if own and not raw.get("scenarios"):
+    table, tables = raw.get("scenario"), raw.get("tables")
+    own = [LTI] if raw.get("lti") is not None else []
+    if table is not None:
+        own.append(str((table.get("name") if isinstance(table, dict) else None) or raw.get("name")))
+    own += tables if isinstance(tables, dict) else ()
+    if own and not raw.get("scenarios"):  # it says no others
         raw = raw | {"scenarios": own}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
-    times.require_few_labels(
-        {
-            *(study.observers or ()),
-            *study.options,
-            *(o for _, t in _tables(study) for o in (*(t.observers or ()), *(t.options or ()))),
-        },
-        where,
-    )
+    mine = {f"scenarios.{name}": each for name, each in (study.tables or {}).items()}  # by where each stands
+    mine = ({"scenario": study.scenario} if study.scenario else {}) | mine
+    labels = {o for each in mine.values() for o in (*(each.observers or ()), *(each.options or ()))}
+    if (many := len({*(study.observers or ()), *study.options, *labels})) > times.LABELS:
+        raise UserError(
+            f"{where}: got {many:,} observers and options of observers, expected at most {times.LABELS:,}; divide the study."
+        )
     for each in named_in(raw):
         study._own[each.key] = gate.code(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
             raise unknown(f"{where}: scenarios", "scenario", name, known)
-    _unique(study.scenarios, f"{where}: scenarios")
-    if study.observers is not None:
-        _observers(study, study.observers, f"{where}: observers")
-    if study.lti is not None:
-        _observers(study, study.lti.observers, f"{where}: lti.observers")
-    for place, table in _tables(study):
-        if table.observers is not None:
-            _observers(study, table.observers, f"{where}: {place}.observers")
-        for name, given in (table.options or {}).items():
-            checked_options(study, name, given, f"{where}: {place}.options.{name}")
-    for name, given in study.options.items():
-        checked_options(study, name, given, f"{where}: options.{name}")
+    _require_different(study.scenarios, f"{where}: scenarios")
+    lists = {"observers": study.observers, "lti.observers": study.lti.observers if study.lti else None}
+    for place, names in (lists | {f"{place}.observers": each.observers for place, each in mine.items()}).items():
+        if names is not None:
+            _require_observers(study, names, f"{where}: {place}")
+    options = {f"{place}.": table.options or {} for place, table in mine.items()} | {"": study.options}
+    for place, by_label in options.items():
+        for name, given in by_label.items():
+            checked_options(study, name, given, f"{where}: {place}options.{name}")
     return study
 
 
@@ -104,32 +101,13 @@ def outline(what: str, overrides: list[str]) -> Study:
     return described(raw, what, FROM_HERE)
 
 
-def names_all(raw: dict[str, Any]) -> bool:
+def names_all(raw: TomlTable) -> bool:
     """Say whether "all" is among the observers of a raw study."""
     observers = raw.get("observers")
     return observers == ALL or (isinstance(observers, list) and ALL in observers)
 
 
-def _own(raw: dict[str, Any]) -> list[str]:
-    """The scenarios that a raw study brings: those it names where it says no others."""
-    table = raw.get("scenario")
-    name = (table.get("name") if isinstance(table, dict) else None) or raw.get("name")
-    tables = raw.get("tables")
-    return [
-        *[LTI] * (raw.get("lti") is not None),
-        *[str(name)] * (table is not None),
-        *(tables if isinstance(tables, dict) else ()),
-    ]
-
-
-def _tables(study: Study) -> Iterator[tuple[str, ScenarioTable]]:
-    """Yield the tables of a study's own scenarios, each with where it stands."""
-    if study.scenario is not None:
-        yield "scenario", study.scenario
-    yield from ((f"scenarios.{name}", table) for name, table in (study.tables or {}).items())
-
-
-def grid(raw: dict[str, Any], where: str, gate: Gate) -> Grid:
+def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
     study, every = described(raw, where, gate), []
     for name in study.scenarios:
@@ -144,30 +122,24 @@ def grid(raw: dict[str, Any], where: str, gate: Gate) -> Grid:
 def unstable(found: Grid) -> list[str]:
     """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
     each = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in found.cells}
-    said = [controller_table.warning(s, found.study.name) for s in each.values()]
-    return [sentence for sentence in said if sentence]
+    return [said for s in each.values() if (said := controller_table.warning(s, found.study.name))]
 
 
-def parse(raw: dict[str, Any], where: str) -> Study:
+def parse(raw: TomlTable, where: str) -> Study:
     """Return the checked study that `raw` describes; raise UserError naming the place in it that is wrong."""
     return grid(raw, where, FROM_HERE).study
 
 
-def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
+def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
     return grid(*changed(study, changes, overrides), FROM_HERE)
 
 
-def changed(study: Described, changes: dict[str, Any], overrides: list[str]) -> tuple[dict[str, Any], str]:
+def changed(study: Described, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
     """Return a raw study from a name, a TOML file, a dict or a Study, with `changes` put in, and what it is called."""
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
     return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
-
-
-def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
-    """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
-    return grid_of(study, changes, overrides).study
 
 
 def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
@@ -192,7 +164,7 @@ def scenario_in(study: Study, where: str) -> Scenario:
     return scenarios_of(study)[study.scenarios[0]]
 
 
-def _observers(study: Study, names: list[str], where: str) -> None:
+def _require_observers(study: Study, names: list[str], where: str) -> None:
     """Raise UserError where a list of observers is empty, or holds an unknown name or one twice."""
     if not names:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
@@ -205,13 +177,13 @@ def _observers(study: Study, names: list[str], where: str) -> None:
                 f'{where}: got "all", expected names here; write observers = "all" at the top of the study.'
             )
         if name not in known and (base := base_in(study, name)) is not None:
-            label = short(name)
             raise UserError(
-                f"{where}: got '{label}' without options, expected some for a label of {base}; write [options.{label}]."
+                f"{where}: got '{short(name)}' without options, expected some for a label of {base}; write "
+                f"[options.{short(name)}]."
             )
         if name not in known:
             raise unknown(where, "observer", name, known)
-    _unique(names, where)
+    _require_different(names, where)
 
 
 def require_signals(study: Study, names: list[str] | None, where: str) -> None:
@@ -223,7 +195,7 @@ def require_signals(study: Study, names: list[str] | None, where: str) -> None:
             raise unknown(where, f"signal of {study.name}", name, set(there))
 
 
-def _unique(names: list[str], where: str) -> None:
+def _require_different(names: list[str], where: str) -> None:
     if len(set(names)) < len(names):
         twice = next(name for i, name in enumerate(names) if name in names[:i])
         raise UserError(f"{where}: got '{twice}' twice, expected each once; remove one.")

@@ -3,22 +3,38 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
+from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import PLANTS, entry_of, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plants import PLANTS, PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
-from pcbench.scenarios.signals import SIGNALS, SINGLE
-from pcbench.scenarios.sources import Sources
+from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
+from pcbench.signal_names import names_and_units, require_different
 from pcbench.study import axes, controller_table, times
-from pcbench.study import validate as fit
 from pcbench.study.lti_inputs import sources
 from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_observers import filled
 from pcbench.study.scenario_schema import ScenarioTable
+from pcbench.toml_text import TomlTable
 
 REQUIRED = ("plant", "x0", "sampling_period", "delay", "noise_std")
+# by field: how many numbers, and whether none is allowed as well
+SIZES = {
+    "x0": ("n", False),
+    "process_std": ("n", True),
+    "xhat0": ("n", False),
+    "prior_std": ("n", False),
+    "unknown0": ("s", True),
+    "unknown_std": ("s", False),
+    "assumed_noise_std": ("q", True),
+    "assumed_process_std": ("n", True),
+    "initial_box": ("n", True),
+    "settle_band": ("n + s", False),
+}
+EACH = {"n": "state", "s": "unknown", "q": "output", "n + s": "state and unknown"}
+AS_GIVEN = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
 
 
 def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, Own]) -> Scenario:
@@ -32,23 +48,29 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
             f"'my-{name.replace('/', '-')}'."
         )
     given = table.given()
-    start = _base(table, given, where)._replace(name=name)
-    start = start.having(**{key: given[key] for key in ("dt", "duration") if key in given})
-    times.ticks_of(start.duration, start.dt, where)
-    s = _of_plant(start, given, where, own)
+    s = _base(table, given, where)._replace(name=name)
+    s = s.having(**{key: given[key] for key in ("dt", "duration") if key in given})
+    times.ticks_of(s.duration, s.dt, where)
+    s = _of_plant(s, given, where, own)
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}
     many["n + s"] = many["n"] + many["s"]
-    given |= {key: fit.each(given[key], many[size]) for key, (size, _) in fit.SIZES.items() if key in given}
-    s = s.having(**{key: tuple(given[key]) for key in (*fit.SIZES, "delay_sine", "headline") if key in given})
-    s = _filled(s, given, many) if table.base is None else s
+    for key, (size, _) in SIZES.items():
+        if key in given and not isinstance(given[key], list):
+            given[key] = [float(given[key])] * many[size]
+    s = s.having(**{key: tuple(given[key]) for key in (*SIZES, "delay_sine", "headline") if key in given})
+    if table.base is None:
+        s = with_defaults(s, many["n"], many["s"]).having(steady_start=round(0.3 * s.duration / s.dt) * s.dt)
+        s = s if "controller" in given or "input" in given else s.having(input="sine")
+        linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
+        usual = linear if entry.model is None else ("ekf", *linear)
+        s = s if "observers" in given else s._replace(observers=usual)
     s = _measured(s, given, many["q"], where)
-    plain = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
-    s = s.having(**{key: given[key] for key in plain if key in given})
+    s = s.having(**{key: given[key] for key in AS_GIVEN if key in given})
     if (limit := given.get("divergence_threshold")) is not None:
         s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
     s = _driven(s, given, model.B.shape[1], where, own)
-    fit.require_fit(s, many, entry, where)
+    _require_fit(s, many, where)
     if s.sampling.continuous and (entry.plant.field is None or model.discrete):
         raise UserError(
             f"{where}.continuous: got true for {s.plant}, expected a plant that is a vector field; leave it out."
@@ -56,7 +78,17 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     return s
 
 
-def _base(table: ScenarioTable, given: dict[str, Any], where: str) -> Scenario:
+def with_defaults(s: Scenario, n: int, unknowns: int) -> Scenario:
+    """Return a scenario with numbers for all of its n states and its unknowns where it has none, but for x(0)."""
+    x0, xhat0 = s.truth.x0, s.belief.xhat0 or (0.0,) * n
+    apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
+    prior, size = s.belief.prior_std or apart, s.belief.unknown_std or (1.0,) * unknowns
+    usual = zip((*prior, *size), (*apart, *size), strict=False)
+    band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in usual)
+    return s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
+
+
+def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
     """The scenario that the table's keys change: a published one, or one of nothing but what must be given."""
     observers = tuple(given.get("observers", ()))
     if table.base is not None:
@@ -85,7 +117,7 @@ def _base(table: ScenarioTable, given: dict[str, Any], where: str) -> Scenario:
     )
 
 
-def _of_plant(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own]) -> Scenario:
+def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) -> Scenario:
     """The scenario with its plant: what it is called, its parameters, its signals."""
     valid = [name for name in PLANTS if name != "lti"]
     plant = given.get("plant", s.plant)
@@ -99,54 +131,29 @@ def _of_plant(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, 
         raise unknown(f"{where}.plant", "plant (or MODULE:NAME)", plant, valid)
     else:
         s = s._replace(plant=plant)
-    if "parameters" in given:
-        known = parameters_of(entry_of(s))
-        s = s.having(
-            parameters={k: _parameter(s, k, v, known, f"{where}.parameters") for k, v in given["parameters"].items()}
-        )
-    if "model" in given:
-        known = [name for name in entry_of(s).numbers._fields if name not in ("drift", "unknown_input")]
-        s = s.having(model={k: _parameter(s, k, v, known, f"{where}.model") for k, v in given["model"].items()})
-    states, unknowns = entry_of(s).signals, entry_of(s).unknowns
-    for key, known_ones in (("signals", states), ("unknowns", unknowns)):
-        if given.get(key):
-            s = s.having(**{key: fit.signals(given[key], len(known_ones), f"{where}.{key}")})
+    entry = entry_of(s)
+    known_to_observers = [name for name in entry.numbers._fields if name not in ("drift", "unknown_input")]
+    for table, known in (("parameters", parameters_of(entry)), ("model", known_to_observers)):
+        values = {}
+        for name, value in given.get(table, {}).items():
+            if name not in known:
+                raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, known)
+            usual = getattr(entry.numbers, name)
+            if type(usual) is float:
+                value = axes.point(f"plant.{name}", value, s, f"{where}.{table}.{name}")
+            elif type(value) is not type(usual):
+                raise UserError(f"{where}.{table}.{name}: got {shown(value)}, expected a value such as {shown(usual)}.")
+            values[name] = value
+        s = s.having(**{table: values}) if table in given else s
+    for key, signals in (("signals", entry.signals), ("unknowns", entry.unknowns)):
+        if texts := given.get(key):
+            if len(texts) != len(signals):
+                raise UserError(f"{where}.{key}: got {len(texts)} names, expected {len(signals)}.")
+            s = s.having(**{key: names_and_units(texts, f"{where}.{key}")})
     return s
 
 
-def _parameter(s: Scenario, name: str, value: Any, known: list[str], where: str) -> Any:
-    """A parameter of a plant: a number, or what the plant has in its place."""
-    if name not in known:
-        raise unknown(where, f"parameter of plant {s.plant}", name, known)
-    own = getattr(entry_of(s).numbers, name)
-    if type(own) is float:
-        return axes.point(f"plant.{name}", value, s, f"{where}.{name}")
-    if type(value) is not type(own):
-        raise UserError(f"{where}.{name}: got {shown(value)}, expected a value such as {shown(own)}.")
-    return value
-
-
-def _filled(s: Scenario, given: dict[str, Any], many: dict[str, int]) -> Scenario:
-    """The scenario with a value for everything that neither a base nor the table says."""
-    x0 = s.truth.x0
-    xhat0 = s.belief.xhat0 or (0.0,) * many["n"]
-    apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
-    prior = s.belief.prior_std or apart
-    size = s.belief.unknown_std or (1.0,) * many["s"]
-    band = s.scoring.settle_band or tuple(
-        0.05 * (p or default) for p, default in zip((*prior, *size), (*apart, *size), strict=False)
-    )
-    tail = round(0.3 * s.duration / s.dt) * s.dt
-    s = s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band, steady_start=tail)
-    if "controller" not in given and "input" not in given:
-        s = s.having(input="sine")
-    entry = entry_of(s)
-    linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
-    usual = ("ekf", *linear) if entry.model is not None else linear
-    return s if "observers" in given else s._replace(observers=usual)
-
-
-def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenario:
+def _measured(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
     """The scenario with the axes' fields as an axis would have them: whole ticks, one value for each output."""
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
@@ -159,11 +166,10 @@ def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenari
     return s
 
 
-def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping[str, Own]) -> Scenario:
+def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str, Own]) -> Scenario:
     """The scenario with its input, its controller and its unknown input."""
-    entry = entry_of(s)
+    entry, horizon = entry_of(s), (times.whole(s.duration, s), s.dt)
     loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
-    commands = {key: given[key] for key in axes.COMMANDS if given.get(key)}
     if mine := own.get(loop.get("controller", "")):
         loop["controller"] = mine.code.name
         s = s._replace(own={**s.own, "controller": mine})
@@ -178,36 +184,67 @@ def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping
             "one of them; write input = ... for an open loop, controller = ... for a closed one."
         )
     if s.loop.controller:
-        s = s.having(control=fit.control(s, entry, where))
-        law = controller_of(s)
-        if law.check:
-            law.check(law.options.model_validate(dict(s.loop.control)), controller_table.sizes(s, f"{where}.control"))
-    else:
-        s = s.having(input=_sources(s, s.loop.input, m, SIGNALS, "input", f"{where}.input"))
-    for key, value in commands.items():
-        if key not in axes.axes_of(s):
-            raise UserError(
-                f"{where}.{key}: got {shown(value)} where no controller for any plant gives commands, expected none; "
-                "leave it out."
-            )
-        s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
-    if given.get("unknown_input"):
+        _require_controller(s, entry, where)
+    elif not isinstance(s.loop.input, tuple):  # a base's
+        found = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
+        s = s if isinstance(s.loop.input, str) else s.having(input=found)
+    for key in axes.COMMANDS:
+        if value := given.get(key):
+            if key not in axes.axes_of(s):
+                raise UserError(
+                    f"{where}.{key}: got {shown(value)} where no controller for any plant gives commands, expected none; "
+                    "leave it out."
+                )
+            s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
+    pushing = given.get("unknown_input")
+    if pushing == "":
+        return s.having(unknown_input="")
+    if pushing:
+        here = f"{where}.unknown_input"
         if "unknown_input" not in entry.numbers._fields:
             raise UserError(
-                f"{where}.unknown_input: got {shown(given['unknown_input'])} for {s.plant}, expected none: it has no unknown "
-                "input; leave it out."
+                f"{here}: got {shown(pushing)} for {s.plant}, expected none: it has no unknown input; leave it out."
             )
         many = len(signals_of(s)) - len(states_of(s))
-        pushing = _sources(s, given["unknown_input"], many, SINGLE, "unknown input", f"{where}.unknown_input")
-        s = s.having(unknown_input=pushing)
-    return s.having(unknown_input="") if given.get("unknown_input") == "" else s
+        found = sources(pushing, many, SINGLE, horizon, "unknown inputs", here)
+        s = s.having(unknown_input=pushing if isinstance(pushing, str) else found)
+    return s
 
 
-def _sources(s: Scenario, given: Any, many: int, valid: Iterable[str], kind: str, where: str) -> Sources:
-    """What drives `many` inputs, from a signal's names or from data."""
-    if isinstance(given, str):
-        fit.require_names(given, valid, many, kind, where)
-        return given
-    if isinstance(given, tuple):  # a base's
-        return given
-    return sources(given, many, valid, (times.whole(s.duration, s), s.dt), f"{kind}s", where)
+def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
+    """Raise UserError for a controller that is none or not for the plant, and for options that do not fit."""
+    name, control = s.loop.controller, dict(s.loop.control)
+    if name not in CONTROLLERS and "controller" not in s.own:
+        raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
+    if name == "pd" and entry.inverse is None:
+        able = ", ".join(each for each, plant in PLANTS.items() if plant.inverse)
+        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it is for: {able}.")
+    law = controller_of(s)
+    options = filled(law.options, control, f"{where}.control")
+    if "path" in control and control["path"] not in PATHS:
+        raise unknown(f"{where}.control.path", "path", control["path"], PATHS)
+    if law.check:
+        law.check(options, controller_table.sizes(s, f"{where}.control"))
+
+
+def _require_fit(s: Scenario, many: dict[str, int], where: str) -> None:
+    """Raise UserError for a list of the wrong length, and for what the scoring cannot be."""
+    for key, (size, optional) in SIZES.items():
+        got, want = len(s.value(key)), many[size]
+        if got != want and not (optional and not got):
+            raise UserError(
+                f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]} of {s.plant}."
+            )
+    bound, tail = s.scoring.divergence_threshold, s.scoring.steady_start
+    if isinstance(bound, tuple) and len(bound) != many["n + s"]:
+        raise UserError(
+            f"{where}.divergence_threshold: got {len(bound)} numbers, expected one, or {many['n + s']}, one for each state and "
+            "unknown."
+        )
+    if not 0 <= tail < s.duration:
+        raise UserError(f"{where}.steady_start: got {tail:g} s, expected less than the duration of {s.duration:g} s.")
+    names = [name for name, _ in signals_of(s)]
+    for name in s.scoring.headline:
+        if name not in names:
+            raise unknown(f"{where}.headline", "signal", name, names)
+    require_different(names, f"{where}.signals")

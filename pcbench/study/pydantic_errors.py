@@ -35,20 +35,16 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
 
 def _place(loc: tuple[int | str, ...]) -> str:
     """Where pydantic found something, as TOML writes it; without its names for the kinds that a value may be of."""
-    parts = [part for i, part in enumerate(loc) if not i or not _is_kind(str(part))]
+    names = [str(part).rstrip("]").endswith(KINDS) or str(part).startswith("literal[") for part in loc]
+    parts = [part for i, part in enumerate(loc) if not i or not names[i]]
     return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
-
-
-def _is_kind(part: str) -> bool:
-    return part.rstrip("]").endswith(KINDS) or part.startswith("literal[")
 
 
 def _expected(message: str) -> str:
     """Pydantic's message as what was expected."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
     text = re.sub(r"dictionary( or instance of \w+)?", "table", text)
-    text = re.sub(
-        r"List should have at (least|most) (\d+) items? after validation, not \d+", r"a list of at \1 \2", text
-    )
+    many = r"List should have at (least|most) (\d+) items? after validation, not \d+"
+    text = re.sub(many, r"a list of at \1 \2", text)
     text = text.replace("String should", "a string that should").replace("List should", "a list that should")
     return (text[0].lower() + text[1:]).rstrip(".")

@@ -8,13 +8,25 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, creat
 from pcbench import fields
 from pcbench.errors import printable
 from pcbench.study import axes
+from pcbench.toml_text import TomlTable
+
+LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
+
+
+def _zero_or_not_tiny(number: float) -> float:
+    if 0 < abs(number) < LEAST:
+        raise ValueError(f"0 or a number of at least {LEAST:g} in size")
+    return number
+
 
 Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: without an end
-Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
-Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
-Size = Annotated[Number, Field(ge=0)]
+# Strict: no text, no true or false
+Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST), AfterValidator(_zero_or_not_tiny)]
+Positive = Annotated[
+    float, Strict(), Field(le=axes.LARGEST), AfterValidator(_zero_or_not_tiny), Field(ge=axes.SMALLEST)
+]
+Size = Annotated[float, Strict(), Field(ge=0, le=axes.LARGEST), AfterValidator(_zero_or_not_tiny)]
 Switch = Annotated[bool, Strict()]
-PerChannel = Number | list[Number]
 Words = Annotated[str, AfterValidator(printable)]
 
 M = TypeVar("M", bound=BaseModel)
@@ -39,7 +51,7 @@ def takes_axes(required: Sequence[str] = (), without: Sequence[str] = ()) -> Cal
     """
 
     def with_keys(table: type[M]) -> type[M]:
-        keys: dict[str, Any] = {}
+        keys: TomlTable = {}
         for f in fields.FIELDS:
             about = f.meaning if f.unit in ("", "1") else f"{f.unit}, {f.meaning}"
             if f.name in required:
@@ -75,7 +87,7 @@ class ScenarioTable(BaseModel):
     duration: Positive | None = Field(None, description="s; default 10")
     # what is true of the plant and told to no observer
     x0: Number | list[Number] | None = Field(None, description="[n] x(0)")
-    parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
+    parameters: TomlTable | None = Field(None, description="the plant's, where they differ from its own")
     unknown_input: Any | None = Field(None, description="of what pushes: as `input` says it")
     # what drives the plant
     input: Any | None = Field(
@@ -83,7 +95,7 @@ class ScenarioTable(BaseModel):
         description="a signal's name, or one for each input, with commas; or a wave, values, rows, a CSV file; default: sine",
     )
     controller: str | None = Field(None, description="what gives the commands of a closed loop; empty: it is open")
-    control: dict[str, Any] | None = Field(None, description="the controller's options")
+    control: TomlTable | None = Field(None, description="the controller's options")
     # how it is measured
     prefilled: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
     delay_sine: list[Number] | None = Field(
@@ -95,7 +107,7 @@ class ScenarioTable(BaseModel):
     prior_std: Size | list[Size] | None = Field(
         None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1"
     )
-    model: dict[str, Any] | None = Field(None, description="the plant's parameters as observers know them")
+    model: TomlTable | None = Field(None, description="the plant's parameters as observers know them")
     drift_intensity: Size | None = Field(None, description="1/s, process noise through the input where it drifts")
     unknown0: Number | list[Number] | None = Field(
         None, description="[s] what observers take for the unknowns at the start"
@@ -119,9 +131,9 @@ class ScenarioTable(BaseModel):
     signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
     unknowns: list[str] | None = Field(None, description="[s] names of unknowns with units")
     headline: list[str] | None = Field(None, description="signals that a closing table shows")
-    options: dict[str, dict[str, Any]] | None = Field(None, description="of observers, by label")
+    options: dict[str, TomlTable] | None = Field(None, description="of observers, by label")
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> TomlTable:
         """Return what the table says of the scenario's fields."""
         said = {key: getattr(self, key) for key in type(self).model_fields if key not in ("base", "name")}
         return {key: value for key, value in said.items() if value is not None}

@@ -7,7 +7,7 @@ from typing import Any
 
 from pcbench.errors import UserError
 from pcbench.scenarios import INTERVAL, NOTHING, Scenario
-from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.scenario import RECORD_OF, RECORDS
 from pcbench.scenarios.sources import Source, Wave
 from pcbench.study.scenario_schema import ScenarioTable
 
@@ -44,10 +44,11 @@ def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[st
 
 def _line(s: Scenario, key: str) -> str:
     """One key with its value and its meaning; a comment where the value is what it is without the key."""
-    value, about = s.value(key), ScenarioTable.model_fields[key].description
-    default = getattr(s, _record(key))._field_defaults if _record(key) and key != "steady_start" else {}
+    value, about, record = s.value(key), ScenarioTable.model_fields[key].description, RECORD_OF.get(key)
+    default = getattr(s, record)._field_defaults if record and key != "steady_start" else {}
     if key in ("input", "unknown_input") and not isinstance(value, str):
-        text = said([_driving(each) for each in value] if len(value) > 1 else _driving(value[0]))
+        sources = [_source(each) for each in value]
+        text = said(sources if len(sources) > 1 else sources[0])
     elif key in ("signals", "unknowns"):
         text = said([f"{name} [{unit}]" for name, unit in value])
     else:
@@ -55,15 +56,11 @@ def _line(s: Scenario, key: str) -> str:
     return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
 
 
-def _driving(source: Source) -> Any:
+def _source(source: Source) -> Any:
     """A wave as a table, a table as rows."""
     if isinstance(source, Wave):
         return {"signal": source.shape} | {k: v for k, v in source._asdict().items() if k != "shape" and v != ""}
     return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]
-
-
-def _record(key: str) -> str:
-    return next((record for record, fields in RECORDS.items() if key in fields), "")
 
 
 def said(value: Any) -> str:

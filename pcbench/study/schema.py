@@ -8,6 +8,7 @@ from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.scenario_schema import ScenarioTable
+from pcbench.toml_text import TomlTable
 
 Values = list[Any]
 TUNINGS = ("published", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
@@ -35,7 +36,7 @@ class Choices(BaseModel):
     )
     precision: str = Field("float64", description="float64: no other is offered")
 
-    def loop(self) -> dict[str, Any]:
+    def loop(self) -> TomlTable:
         """Return what is chosen of a closed loop, None where it is the scenario's."""
         return {"feedforward": self.feedforward, "predictor": self.predictor, "path": self.path}
 
@@ -75,8 +76,8 @@ class TunedCell(BaseModel):
     """`[[tuned.cells]]`: the gains of one cell, where gains were tuned in every cell."""
 
     model_config = ConfigDict(extra="forbid")
-    cell: dict[str, Any] = Field(description="value of each axis")
-    options: dict[str, dict[str, Any]] = Field(description="all options of each tuned label in this cell")
+    cell: TomlTable = Field(description="value of each axis")
+    options: dict[str, TomlTable] = Field(description="all options of each tuned label in this cell")
 
 
 class TunedOptions(BaseModel):
@@ -84,12 +85,10 @@ class TunedOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     scenario: str
-    cell: dict[str, Any] = Field(
-        description="value of each axis with which they were tuned; of several cells the first"
-    )
+    cell: TomlTable = Field(description="value of each axis with which they were tuned; of several cells the first")
     metric: str
     signal: str
-    options: dict[str, dict[str, Any]] = Field(description="tuned options by label; none where the start was kept")
+    options: dict[str, TomlTable] = Field(description="tuned options by label; none where the start was kept")
     cells: list[TunedCell] | None = Field(None, description="the options of every cell, if each was tuned for itself")
 
 
@@ -127,13 +126,13 @@ class Study(BaseModel):
         "all",
         description="a cell for every combination of the axes; each: for one axis at a time, the others at their first",
     )
-    options: dict[str, dict[str, Any]] = {}
+    options: dict[str, TomlTable] = {}
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
     tables: dict[str, ScenarioTable] | None = Field(
         None, description="scenarios of one's own, by name; a study file writes [scenarios.NAME]"
     )
-    controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
+    controller: TomlTable | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field(
         "published", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them"
     )

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from typing import Any
 
 import tomli_w
 
@@ -11,26 +10,31 @@ from pcbench.study.grid import Cell, numbering
 from pcbench.study.plugins.references import Named, named_in, renamed
 from pcbench.study.plugins.user_code import Code
 from pcbench.study.plugins.user_plants import facts
+from pcbench.toml_text import TomlTable
 
 
-def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
+def resolved(study: Study, every: list[Cell]) -> TomlTable:
     """Return everything that decides the numbers, for `study.toml` and its hash."""
     known = scenarios_of(study)
-    options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
-    given = {s: dict[str, Any]() for s in study.scenarios}
+    options: TomlTable = {"scenario": choices_of(study).model_dump(exclude_none=True)}
+    given = {s: TomlTable() for s in study.scenarios}
     for cell in every:  # one may be without an observer that cannot work there
         mine = given[cell.scenario.name]
         mine |= {o: each.model_dump(exclude_none=True) for o, each in cell.options.items() if o not in mine}
     options |= {s: mine for s, mine in given.items() if s not in options}
-    scenarios = {s: _without_null(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
+    scenarios = {}
+    for name in study.scenarios:  # without what TOML has no word for: nothing
+        flat = json.loads(json.dumps(known[name].flat(), default=dict))
+        flat["model"] = {k: v for k, v in flat["model"].items() if v is not None}
+        scenarios[name] = {k: v for k, v in flat.items() if v is not None}
     ran_by = {s: [o for o in observers_of(study, s) if o in options[s]] for s in study.scenarios}
-    said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
+    out = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
     owned = {each: study._own[each.key] for each in named_in(study.model_dump(exclude_none=True))}
     if owned:
-        said["code"] = {name: code.digest for name, code in codes(study).items()}
+        out["code"] = {name: code.digest for name, code in codes(study).items()}
     if plants := {mine.code.reference: facts(mine.entry) for n, mine in owned.items() if n.kind == "plant"}:
-        said["plants"] = plants
-    return as_dict(study) | {"resolved": said}
+        out["plants"] = plants
+    return as_dict(study) | {"resolved": out}
 
 
 def codes(study: Study) -> dict[str, Code]:
@@ -39,27 +43,16 @@ def codes(study: Study) -> dict[str, Code]:
     return {n.key if n.kind == "observer" else f"{n.kind} {code.name}": code for n, code in owned.items()}
 
 
-def as_dict(study: Study) -> dict[str, Any]:
+def as_dict(study: Study) -> TomlTable:
     """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
-    left = [
-        *([] if study.custom_observers else ["custom_observers"]),
-        *(["evaluation", "schedules"] if study.evaluation == "runs" else []),
-    ]
-    said = study.model_dump(
-        exclude_none=True, exclude={"tuning", "tune", *left, *(() if study.vary == "one-at-a-time" else ("vary",))}
-    )
+    left = {"tuning", "tune"} | (set() if study.custom_observers else {"custom_observers"})
+    left |= {"evaluation", "schedules"} if study.evaluation == "runs" else set()
+    left |= set() if study.vary == "one-at-a-time" else {"vary"}
 
     def copied(each: Named) -> str:
         return study._own[each.key].code.reference if each.key in study._own else each.reference
 
-    return renamed(said, copied)
-
-
-def _without_null(scenario: dict[str, Any]) -> dict[str, Any]:
-    """A scenario without what TOML has no word for: nothing."""
-    model = {k: v for k, v in scenario["model"].items() if v is not None}
-    said = {k: v for k, v in scenario.items() if v is not None}
-    return said | {"model": model}
+    return renamed(study.model_dump(exclude_none=True, exclude=left), copied)
 
 
 def to_toml(study: Study, every: list[Cell]) -> str:
@@ -69,6 +62,6 @@ def to_toml(study: Study, every: list[Cell]) -> str:
 
 def digest(study: Study, every: list[Cell]) -> str:
     """Return the hash of the resolved study, whatever its cells' numbers: equal for equal numbers."""
-    said = resolved(study, every)
-    del said["resolved"]["cells"]
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    decisive = resolved(study, every)
+    del decisive["resolved"]["cells"]
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

@@ -8,7 +8,7 @@ CELL_TICKS ticks in all, and at most LABELS labels of observers
 and SCENARIOS scenarios.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,30 +60,38 @@ def clocks(s: Scenario) -> list[Clock]:
         alone: dict[str, Any] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
         alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
         groups.setdefault(s.sampling._replace(**alone), []).append(j)
-    return [
-        Clock(
-            channels=tuple(channels),
-            period=whole(measured.sampling_period[0], s),
-            delay=None if isinstance(delay := measured.delay[0], str) else whole(delay, s),
-            profile=measured.sampling_pattern
-            if isinstance(measured.sampling_pattern, str)
-            else tuple(whole(v, s) for v in measured.sampling_pattern),
-            jitter=whole(number(measured.sampling_jitter), s),
-            spread=whole(number(measured.delay_jitter), s),
-            steps=steps(measured, s.dt),
-            stay=chain(measured),
-            share=shares(measured, s.dt),
-            turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
-            loss=number(measured.loss),
-            burst=number(measured.mean_burst_length) if measured.loss else 0.0,
-            phase=whole(number(measured.sampling_phase), s),
-            outage=outage(measured, s),
-            stamp=stamp(s),
-            early=measured.prefilled,
-            swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
-        )
-        for measured, channels in groups.items()
-    ]
+    return [_clock(measured, tuple(channels), s) for measured, channels in groups.items()]
+
+
+def _clock(measured: Sampling, channels: tuple[int, ...], s: Scenario) -> Clock:
+    """One sensor: its delay's steps are later by a few values or by a gamma distribution, drawn one by one or by a chain."""
+    delay, pattern = measured.delay[0], measured.sampling_pattern
+    steps = tuple(whole(v, s) for v in measured.delay_values)
+    share = tuple(each / sum(measured.delay_weights) for each in measured.delay_weights)
+    if measured.delay_gamma_mean:
+        share = gamma(number(measured.delay_gamma_mean) / s.dt, number(measured.delay_gamma_shape))
+        steps = tuple(range(len(share)))
+    start, length = number(measured.outage_start), number(measured.outage_duration)
+    offset, jitter = (whole(v, s) for v in (measured.timestamp_offset, measured.timestamp_jitter))
+    return Clock(
+        channels=channels,
+        period=whole(measured.sampling_period[0], s),
+        delay=None if isinstance(delay, str) else whole(delay, s),
+        profile=pattern if isinstance(pattern, str) else tuple(whole(v, s) for v in pattern),
+        jitter=whole(number(measured.sampling_jitter), s),
+        spread=whole(number(measured.delay_jitter), s),
+        steps=steps,
+        stay=chain(measured),
+        share=share,
+        turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
+        loss=number(measured.loss),
+        burst=number(measured.mean_burst_length) if measured.loss else 0.0,
+        phase=whole(number(measured.sampling_phase), s),
+        outage=(whole(start, s), whole(start + length, s)) if length else (0, 0),
+        stamp=Stamp(offset, 1e-6 * measured.clock_skew, jitter),
+        early=measured.prefilled,
+        swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
+    )
 
 
 def sensors(s: Scenario) -> Iterator[Scenario]:
@@ -97,33 +105,6 @@ def number(value: PerChannel) -> float:
     """Return what one channel has, where `sensors` has chosen it."""
     (one,) = per_channel(value, 1)
     return one
-
-
-def outage(measured: Sampling, s: Scenario) -> tuple[int, int]:
-    """Return the first tick of a channel's outage and the first after it."""
-    start, length = number(measured.outage_start), number(measured.outage_duration)
-    return (whole(start, s), whole(start + length, s)) if length else (0, 0)
-
-
-def stamp(s: Scenario) -> Stamp:
-    """Return by how much stamps are wrong, in ticks."""
-    measured = s.sampling
-    return Stamp(whole(measured.timestamp_offset, s), 1e-6 * measured.clock_skew, whole(measured.timestamp_jitter, s))
-
-
-def steps(measured: Sampling, dt: float) -> tuple[int, ...]:
-    """Return by how many ticks a channel's sample may be later: by one of a few values, or of a gamma distribution."""
-    if measured.delay_gamma_mean:
-        return tuple(range(len(shares(measured, dt))))
-    return tuple(round(v / dt) for v in measured.delay_values)
-
-
-def shares(measured: Sampling, dt: float) -> tuple[float, ...]:
-    """Return how many of the samples are later by each of the delay's steps, where these are drawn one by one."""
-    if measured.delay_gamma_mean:
-        return gamma(number(measured.delay_gamma_mean) / dt, number(measured.delay_gamma_shape))
-    total = sum(measured.delay_weights)
-    return tuple(share / total for share in measured.delay_weights)
 
 
 def chain(measured: Sampling) -> tuple[float, ...]:
@@ -153,17 +134,11 @@ CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
 def ticks_of(horizon: float, tick: float, where: str) -> int:
     """Return a horizon [s] in ticks [s]; raise UserError where that is less than two or more than TICKS."""
-    many = horizon / tick
+    many, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
     if many > TICKS + 0.5:
-        raise UserError(
-            f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s, expected at most {TICKS:,} ticks; take a "
-            "shorter horizon or a longer tick."
-        )
+        raise UserError(f"{got}, expected at most {TICKS:,} ticks; take a shorter horizon or a longer tick.")
     if round(many) < 2:
-        raise UserError(
-            f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s, expected at least two ticks; take a longer "
-            "horizon or a shorter tick."
-        )
+        raise UserError(f"{got}, expected at least two ticks; take a longer horizon or a shorter tick.")
     return round(many)
 
 
@@ -188,20 +163,6 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
             f"{where}: got samples that up to {most:,} newer ones may overtake, expected at most {OVERTAKING:,}; take a "
             "smaller delay_jitter, delays that differ less, or sample less often."
         )
-
-
-def require_few_labels(labels: Collection[str], where: str) -> None:
-    """Raise UserError where a study names too many observers, with their options, at a time."""
-    if len(labels) > LABELS:
-        raise UserError(
-            f"{where}: got {len(labels):,} observers and options of observers, expected at most {LABELS:,}; divide the study."
-        )
-
-
-def require_few_scenarios(many: int, where: str) -> None:
-    """Raise UserError where a study has too many scenarios at a time."""
-    if many > SCENARIOS:
-        raise UserError(f"{where}: got {many:,} scenarios, expected at most {SCENARIOS:,}; divide the study.")
 
 
 def require_few_cells(cells: int, ticks: int, where: str) -> None:

@@ -103,7 +103,7 @@ def test_an_observer_runs_beside_others(here):
 
 def test_a_scenario_is_the_published_one_to_start_from(here):
     new.new("scenario", "bench1")
-    study = parse.study_of("bench1.toml", {}, [])
+    study = parse.grid_of("bench1.toml", {}, []).study
     assert study.name == "bench1"
     (cell,) = parse.grid_of("bench1.toml", {}, []).cells
     known = SCENARIOS["cart/white"]

@@ -27,7 +27,7 @@ def pendulum(tmp_path, monkeypatch):
 def test_the_pendulums_file_is_a_study(pendulum):
     (cell,) = parse.grid_of("pendulum.py:late_camera", {}, []).cells
     assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]
-    (p,) = plan(parse.study_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []))
+    (p,) = plan(parse.grid_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []).study)
     assert p.certificates["shortcut"].status == "uncertified"
     assert not parse.unstable(parse.grid_of("pendulum.py:late_camera", {}, []))
 

@@ -50,7 +50,7 @@ def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
     proofs = {}
     with config.float64():
         for scenario, names in asked.items():
-            (planned,) = plan(parse.study_of(scenario, {"observers": names}, []))
+            (planned,) = plan(parse.grid_of(scenario, {"observers": names}, []).study)
             proofs |= planned.certificates
     unproven = [name for name, proof in proofs.items() if is_certified(proof._asdict()) is False]
     assert len(proofs) == len(OBSERVERS)

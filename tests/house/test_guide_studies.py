@@ -167,7 +167,7 @@ BELIEVED = re.compile(r"^\| `([a-z-]+)` \| ((?:[\d.]+ \| ){6}[\d.]+) \|$", re.M)
 
 
 def test_the_table_of_beliefs_has_what_the_study_has():
-    study = parse.study_of("model-mismatch", {}, [])
+    study = parse.grid_of("model-mismatch", {}, []).study
     assert [name for name, _ in BELIEVED.findall(OBSERVERS_PAGE)] == study.observers
     told = {name: study.tables[name].given() for name in study.scenarios}
     late = [told[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
@@ -187,7 +187,7 @@ def test_the_table_of_beliefs_is_what_comes_out():
     rms = wide["mean"].unstack()
     for observer, numbers in BELIEVED.findall(OBSERVERS_PAGE):
         for scenario, said in zip(
-            parse.study_of("model-mismatch", {}, []).scenarios, numbers.split(" | "), strict=True
+            parse.grid_of("model-mismatch", {}, []).study.scenarios, numbers.split(" | "), strict=True
         ):
             one = wide.loc[observer, scenario]
             assert abs(one["mean"] - float(said)) < max(one["se"], 0.005 * one["mean"]), (observer, scenario)

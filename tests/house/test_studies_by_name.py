@@ -21,7 +21,7 @@ def short(name):
 def test_its_short_form_has_every_scenario_and_observer(name):
     words = short(name)
     overrides = [word for flag, word in pairwise(words) if flag == "--set"]
-    whole, part = (parse.study_of(name, {}, given) for given in ([], overrides))
+    whole, part = (parse.grid_of(name, {}, given).study for given in ([], overrides))
     assert part.scenarios == whole.scenarios
     assert part.observers == whole.observers
     assert part.tunings == whole.tunings

@@ -136,7 +136,7 @@ def test_all_in_a_table_names_the_place_where_it_belongs():
     with pytest.raises(
         UserError, match=r'lti\.observers: got "all", .* write observers = "all" at the top of the study'
     ):
-        parse.study_of(study, {}, [])
+        parse.grid_of(study, {}, [])
 
 
 @pytest.mark.nightly

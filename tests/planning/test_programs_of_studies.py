@@ -33,7 +33,7 @@ def test_every_study_with_runs_has_its_count():
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_study_compiles_no_more_programs(name):
     with config.float64():
-        study = parse.study_of(name, {}, [])
+        study = parse.grid_of(name, {}, []).study
         drafts = build.drafts(cells_of(study), runs=lambda cell: study.seeds, apart=True)
         programs = {padding.key_of(p) for p in padding.fit(list(drafts))}
     assert len(programs) == PROGRAMS[name]

@@ -84,7 +84,7 @@ PRODUCTS = ("shared",)  # what the flow by matrix products is for
 
 def results(case, engine):
     """By cell and observer, what each metric is for some seeds, as the engine computes it: in one program or several."""
-    study = parse.study_of({"name": "definition", "seeds": len(SEEDS), "engine": engine} | CASES[case], {}, [])
+    study = parse.grid_of({"name": "definition", "seeds": len(SEEDS), "engine": engine} | CASES[case], {}, []).study
     cells = {}
     with config.float64():
         for found in run_local.execute(study, planning.plan(study), SEEDS):

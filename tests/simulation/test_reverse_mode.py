@@ -37,7 +37,7 @@ SIMULATE = jax.jit(event_loop.simulate, static_argnums=0)
 @cache
 def planned(scenario, observers):
     """A cell with a short horizon, as few lanes as seeds."""
-    study = parse.study_of(scenario, {"observers": list(observers)}, [])
+    study = parse.grid_of(scenario, {"observers": list(observers)}, []).study
     cell = grid.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
     cell = cell.having(duration=horizon, steady_start=tail)
@@ -100,7 +100,7 @@ def test_every_smooth_observer_has_its_gradient_checked():
 def test_gradients_are_those_of_finite_differences(observer):
     scenario, given, metric = SLOPES[observer]
     study, p = planned(scenario, (observer,))
-    study = parse.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
+    study = parse.grid_of(scenario, {"observers": [observer], "options": {observer: given}}, []).study
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
     every, at = parameters.start(
         observer,

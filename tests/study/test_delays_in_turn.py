@@ -64,7 +64,7 @@ def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
 def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sample(tmp_path):
     taken, late = recorded(tmp_path / "flight", channels=("y1", "y2"))
     two = {"C": [[1.0, 0.0], [0.0, 1.0]]}
-    resolved = parse.study_of(study(tmp_path / "flight", **two), {}, []).lti
+    resolved = parse.grid_of(study(tmp_path / "flight", **two), {}, []).study.lti
     assert "in-turn:" not in str(resolved)
     assert resolved.delay == pytest.approx(np.nanmin(late[:-1]) * TICK)
     assert [v == "lost" for v in resolved.delay_sequence] == np.isnan(late[: len(resolved.delay_sequence)]).tolist()
@@ -125,7 +125,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
 def test_a_log_that_cannot_be_replayed_is_one_sentence(tmp_path, measured, sentence):
     rows(tmp_path / "flight", measured | {"value": np.zeros(len(measured["channel"]))})
     with pytest.raises(UserError) as caught:
-        parse.study_of(study(tmp_path / "flight"), {}, [])
+        parse.grid_of(study(tmp_path / "flight"), {}, [])
     assert sentence in str(caught.value)
 
 

@@ -42,7 +42,7 @@ def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
 
 def test_the_resolved_study_needs_no_log(tmp_path):
     recorded(tmp_path / "flight")
-    found = parse.study_of(study(tmp_path / "flight"), {}, []).lti
+    found = parse.grid_of(study(tmp_path / "flight"), {}, []).study.lti
     assert found.delay == 0.03
     assert max(found.delay_values) == pytest.approx(0.09)
     assert 0.08 < found.loss < 0.12
@@ -54,7 +54,7 @@ def test_a_log_is_found_beside_its_study(tmp_path):
 
     recorded(tmp_path / "flight")
     (tmp_path / "late.toml").write_text(tomli_w.dumps(study("flight")))
-    assert parse.study_of(str(tmp_path / "late.toml"), {}, []).lti.delay == 0.03
+    assert parse.grid_of(str(tmp_path / "late.toml"), {}, []).study.lti.delay == 0.03
 
 
 def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
@@ -64,7 +64,7 @@ def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
     rows(tmp_path / "both", both.to_dict("list"))
     outputs = {"C": [[1.0, 0.0], [0.0, 1.0]]}
     alone, found = (
-        parse.study_of(study(tmp_path / log) | {"lti": study(tmp_path / log)["lti"] | more}, {}, []).lti
+        parse.grid_of(study(tmp_path / log) | {"lti": study(tmp_path / log)["lti"] | more}, {}, []).study.lti
         for log, more in (("flight", {}), ("both", outputs))
     )
     assert found.delay_self_transition == alone.delay_self_transition
@@ -79,7 +79,7 @@ def test_the_first_of_a_channel_follows_none_of_another():
 def test_delays_that_are_all_alike_are_one_delay(tmp_path):
     t = np.arange(20) * 0.05
     rows(tmp_path / "flight", {"channel": ["y1"] * 20, "sampled": t, "arrived": t + 0.07, "value": t})
-    found = parse.study_of(study(tmp_path / "flight"), {}, []).lti
+    found = parse.grid_of(study(tmp_path / "flight"), {}, []).study.lti
     assert (found.delay, found.delay_values, found.loss) == (0.07, None, 0.0)
 
 
@@ -96,5 +96,5 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     recorded(tmp_path / "flight", 50)
     given = study(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
-        parse.study_of(given | {"lti": given["lti"] | more}, {}, [])
+        parse.grid_of(given | {"lti": given["lti"] | more}, {}, [])
     assert sentence in str(caught.value)

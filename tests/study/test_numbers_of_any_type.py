@@ -9,7 +9,7 @@ from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.study import parse, scenarios_of, times
 from pcbench.study.grid import cells_of
-from pcbench.study.validate import SIZES
+from pcbench.study.parse_scenario import SIZES
 
 LTI = {
     "A": [[0, 1], [0, -1]],

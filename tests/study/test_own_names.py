@@ -45,7 +45,7 @@ def test_a_plant_and_a_law_stand_where_names_of_pcbench_do(here):
     assert entry_of(found.scenario) is module.pendulum
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
     assert found.scenario.flat()["code"].keys() == {"plant", "controller"}
-    (p,) = plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
+    (p,) = plan(parse.grid_of(STUDY | {"controller": LAW}, {}, []).study)
     assert p.layout.controller is module.law
     assert float(p.problem.control.kp) == 3.0
 
@@ -69,9 +69,9 @@ def test_a_scenario_is_read_as_data_with_the_objects_of_its_module(here):
         found = cell(raw)
         assert (found.scenario.name, found.scenario.belief.prior_std) == ("late", (0.1, 0.1))
         assert entry_of(found.scenario) is sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"].pendulum
-    study = parse.study_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, [])
+    study = parse.grid_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, []).study
     assert study.tables["late"].plant == "mine.py:pendulum"
-    again = parse.study_of(study, {}, [])
+    again = parse.grid_of(study, {}, []).study
     assert again.model_dump() == study.model_dump(), "it is a study of data: read twice, it is the same"
 
 
@@ -132,7 +132,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
 
 def test_a_planned_cell_takes_plant_and_law_along(here):
     """Another process needs no file: functions and types are found again in the code that travels."""
-    (p,) = plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
+    (p,) = plan(parse.grid_of(STUDY | {"controller": LAW}, {}, []).study)
     parcel = serialize.pack(p)
     assert isinstance(parcel, bytes)
     name = f"mine_{p.cell.scenario.own['plant'].code.digest}"
@@ -228,7 +228,7 @@ def test_a_law_that_breaks_the_protocol_is_named(here, what):
     assert old in text
     (here / "mine.py").write_text(text.replace(old, new))
     with pytest.raises(pcbench.UserError) as error:
-        plan(parse.study_of(STUDY | {"controller": LAW}, {}, []))
+        plan(parse.grid_of(STUDY | {"controller": LAW}, {}, []).study)
     assert sentence in str(error.value)
 
 

@@ -88,7 +88,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"loss": 1.5}, "scenario.loss: got 1.5, expected a probability"),
         (WHITE | {"prefilled": 1}, "scenario.prefilled: got 1, expected a valid boolean"),
         (WHITE | {"input": "sin"}, "scenario.input: 'sin' is no input; did you mean 'sine'"),
-        (WHITE | {"input": "sine, step"}, r"scenario.input: got 2 signals, expected one, or one for each input \(1\)"),
+        (WHITE | {"input": "sine, step"}, r"scenario.input: got 2 signals, expected one, or one for each of 1 inputs"),
         (WHITE | {"input": ""}, "scenario: got neither an input nor a controller, expected one"),
         (WHITE | {"input": "sine", "controller": "pd"}, "scenario: got an input and a controller, expected one"),
         (
@@ -133,9 +133,9 @@ def test_what_does_not_fit_is_one_sentence(table, sentence):
 
 
 def test_its_fields_can_be_set_and_are_axes_like_any_others():
-    study = parse.study_of(
+    study = parse.grid_of(
         {"name": "mine", "scenario": WHITE}, {}, ["scenario.sampling_jitter=0.01", "axes.delay=[0.1, 0.3]"]
-    )
+    ).study
     first, second = grid.cells_of(study)
     assert (first.scenario.sampling.sampling_jitter, first.scenario.sampling.delay, second.scenario.sampling.delay) == (
         0.01,

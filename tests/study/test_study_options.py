@@ -45,9 +45,9 @@ def test_a_random_initial_state_is_drawn_in_one_way():
 
 
 def test_changes_and_overrides_are_both_put_in():
-    made = parse.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
+    made = parse.grid_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"]).study
     assert (made.seeds, made.first_seed) == (3, 7)
-    named = parse.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
+    named = parse.grid_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"]).study
     assert (named.seeds, named.first_seed, named.axes) == (3, 7, {"noise_std": [0.5]})
 
 

@@ -75,7 +75,7 @@ def test_a_path_is_relative_to_the_study_file(here, tmp_path, monkeypatch):
         'scenarios = ["cart/white"]\n[observers.near]\nuse = "../mine.py:nudge"\n[observers.kf]\n'
     )
     monkeypatch.chdir("/")
-    asked = parse.study_of(str(tmp_path / "deep" / "s.toml"), {}, [])
+    asked = parse.grid_of(str(tmp_path / "deep" / "s.toml"), {}, []).study
     assert asked.observers == ["near", "kf"]
     assert asked._own["near"].code.module == "mine.py"
 
@@ -116,7 +116,7 @@ def test_it_is_the_program_of_the_same_observer_built_in(here):
     shutil.copy(Path(pcbench.__file__).parent / "observers" / "model_only.py", here / "copied.py")
     programs = []
     for name in ("model-only", "copied.py:OBSERVER"):
-        (p,) = plan(parse.study_of(BASE | {"observers": [name]}, {}, []))
+        (p,) = plan(parse.grid_of(BASE | {"observers": [name]}, {}, []).study)
         job = runner.Job(p.problem, 0, range(4))
         programs.append(runner.program(p.layout._replace(width=4), job).compiled.as_text())
     plain = [strip_metadata(text).replace("OBSERVER", "model-only") for text in programs]
@@ -131,7 +131,7 @@ def strip_metadata(text):
 
 def test_a_planned_cell_takes_its_code_along(here):
     """Another process needs no file: types of the user's own are found again in the code that travels."""
-    (p,) = plan(parse.study_of(BASE | {"observers": ["mine.py:nudge"]}, {}, []))
+    (p,) = plan(parse.grid_of(BASE | {"observers": ["mine.py:nudge"]}, {}, []).study)
     sent = pickle.dumps(Task(p, ()))
     name = f"mine_{p.cell.own['nudge'].code.digest}"
     del sys.modules[name]

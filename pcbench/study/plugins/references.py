@@ -9,6 +9,7 @@ from pcbench.plants import PLANTS
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.registry import installed
 from pcbench.study.plugins.user_code import Own
+from pcbench.toml_text import TomlTable
 
 NAMES: dict[str, Collection[str]] = {"plant": PLANTS, "controller": CONTROLLERS}
 KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # of what the keys of tables name
@@ -30,7 +31,7 @@ class Gate(NamedTuple):
     files: bool  # whether it may name tables of inputs and logs, which are opened
 
 
-def named_in(study: dict[str, Any]) -> list[Named]:
+def named_in(study: TomlTable) -> list[Named]:
     """Return every name of what is a user's own in a study, as a dict."""
     found: list[Named] = []
 
@@ -43,7 +44,7 @@ def named_in(study: dict[str, Any]) -> list[Named]:
     return found
 
 
-def renamed(study: dict[str, Any], change: Callable[[Named], str]) -> dict[str, Any]:
+def renamed(study: TomlTable, change: Callable[[Named], str]) -> TomlTable:
     """Return a study, as a dict, with every name of what may be a user's own changed."""
     out = dict(study)
     if isinstance(use := out.get("custom_observers"), dict):
@@ -66,7 +67,7 @@ def _changed(table: Any, keys: tuple[str, ...], change: Callable[[Named], str]) 
     return table | {key: change(Named(KINDS[key], text, text)) for key, text in mine.items()}
 
 
-def looked_up(study: dict[str, Any]) -> dict[str, Any]:
+def looked_up(study: TomlTable) -> TomlTable:
     """Return a study, as a dict, whose plants and controllers of installed packages are named MODULE:NAME."""
 
     def found(each: Named) -> str:
@@ -78,7 +79,7 @@ def looked_up(study: dict[str, Any]) -> dict[str, Any]:
     return renamed(study, found)
 
 
-def absolute(study: dict[str, Any], folder: Path | None = None) -> dict[str, Any]:
+def absolute(study: TomlTable, folder: Path | None = None) -> TomlTable:
     """Return a study, as a dict, whose files are found from every folder; relative paths are from `folder`, or from here."""
     here = Path().resolve() if folder is None else folder
     return renamed(study, lambda each: user_code.beside(each.reference, here))

@@ -17,6 +17,7 @@ from pcbench.signal_names import pair
 from pcbench.study.plugins import user_code, user_controllers, user_observers
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.plugins.user_observers import require_model
+from pcbench.toml_text import TomlTable
 
 ELSEWHERE = "bc1bc4dc4132"  # for a digest of what is never run here: no file of pcbench's decides a guest's numbers
 DICT = "a dict with the keys of a table [scenario]"
@@ -36,17 +37,13 @@ class InModule(NamedTuple):
     name: str
 
 
-def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
-    return found
-
-
 def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
     for name, unit in found.signals + found.unknowns:
         pair(name, unit, f"{where}: {name}")
     return found
 
 
-def _table(found: dict[str, Any], module: ModuleType, where: str) -> dict[str, Any]:
+def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
     """A scenario's table, in which a plant and a controller that are objects of its module have their names."""
     out = dict(found)
     for kind in ("plant", "controller"):
@@ -102,32 +99,23 @@ def load(kind: str, reference: str, where: str, folder: Path | None = None) -> O
 
 
 def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> Own:
-    """Return what some code makes; raise UserError where it makes none."""
+    """Return what some code makes; raise UserError where it makes none, or a plant or a controller called as pcbench's own."""
     module = user_code.module_of(code, where, folder)
-    found = the(kind, code.name, module, f"{where} {code.module}")
+    found, there = user_code.found_in(module, code.name, KINDS[kind].types)
+    if found is None:
+        raise unknown(f"{where} {code.module}", f"{kind} there", code.name, there)
     if not isinstance(found, KINDS[kind].types):
         raise UserError(f"{where}: got {called(found)}, expected {KINDS[kind].expected}; name one of those.")
-    _free(kind, code.name, where)
+    taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
+    if code.name in taken.get(kind, ()):
+        raise UserError(
+            f"{where}: got a {kind} called '{code.name}', which is pcbench's own name; give it another name."
+        )
     made = KINDS[kind].entry(found, module, where)
     if kind in ("observer", "controller"):
         require_model(made.options, module, where)
     elsewhere = not code.files and getattr(made, "elsewhere", False)
     return Own(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
-
-
-def the(kind: str, name: str, module: ModuleType, where: str) -> Any:
-    """Return the attribute of a module; raise UserError where there is none, with the names of those of the kind."""
-    found, there = user_code.found_in(module, name, KINDS[kind].types)
-    if found is None:
-        raise unknown(where, f"{kind} there", name, there)
-    return found
-
-
-def _free(kind: str, name: str, where: str) -> None:
-    """Raise UserError where a plant or a controller is called as one of pcbench's."""
-    taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
-    if name in taken.get(kind, ()):
-        raise UserError(f"{where}: got a {kind} called '{name}', which is pcbench's own name; give it another name.")
 
 
 def called(found: Any) -> str:

@@ -12,15 +12,15 @@ import hashlib
 import importlib
 import pkgutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
-from functools import cache
+from contextlib import contextmanager
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from pcbench.errors import UserError, raised, short
-from pcbench.study.plugins import user_imports
 
 DIGITS = 12  # of a digest, in names
 FOLDER = "code"  # of a dataset, with a folder for each digest in it
@@ -37,11 +37,8 @@ class Code(NamedTuple):
     @property
     def reference(self) -> str:
         """Return MODULE:NAME as a dataset says it, which holds the files."""
-        return (
-            f"{FOLDER}/{self.digest}/{self.module}:{self.name}"
-            if is_file(self.module)
-            else f"{self.module}:{self.name}"
-        )
+        folder = f"{FOLDER}/{self.digest}/" if is_file(self.module) else ""
+        return f"{folder}{self.module}:{self.name}"
 
 
 class Own(NamedTuple):
@@ -49,6 +46,15 @@ class Own(NamedTuple):
 
     entry: Any
     code: Code
+
+
+def absent(reference: str) -> Callable[..., Any]:
+    """Return what stands for each function of a user's own where its code is not asked for: a result is read so."""
+
+    def nothing(*given: Any) -> Any:
+        raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
+
+    return nothing
 
 
 def is_reference(text: str) -> bool:
@@ -82,13 +88,20 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
         return Code(module, name, (), "")
     path = (folder or Path()) / module
     if not path.is_file():
-        near = difflib.get_close_matches(path.name, _files(path.parent), n=1, cutoff=0.4)
+        near = difflib.get_close_matches(path.name, [each.name for each in path.parent.glob("*.py")], n=1, cutoff=0.4)
         hint = f"did you mean '{Path(module).parent / near[0]}'? " if near else ""
         raise UserError(
             f"{where}: '{short(module)}' is no file; {hint}give the path of a .py file, or a module's name."
         )
-    files = tuple(_with_siblings(path))
-    return Code(path.name, name, files, digest(files))
+    files, waiting = dict[str, bytes](), [path]  # with those beside it that it imports, and those that they import
+    while waiting:
+        each = waiting.pop(0)
+        if each.name not in files:
+            files[each.name] = each.read_bytes()
+            beside = (path.parent / f"{name}.py" for name in _imports(files[each.name]))
+            waiting += [other for other in beside if other.is_file()]
+    found = tuple(files.items())
+    return Code(path.name, name, found, digest(found))
 
 
 def digest(files: tuple[tuple[str, bytes], ...]) -> str:
@@ -101,11 +114,25 @@ def digest(files: tuple[tuple[str, bytes], ...]) -> str:
 def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
     """Return the module, run once in a process for each content; raise UserError for what it raises.
 
-    Files are run where they stand, in `folder`, or else from a copy: so errors name their lines.
+    `folder` is where its files are: what they import else is found there, and errors name their lines.
     """
-    if not code.files:
-        return _run(lambda: _imported(code.module), code.module, where)
-    return _run(lambda: _executed(code, folder), code.module, where)
+    module = code.module
+    try:
+        return _executed(code, folder) if code.files else _imported(module)
+    except (UserError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        missing = getattr(error, "name", None) if isinstance(error, ModuleNotFoundError) else None
+        if missing and (module + ".").startswith(missing + "."):
+            package, _, _ = missing.rpartition(".")  # by their full names, the modules beside the missing one
+            folders = list(getattr(sys.modules.get(package), "__path__", [])) if package else None
+            names = [f"{package}.{m.name}".lstrip(".") for m in pkgutil.iter_modules(folders)]
+            near = difflib.get_close_matches(missing, names, n=1, cutoff=0.6)
+            hint = f"did you mean '{near[0]}'? " if near else ""
+            raise UserError(
+                f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
+            ) from None
+        raise UserError(f"{where}: {short(module)} cannot be imported: {raised(error)}; mend that line.") from None
 
 
 def digest_of(code: Code, module: ModuleType) -> str:
@@ -119,19 +146,6 @@ def beside(text: str, folder: Path) -> str:
     """Return MODULE:NAME with the path of a file taken from a folder; anything else as it is."""
     module, _, name = text.rpartition(":")
     return f"{folder / module}:{name}" if is_file(module) else text
-
-
-def _with_siblings(path: Path) -> Iterator[tuple[str, bytes]]:
-    """Yield the file and the files beside it that it imports, and those that they import."""
-    waiting, seen = [path], set[str]()
-    while waiting:
-        each = waiting.pop(0)
-        if each.name in seen:
-            continue
-        seen.add(each.name)
-        text = each.read_bytes()
-        yield each.name, text
-        waiting += [beside for name in _imports(text) if (beside := path.parent / f"{name}.py").is_file()]
 
 
 def _imports(text: bytes) -> list[str]:
@@ -152,72 +166,76 @@ def _executed(code: Code, folder: Path | None) -> ModuleType:
     name = f"{Path(code.module).stem}_{code.digest}"  # by which its types are found when they are unpickled
     if name in sys.modules:
         return sys.modules[name]
-    copy = _copied(code)  # the files beside it are imported from there: Python would keep an old content of a file
-    path = (folder or copy) / code.module
+    place = folder or Path(FOLDER, code.digest)  # as a dataset calls it: of files of elsewhere there is the text alone
     module = ModuleType(name)
-    module.__file__ = str(path)
+    module.__file__ = str(place / code.module)
     sys.modules[name] = module
     try:
-        with user_imports.beside({Path(file).stem: text for file, text in code.files[1:]}, copy, code.digest, folder):
-            exec(compile(code.files[0][1], str(path), "exec"), module.__dict__)
+        with _with_siblings_found(code, place, folder):
+            exec(compile(code.files[0][1], module.__file__, "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
         raise
     return module
 
 
-@cache
-def _shelf() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="pcbench-code-")
+@contextmanager
+def _with_siblings_found(code: Code, place: Path, folder: Path | None) -> Iterator[None]:
+    """Have the files beside a module found while it runs, and modules of their names that the host program has left to it.
+
+    `sys.path` is not touched. What is neither beside the module nor found elsewhere is looked for in its `folder`, if it has
+    one; `place` is what errors call it.
+    """
+    texts = {Path(file).stem: text for file, text in code.files[1:]}
+    hosts = {stem: sys.modules.pop(stem) for stem in texts if stem in sys.modules}
+    first, last = Siblings(texts, place, code.digest), InFolder(folder)
+    sys.meta_path[:] = [first, *sys.meta_path, last]
+    try:
+        yield
+    finally:
+        sys.meta_path[:] = [each for each in sys.meta_path if each is not first and each is not last]
+        sys.modules.update({stem: each for stem, each in hosts.items() if each.__name__ == stem})  # others are of ours
 
 
-def _copied(code: Code) -> Path:
-    """Write the files to a folder of this process."""
-    folder = Path(_shelf().name) / code.digest
-    folder.mkdir(exist_ok=True)
-    for name, text in code.files:
-        (folder / name).write_bytes(text)
-    return folder
+class Siblings(MetaPathFinder, Loader):
+    """Finds and runs the files beside a module, each as NAME_DIGEST, so that its types are found when they are unpickled."""
+
+    def __init__(self, texts: dict[str, bytes], folder: Path, digest: str) -> None:
+        self.texts, self.folder, self.digest = texts, folder, digest
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> ModuleSpec | None:
+        """Return how a file beside the module is run; None for another name."""
+        if fullname not in self.texts:
+            return None
+        return ModuleSpec(fullname, self, origin=str(self.folder / f"{fullname}.py"))
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run a file."""
+        stem, path = module.__name__, str(self.folder / f"{module.__name__}.py")
+        module.__name__, module.__file__ = f"{stem}_{self.digest}", path
+        sys.modules[module.__name__] = module
+        exec(compile(self.texts[stem], path, "exec"), module.__dict__)
+
+
+class InFolder(MetaPathFinder):
+    """Finds what no other finder has found in a folder, if there is one."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> ModuleSpec | None:
+        """Return what is in the folder under a name; None where nothing is."""
+        return PathFinder.find_spec(fullname, [str(self.folder)]) if self.folder and path is None else None
 
 
 def _imported(name: str) -> ModuleType:
     """Import a module by its name, one of the working folder after all others."""
-    finder = user_imports.InFolder(Path.cwd())
+    finder = InFolder(Path.cwd())
     sys.meta_path.append(finder)
     try:
         return importlib.import_module(name)
     finally:
         sys.meta_path.remove(finder)
-
-
-def _run(make: Callable[[], ModuleType], module: str, where: str) -> ModuleType:
-    """Import a user's module; whatever it raises becomes one sentence."""
-    try:
-        return make()
-    except UserError:
-        raise
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        missing = getattr(error, "name", None) if isinstance(error, ModuleNotFoundError) else None
-        if missing and (module + ".").startswith(missing + "."):
-            near = difflib.get_close_matches(missing, _modules(missing), n=1, cutoff=0.6)
-            hint = f"did you mean '{near[0]}'? " if near else ""
-            raise UserError(
-                f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
-            ) from None
-        raise UserError(f"{where}: {short(module)} cannot be imported: {raised(error)}; mend that line.") from None
-
-
-def _modules(missing: str) -> list[str]:
-    """Return the modules beside a missing one, by their full names."""
-    package, _, _ = missing.rpartition(".")
-    folders = list(getattr(sys.modules.get(package), "__path__", [])) if package else None
-    return [f"{package}.{m.name}".lstrip(".") for m in pkgutil.iter_modules(folders)]
-
-
-def _files(folder: Path) -> list[str]:
-    return [path.name for path in folder.glob("*.py")] if folder.is_dir() else []
 
 
 def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[Any, list[str]]:

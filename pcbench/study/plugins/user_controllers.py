@@ -19,6 +19,7 @@ from pcbench.controllers.parts.common import ControllerContext, Sizes
 from pcbench.errors import UserError, raised
 from pcbench.protocols import Controller, Now
 from pcbench.runtime import config
+from pcbench.study.plugins import user_code
 from pcbench.study.plugins.user_code import Code, Own
 from pcbench.study.plugins.user_observers import ABSENT, NoOptions
 from pcbench.synthesis.lqr import Law
@@ -60,18 +61,19 @@ def linearised(law: Controller, prepare: Any, options: Any, told: ControllerCont
     """
     import jax
 
+    asked: list[Any] = []  # for what is on its way
     try:
         with config.float64():
             params = jax.tree.map(jax.numpy.asarray, prepare(options, told))
-            found, asked = _slopes(law, params, told)
+            law_at_rest = _slopes(law, params, told, asked)
     except Exception as error:  # whatever the user's functions raise
         _LOG.info("a controller is not linearised: %s", raised(error))
         return None
-    return found if not asked and found.D.shape == told.model.B.T.shape else None
+    return law_at_rest if not asked and law_at_rest.D.shape == told.model.B.T.shape else None
 
 
-def _slopes(law: Controller, params: Any, told: ControllerContext) -> tuple[Law, bool]:
-    """The slopes of a law by what it keeps and by the state, and whether it asked for what is on its way."""
+def _slopes(law: Controller, params: Any, told: ControllerContext, asked: list[Any]) -> Law:
+    """The slopes of a law by what it keeps and by the state; what it asks for of the future is noted."""
     import jax
     import jax.numpy as jnp
     from jax.flatten_util import ravel_pytree
@@ -81,7 +83,6 @@ def _slopes(law: Controller, params: Any, told: ControllerContext) -> tuple[Law,
     rest = jnp.zeros(n).at[: len(aim)].set(aim)
     kept, back = ravel_pytree(law.start(params, rest) if law.start else ())
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(told.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
-    asked: list[Any] = []
 
     def coming(ahead: Any) -> Any:
         asked.append(ahead)
@@ -95,14 +96,11 @@ def _slopes(law: Controller, params: Any, told: ControllerContext) -> tuple[Law,
         return ravel_pytree(after)[0], u
 
     (A, B), (C, D) = jax.jacfwd(tick, (0, 1))(kept.astype(float), rest)
-    return Law(*(np.asarray(each, float) for each in (A, B, C, D))), bool(asked)
+    return Law(*(np.asarray(each, float) for each in (A, B, C, D)))
 
 
 def absent(reference: str, code: Code) -> Own:
     """Return what stands for a controller where its code is not asked for: a result is read so."""
-
-    def nothing(*given: Any) -> Any:
-        raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
-
+    nothing = user_code.absent(reference)
     model = create_model("Options", __config__=ConfigDict(extra="allow"))
     return Own(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)

@@ -13,9 +13,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pcbench.errors import UserError, is_ours, raised, shown
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
+from pcbench.study.plugins import user_code
 from pcbench.study.plugins.user_code import Code, Own
 from pcbench.study.pydantic_errors import sentence
-from pcbench.synthesis.certificate import Design, DesignContext
+from pcbench.toml_text import TomlTable
 
 ABSENT = "its code is not here"
 
@@ -42,20 +43,14 @@ def entry(found: Any, module: Any, where: str) -> ObserverSpec:
     return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
 
-def absent(reference: str, code: Code, options: dict[str, Any]) -> Own:
+def absent(reference: str, code: Code, options: TomlTable) -> Own:
     """Return what stands for an observer where its code is not asked for, with the options it had: a result is read so."""
-
-    def design(setting: DesignContext, options: Any) -> Design:
-        raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
-
-    def nothing(*given: Any) -> Any:
-        return design(*given)
-
-    kept: dict[str, Any] = {name: (Any, value) for name, value in options.items()}
+    nothing = user_code.absent(reference)
+    kept: TomlTable = {name: (Any, value) for name, value in options.items()}
     stand_in = ObserverSpec(
         observer=Observer(init=nothing, snapshot=nothing, jump=nothing, flow=nothing, estimate=nothing),
         options=create_model("Options", __config__=ConfigDict(extra="allow"), **kept),
-        design=design,
+        design=nothing,
         knows_schedule=False,
         summary=ABSENT,
         takes="any schedule",
@@ -77,13 +72,19 @@ def require_model(options: Any, module: ModuleType, where: str) -> None:
     if isinstance(options, type) and issubclass(options, BaseModel):
         return
     kind = "another class" if isinstance(options, type) else shown(options)
+    file, name = Path(str(module.__file__)), getattr(options, "__name__", "Options")
+    place = file.name
+    for node in ast.parse(file.read_bytes()).body:
+        names = [target.id for target in getattr(node, "targets", []) if isinstance(target, ast.Name)]
+        if {name, "Options"} & {getattr(node, "name", ""), *names}:
+            place = f"{file.name} line {node.lineno}"
+            break
     raise UserError(
-        f"{where}: got {kind} as Options, {_place(options, module)}, expected a pydantic model; write "
-        "class Options(pydantic.BaseModel)."
+        f"{where}: got {kind} as Options, {place}, expected a pydantic model; write class Options(pydantic.BaseModel)."
     )
 
 
-def filled(model: type[Model], given: dict[str, Any], where: str) -> Model:
+def filled(model: type[Model], given: TomlTable, where: str) -> Model:
     """Return the options that a table gives, checked and complete; raise UserError for what does not fit."""
     try:
         return model.model_validate(given)
@@ -95,14 +96,3 @@ def filled(model: type[Model], given: dict[str, Any], where: str) -> Model:
         raise UserError(
             f"{where}: its {model.__name__} raised {raised(error)}, expected options or a ValueError; mend that line."
         ) from error
-
-
-def _place(options: Any, module: ModuleType) -> str:
-    """Where a module has its options: `file line n`."""
-    file = Path(str(module.__file__))
-    name = getattr(options, "__name__", "Options")
-    for node in ast.parse(file.read_bytes()).body:
-        names = [target.id for target in getattr(node, "targets", []) if isinstance(target, ast.Name)]
-        if {name, "Options"} & {getattr(node, "name", ""), *names}:
-            return f"{file.name} line {node.lineno}"
-    return file.name

@@ -29,12 +29,13 @@ from pcbench.study.plugins import registry, user_code
 from pcbench.study.plugins.references import SCENARIO, Gate, Named
 from pcbench.study.plugins.user_code import Code, Own
 from pcbench.study.plugins.user_observers import ABSENT
+from pcbench.toml_text import TomlTable
 
 FUNCTIONS = ("model", "successor", "sensor")  # those that observers are told, where a plant has them
 LINEAR = ("A", "B", "C", "D", "E")
 
 
-def facts(entry: PlantSpec) -> dict[str, Any]:
+def facts(entry: PlantSpec) -> TomlTable:
     """Return what a dataset says of a plant, as TOML has words for it."""
     linear = entry.nominal(entry.numbers)
     said = {name: np.asarray(getattr(linear, name)).tolist() for name in LINEAR if getattr(linear, name) is not None}
@@ -43,7 +44,7 @@ def facts(entry: PlantSpec) -> dict[str, Any]:
         "summary": entry.summary,
         "signals": [list(each) for each in entry.signals],
         "unknowns": [list(each) for each in entry.unknowns],
-        "numbers": {name: _listed(value) for name, value in entry.numbers._asdict().items()},
+        "numbers": {name: plain(value) for name, value in entry.numbers._asdict().items()},
         "positive": list(entry.positive),
         "drifts": entry.drifts,
         "discrete": linear.discrete,
@@ -54,20 +55,13 @@ def facts(entry: PlantSpec) -> dict[str, Any]:
     }
 
 
-def _listed(value: Any) -> Any:
-    return [_listed(each) for each in value] if isinstance(value, tuple) else value
-
-
 def _tuples(value: Any) -> Any:
     return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
 
 
-def absent(reference: str, code: Code, known: dict[str, Any]) -> Own:
+def absent(reference: str, code: Code, known: TomlTable) -> Own:
     """Return what stands for a plant of which only the facts are known."""
-
-    def nothing(*given: Any) -> Any:
-        raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
-
+    nothing = user_code.absent(reference)
     linear: Any = {name: np.array(value, float) for name, value in known["linear"].items()}
     model = Model(**linear, discrete=known["discrete"])
     rest = np.array(known["residual"]) if "residual" in known else None
@@ -91,7 +85,7 @@ def absent(reference: str, code: Code, known: dict[str, Any]) -> Own:
     return Own(there, code)
 
 
-def tabled(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
+def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read.
 
     `gate` is what the study may reach.
@@ -100,7 +94,10 @@ def tabled(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> 
     names: list[Any] = []
     if not isinstance(given, dict | list):  # the model says what is wrong
         given = []
-    times.require_few_scenarios(len(given), where)
+    if len(given) > times.SCENARIOS:
+        raise UserError(
+            f"{where}: got {len(given):,} scenarios, expected at most {times.SCENARIOS:,}; divide the study."
+        )
     for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
         here = f"{where}: scenarios.{short(str(name))}"
         if isinstance(name, str) and name in tables and not table:  # it has been read
@@ -108,28 +105,21 @@ def tabled(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> 
             continue
         if not isinstance(table, dict):
             raise UserError(f"{here}: got {shown(table)}, expected a table; write [scenarios.{name}].")
-        called, found = _one(name, table, here, folder, gate) if isinstance(name, str) else (name, None)
-        if found is not None and called in tables:
-            raise UserError(f"{here}: got two scenarios called '{called}', expected one; write [scenarios.ANOTHER].")
-        tables |= {} if found is None else {called: found}
-        names.append(called)
+        if isinstance(name, str):
+            if isinstance(use := table.get("use"), str):
+                table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
+            if _names_one(name):
+                table, name = {"base": name} | table, name.rpartition(":")[2]
+            if _names_one(table.get("base")):
+                table = _based(table, here, folder, gate)
+            if table and name in tables:
+                raise UserError(f"{here}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
+            tables |= {name: table} if table else {}  # of a published one there is none
+        names.append(name)
     scenario = raw.get("scenario")
     if isinstance(scenario, dict) and _names_one(scenario.get("base")):
         raw = raw | {"scenario": _based(scenario, f"{where}: scenario", folder, gate)}
     return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
-
-
-def _one(
-    name: str, table: dict[str, Any], where: str, folder: Path | None, gate: Gate
-) -> tuple[str, dict[str, Any] | None]:
-    """The name of one scenario with its table; no table where it is a published one."""
-    if isinstance(use := table.get("use"), str):
-        table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
-    if _names_one(name):
-        return name.rpartition(":")[2], _based({"base": name} | table, where, folder, gate)
-    if _names_one(table.get("base")):
-        return name, _based(table, where, folder, gate)
-    return name, table or None
 
 
 def _names_one(text: Any) -> bool:
@@ -139,29 +129,28 @@ def _names_one(text: Any) -> bool:
     return user_code.is_reference(text) or text in registry.installed("scenario")
 
 
-def _based(table: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
-    """A table with what its `base`, of a user's own, says beneath it."""
+def _based(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
+    """A table with what its `base`, of a user's own, says beneath it, as data.
+
+    What that names in its module, or in files beside it, is named as from here.
+    """
     found = registry.installed(SCENARIO).get(table["base"])
     reference = found.reference if found else table["base"]
     user_code.split(reference, where)
     reference = reference if folder is None else user_code.beside(reference, folder)
-    below = _data(gate.code(Named(SCENARIO, reference, reference), where).entry, user_code.split(reference, where)[0])
-    return below | {k: v for k, v in table.items() if k != "base"}
-
-
-def _data(entry: dict[str, Any], module: str) -> dict[str, Any]:
-    """A table of a MODULE as data; what it names there, or in files beside it, is named as from here."""
+    module, _ = user_code.split(reference, where)
     here = Path(module).parent if user_code.is_file(module) else None
-    table = {key: value for key, value in entry.items() if key != "name"}
+    below = dict(gate.code(Named(SCENARIO, reference, reference), where).entry)
+    below.pop("name", None)
     for key in ("plant", "controller"):
-        value = table.get(key)
+        value = below.get(key)
         if isinstance(value, registry.InModule):
-            table[key] = f"{module}:{value.name}"
+            below[key] = f"{module}:{value.name}"
         elif isinstance(value, str) and here is not None:
-            table[key] = user_code.beside(value, here)
-    if isinstance(table.get("observers"), list | tuple) and here is not None:
-        table["observers"] = [user_code.beside(o, here) if isinstance(o, str) else o for o in table["observers"]]
-    return {key: plain(value) for key, value in table.items()}
+            below[key] = user_code.beside(value, here)
+    if isinstance(below.get("observers"), list | tuple) and here is not None:
+        below["observers"] = [user_code.beside(o, here) if isinstance(o, str) else o for o in below["observers"]]
+    return {k: plain(v) for k, v in below.items()} | {k: v for k, v in table.items() if k != "base"}
 
 
 def plain(value: Any) -> Any:
