@@ -29,7 +29,7 @@ REACH = 10  # times the horizon: no sample that is later ever arrives
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where times do not fit together, or a fault of samples has no effect or cannot be as asked."""
     misfits = itertools.chain(
-        _of_continuous(s), _of_loop(s), _of_clocks(s), _of_sensors(s), _of_delays(s), _of_stamps(s)
+        _of_continuous(s), _of_loop(s), _of_clocks(s), _of_sensors(s), _of_correlation(s), _of_delays(s), _of_stamps(s)
     )
     if sentence := next(misfits, ""):
         raise UserError(f"{where}: {sentence}")
@@ -181,6 +181,31 @@ def _of_sensors(s: Scenario) -> Iterator[str]:
         elif burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
             least = max(1, loss / (1 - loss))
             yield f"{got}gaps of at least {least:g} samples in the mean, which so many losses leave at least; write more."
+
+
+def _of_correlation(s: Scenario) -> Iterator[str]:
+    """Say why the noise of channels cannot be correlated as asked."""
+    given, many = s.sampling.noise_correlation, len(s.sampling.delay)
+    if not given:
+        return
+    rho = np.array(given) if {len(row) for row in given} == {len(given)} else np.zeros((0, 0))
+    if rho.shape != (many, many) or (rho != rho.T).any() or (np.diag(rho) != 1).any():
+        yield (
+            f"got noise_correlation = {[list(row) for row in given]} in {s.name}, expected {many} rows of {many} numbers: "
+            "symmetric, with ones on the diagonal."
+        )
+    elif np.linalg.eigvalsh(rho)[0] <= 0:
+        yield (
+            f"got noise_correlation = {[list(row) for row in given]} in {s.name}, expected every eigenvalue above 0; bring its "
+            "entries closer to 0."
+        )
+    elif len(clocks(s)) > 1 or s.sampling.continuous:
+        yield (
+            f"got noise_correlation in {s.name}, whose channels are not sampled together, expected one period, delay and "
+            "network for all of them; leave it out."
+        )
+    elif not all(s.sampling.noise_std):
+        yield f"got noise_correlation in {s.name} with a noise_std of 0, expected noise in every channel; write its noise_std."
 
 
 def _of_delays(s: Scenario) -> Iterator[str]:

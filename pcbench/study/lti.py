@@ -146,7 +146,12 @@ class Lti(LtiTable):
                 unknown_input=pushing,
             ),
             loop=Loop(input=driving),
-            sampling=Sampling(sampling_period=(tick,) * q, delay=(0.0,) * q, noise_std=(0.0,) * q),
+            sampling=Sampling(
+                sampling_period=(tick,) * q,
+                delay=(0.0,) * q,
+                noise_std=(0.0,) * q,
+                noise_correlation=tuple(map(tuple, self.noise_correlation or ())),
+            ),
             belief=Belief(
                 xhat0=tuple(xhat0),
                 prior_std=tuple(prior),

@@ -84,6 +84,9 @@ class LtiTable(BaseModel):
     QN: Intensity | None = Field(
         None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
     )
+    noise_correlation: NumberRows | None = Field(
+        None, description="[q, q] between the channels' noise; default: they are independent"
+    )
     assumed_process_std: Size | list[Size] | None = Field(
         None, description="what designers assume in place of the process noise that there is"
     )

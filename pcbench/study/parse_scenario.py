@@ -67,6 +67,8 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
         s = s if "observers" in given else s._replace(observers=usual)
     s = _measured(s, given, many["q"], where)
     s = s.having(**{key: given[key] for key in AS_GIVEN if key in given})
+    if "noise_correlation" in given:
+        s = s.having(noise_correlation=tuple(map(tuple, given["noise_correlation"])))
     if (limit := given.get("divergence_threshold")) is not None:
         s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
     s = _driven(s, given, model.B.shape[1], where, own)

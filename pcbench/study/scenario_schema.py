@@ -98,6 +98,9 @@ class ScenarioTable(BaseModel):
     control: TomlTable | None = Field(None, description="the controller's options")
     # how it is measured
     prefilled: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
+    noise_correlation: list[list[Number]] | None = Field(
+        None, description="[q][q] between the channels' noise; default: they are independent"
+    )
     delay_sine: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
     )

@@ -36,7 +36,7 @@ SPRING = {
     "xhat0": [0.0, 0.0],
     "prior_std": [1.0, 1.0],
     "settle_band": [0.1, 0.1],
-    "bound": 1e6,
+    "divergence_threshold": 1e6,
     "duration": 2.0,
     "steady_start": 1.0,
     "input": "sine",
@@ -177,6 +177,6 @@ extreme = st.fixed_dictionaries(  # what one state may have in its table [lti]: 
     optional=dict.fromkeys("ABCD", SIGNED.map(lambda v: [[v]]))
     | dict.fromkeys(["x0", "xhat0"], SIGNED.map(lambda v: [v]))
     | dict.fromkeys(["prior_std", "settle_band"], SIZES.map(lambda v: [v]))
-    | dict.fromkeys(["noise_std", "bound"], SIZES)
+    | dict.fromkeys(["noise_std", "divergence_threshold"], SIZES)
     | {"delay": st.sampled_from([0.1, 0.12, 0.15]), "input": st.sampled_from(["sine", "zero", "step"])},
 ).map(lambda changes: {"name": "point", "seeds": 2, "lti": POINT | changes})
