@@ -88,7 +88,7 @@ def shortened(scenario: str, observers: list[str]) -> dict[str, Any]:
 def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> task.Report:
     """Simulate a task's seeds and leave it at that."""
     with hold() as device:
-        p, _, made = task.simulated(work, one, device)
+        p, _, made, _ = task.simulated(work, one, device)
     versions = provenance.versions()
     return task.Report(
         cell=p.cell.key,

@@ -11,11 +11,10 @@ from typing import NamedTuple
 from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, storage
 from pcbench.dataset.manifest import Owned
-from pcbench.dataset.run_missing import SeedsOf
 from pcbench.dataset.seed_ranges import Seeds, counted
+from pcbench.dataset.work_plan import SeedsOf
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
-from pcbench.study.grid import Cell
 
 MARGIN = 1.05  # the standard error is an estimate itself
 GROWTH = 16  # times as many seeds a round at most
@@ -55,6 +54,13 @@ def parse(text: str | None, most: int | None) -> Precision | None:
     return Precision(metric, signal or None, value, most)
 
 
+def check(goal: Precision | None, owned: Owned) -> None:
+    """Raise UserError where a goal is of a signal that no scenario has."""
+    names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
+    if goal is not None and goal.signal is not None and goal.signal not in names:
+        raise unknown("--until-se", "signal", goal.signal, names)
+
+
 def rounds(
     goal: Precision | None, target: storage.Target, owned: Owned, say: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
@@ -69,10 +75,11 @@ def rounds(
     most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in owned.cells}
     pending = list(owned.cells)
     while pending:
-        there = by_cell(block_files.settled(block_files.present(target)))
+        blocks = block_files.series(block_files.settled(block_files.present(target)))
         for cell in list(pending):
             has = size[cell.key]
-            error = _error(goal, target, owned, cell, there[cell.key], first + has)
+            c = aggregate.of_cell(target, cell, blocks)
+            error = _error(goal, c, owned.study.name, Seeds(0, first + has))
             size[cell.key] = max(has, min(enough(has, error, goal.value), most))
             if size[cell.key] == has:
                 pending.remove(cell)
@@ -85,50 +92,24 @@ def rounds(
         )
 
 
-def by_cell(there: list[block_files.Block]) -> dict[tuple[str, int], list[block_files.Block]]:
-    """Return blocks by scenario and number of the cell."""
-    out: dict[tuple[str, int], list[block_files.Block]] = {}
-    for b in there:
-        out.setdefault((b.scenario, b.cell), []).append(b)
-    return out
+def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) -> float:
+    """Return the largest standard error of any observer over some seeds; inf where one run gives none.
 
-
-def check(goal: Precision | None, owned: Owned) -> None:
-    """Raise UserError where a goal is of a signal that no scenario has."""
-    if goal is None:
-        return
-    names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
-    if goal.signal is not None and goal.signal not in names:
-        raise unknown("--until-se", "signal", goal.signal, names)
-
-
-def _error(
-    goal: Precision, target: storage.Target, owned: Owned, cell: Cell, there: list[block_files.Block], stop: int
-) -> float:
-    """Return the largest standard error of any observer over the seeds below `stop`; inf where one run gives none."""
-    blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
-    for b in there:
-        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = aggregate.observed(target, cell, blocks)
-    stats, _ = aggregate.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
-    rows = stats.table(["signal", "metric", "n", "se", "ci_low", "ci_high"]).to_pylist()
-    shown = cell.scenario.scoring.headline or (signals_of(cell.scenario)[0][0],)
-    signals = [goal.signal] if goal.signal else shown
-    mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
-    if not mine:
+    Of a fraction it is that of Wilson's interval, which is not zero where nothing has happened yet.
+    """
+    scenario = c.cell.scenario
+    signals = [goal.signal] if goal.signal else scenario.scoring.headline or (signals_of(scenario)[0][0],)
+    stats = aggregate.rows_of(study, c, within)[0].select(["signal", "metric", "n", "se", "ci_low", "ci_high"])
+    rows = [r for r in stats.to_pylist() if r["metric"] == goal.metric and r["signal"] in signals]
+    if not rows:
         raise UserError(
-            f"--until-se: got {goal.metric} of {', '.join(signals)}, which {cell.scenario.name} does not have, expected a "
+            f"--until-se: got {goal.metric} of {', '.join(signals)}, which {scenario.name} does not have, expected a "
             "metric that every scenario of the study has; take another one."
         )
-    return max((inf if r["n"] == 1 else _half(r) for r in mine if r["n"]), default=0.0)
-
-
-def _half(row: statistics.Row) -> float:
-    """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
-    fraction = row["metric"] in ("divergence_rate", "unsettled_rate")
-    if not fraction:
-        return nan if row["se"] is None else float(row["se"])
-    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95))
+    errors = [inf if r["n"] == 1 else nan if r["se"] is None else r["se"] for r in rows if r["n"]]
+    if goal.metric in ("divergence_rate", "unsettled_rate"):
+        errors = [inf if r["n"] == 1 else (r["ci_high"] - r["ci_low"]) / (2 * statistics.Z95) for r in rows if r["n"]]
+    return max(errors, default=0.0)
 
 
 def enough(has: int, error: float, goal: float) -> int:

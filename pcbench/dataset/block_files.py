@@ -4,14 +4,12 @@ A block is the runs of one observer in one cell over a range of seeds: one file,
 remembered: what is on disk is done. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
 """
 
-import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import quote, unquote
 
-import numpy as np
 import pyarrow as pa
 
 from pcbench.dataset import columns, parquet_io, storage
@@ -39,12 +37,15 @@ class Block(NamedTuple):
         return f"{folder}/cell-{self.cell:05d}-seeds-{self.seeds.first:010d}-{self.seeds.stop - 1:010d}.parquet"
 
 
+Series = dict[tuple[str, int, str], list[Block]]  # blocks by scenario, cell and observer
+
+
 def block_of(name: str) -> Block | None:
     """Return the block that a file's name describes; None where it describes none."""
-    found = NAME.fullmatch(name)
-    if not found:
+    parts = NAME.fullmatch(name)
+    if not parts:
         return None
-    scenario, observer, cell, first, last = found.groups()
+    scenario, observer, cell, first, last = parts.groups()
     if max(len(cell), len(first), len(last)) > DIGITS or int(last) < int(first):
         return None
     return Block(unquote(scenario), unquote(observer), int(cell), Seeds(int(first), int(last) + 1))
@@ -65,21 +66,22 @@ def present(target: storage.Target) -> list[Block]:
 
 def read(target: storage.Target, block: Block) -> pa.Table:
     """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
-    found = _whole(target, block)
-    if isinstance(found, str):
+    table = _table(target, block)
+    if isinstance(table, str):
         raise UserError(
-            f"{target.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
+            f"{target.name}/{block.name}: is damaged ({table}), expected a whole block; run the study again to have it redone."
         )
-    return found
+    return table
 
 
-def _whole(target: storage.Target, block: Block) -> pa.Table | str:
+def _table(target: storage.Target, block: Block) -> pa.Table | str:
+    """A block's rows, or why they cannot be read."""
     content = storage.get(target, block.name)
     if content is None:
         return "it is gone"
     try:
         return parquet_io.parsed(content)
-    except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
+    except parquet_io.DAMAGE as error:
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
 
@@ -90,43 +92,37 @@ def about(table: pa.Table) -> dict[str, Any]:
 
 def about_block(target: storage.Target, block: Block) -> dict[str, Any]:
     """Return the same from a block's footer alone."""
-    found = storage.footer(target, block.name)
-    return _about(found.metadata) if found else {}
+    footer = storage.footer(target, block.name)
+    return _about(footer.metadata) if footer else {}
 
 
-def _about(metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
+def _about(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
     try:
         return dict(json.loads((metadata or {}).get(ABOUT, b"{}")))
     except ValueError:
         return {}
 
 
-def sealed(table: pa.Table, said: dict[str, Any]) -> pa.Table:
+def sealed(table: pa.Table, about: Mapping[str, object]) -> pa.Table:
     """Return rows with what they say of themselves and their digest as metadata."""
-    said = {k: v for k, v in said.items() if k != "digest"} | {"rows": len(table)}
-    said |= {"digest": digest(table, said)}
-    return table.replace_schema_metadata(
-        (table.schema.metadata or {}) | {ABOUT: json.dumps(said, sort_keys=True).encode()}
-    )
+    text = {**about, "rows": len(table)}
+    text["digest"] = digest(table, text)
+    return parquet_io.with_metadata(table, {ABOUT: json.dumps(text, sort_keys=True).encode()})
 
 
-def digest(table: pa.Table, said: dict[str, Any]) -> str:
+def digest(table: pa.Table, about: Mapping[str, object]) -> str:
     """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
-    out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
-    for field, column in zip(table.schema, table.columns, strict=True):
-        out.update(f"{field.name}:{parquet_io.type_of(field.type)}:{column.null_count}".encode())
-        if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
-            out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
-    return out.hexdigest()[:32]
+    text = json.dumps({k: v for k, v in about.items() if k != "digest"}, sort_keys=True)
+    return parquet_io.digest(table, text.encode(), words=False)
 
 
 def damage(target: storage.Target, block: Block, cell: str) -> str | None:
     """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
-    table = _whole(target, block)
+    table = _table(target, block)
     if isinstance(table, str):
         return table
-    said, metadata = about(table), table.schema.metadata or {}
-    if not columns.has_schema(metadata):
+    said = about(table)
+    if not columns.has_schema(parquet_io.metadata(table)):
         return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"
@@ -139,18 +135,21 @@ def damage(target: storage.Target, block: Block, cell: str) -> str | None:
     return None
 
 
-def settle(blocks: Iterable[Block]) -> tuple[list[Block], list[Block]]:
-    """Return the blocks of one observer and cell that follow one another, and those that would double a row."""
-    kept: list[Block] = []
-    doubled: list[Block] = []
-    for block in sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop)):
-        (kept if not kept or block.seeds.first >= kept[-1].seeds.stop else doubled).append(block)
-    return kept, doubled
+def series(blocks: Iterable[Block]) -> Series:
+    """Return blocks by scenario, cell and observer, as they come."""
+    out: Series = {}
+    for b in blocks:
+        out.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    return out
 
 
 def settled(blocks: Iterable[Block]) -> list[Block]:
     """Return the blocks of all observers and cells without those that would double a row, sorted."""
-    each: dict[tuple[str, str, int], list[Block]] = {}
-    for b in blocks:
-        each.setdefault((b.scenario, b.observer, b.cell), []).append(b)
-    return sorted(b for mine in each.values() for b in settle(mine)[0])
+    out: list[Block] = []
+    for mine in series(sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop))).values():
+        stop = -1
+        for block in mine:
+            if block.seeds.first >= stop:
+                out.append(block)
+                stop = block.seeds.stop
+    return sorted(out)

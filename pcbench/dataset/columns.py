@@ -1,18 +1,28 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
-from pcbench.dataset import loop_columns
 from pcbench.fields import FIELDS
-from pcbench.statistics import QUANTILES
+from pcbench.statistics import ASKED, QUANTILES, RUN_METRICS
+
+if TYPE_CHECKING:
+    from pcbench.study.grid import Cell
 
 SCHEMA = "1"  # of every file; one more for each change once there is a release
 AXIS_UNITS = {f.name: f.unit for f in FIELDS}
+Columns = Mapping[str, ArrayLike | pa.Array]  # by name
+CONSISTENCY = (
+    "coverage_1_sigma, coverage_2_sigma, coverage_3_sigma, the fraction of runs whose error at tick N-1 is within so "
+    "many of the "
+    "standard deviations that the observer believes (Wilson's); or nees_band, nis_band, signal_nees_band, whose interval is "
+    "the 95 % band of such means of a true covariance (chi-square)"
+)
 MEANING = {
     "study": "name of the study",
     "scenario": "published experiment",
@@ -53,7 +63,7 @@ MEANING = {
     "rms_efficiency (the bound over steady_pooled_rmse, against the best any causal estimator can do on average over x(0) ~ "
     "N(xhat0, P0)); or "
     "divergence_rate, the fraction of runs that diverged; or unsettled_rate, the fraction of the others whose error left its "
-    "band in the tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
+    "band in the tail (both with Wilson's interval); or " + CONSISTENCY,
     "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
     "alone, where runs draw their own); none: neither, and `reason` says why",
     "reason": "why a number is missing that only runs have; null where it is there",
@@ -68,164 +78,136 @@ MEANING = {
     "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
-} | loop_columns.MEANING
+    "lq_cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "
+    "in a loop with weights; one number a run, with its first signal",
+    "steady_lq_cost": "the same from the tail start on",
+    "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a loop; one number a run, with its first signal",
+    "steady_input_rms": "the same from the tail start on",
+    "nees": "e' P^-1 e / n at tick N-1, P the covariance that the observer believes its error of the plant's n states to have, "
+    "less those it knows: 1 on average of a true one; one number a run, with its first signal",
+    "nees_dof": "the n of nees",
+    "nis": "nu' S^-1 nu of all samples that came in the order in which they were taken, over how many numbers these were; nu "
+    "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, "
+    "with its first signal; null: no sample was judged; in stats all squares of all runs over all numbers",
+    "nis_dof": "how many numbers nis is over",
+    "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
+}
 MEANING |= {f.name: f.meaning for f in FIELDS}
 MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
-MEANING |= {f"{q}_low": f"lower end of the 95 % interval of {q}; null: open" for q in QUANTILES}
-MEANING |= {f"{q}_high": f"upper end of the 95 % interval of {q}; null: open" for q in QUANTILES}
+for side, which in (("low", "lower"), ("high", "upper")):
+    MEANING |= {f"{q}_{side}": f"{which} end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 INTERVALS = (
     "95 %, over seeds. Means and root mean squares of what cannot be negative: Student's of the logarithm, that is "
     "mean exp(-+ t se / mean); final and mean_diff, which have a sign: Student's; fractions: Wilson's; quantiles: Nyblom's of "
     "order statistics"
 )
-TEXT = {
-    "sampling_pattern",
-    "study",
-    "scenario",
-    "plant",
-    "observer",
-    "observer_a",
-    "observer_b",
-    "signal",
-    "unit",
-    "metric",
-}
-TEXT |= {"status", "method", "reason", "delay_values", "delay_sequence", "delay_weights"}
-WHOLE = {"cell", "seed", "n"}
-YES_OR_NO = {name + end for name in ("predicts_unknown_input", "certified") for end in ("", "_a", "_b")}
-SECONDS = {"settling_time", "recovery_time", "divergence_time"}
+UNITLESS = (
+    "rms_efficiency divergence_rate unsettled_rate lq_cost steady_lq_cost nees nees_dof signal_nees nis nis_dof nees_band "
+    "nis_band signal_nees_band coverage_1_sigma coverage_2_sigma coverage_3_sigma"
+)
+OF_INPUT = "input_rms steady_input_rms pooled_input_rms steady_pooled_input_rms"
+OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1") | dict.fromkeys(
+    OF_INPUT.split(), "unit of the input"
+)  # not the signal's
+OWN_UNITS |= dict.fromkeys(("settling_time", "recovery_time", "divergence_time"), "s")
+TEXT = (
+    "sampling_pattern study scenario plant observer observer_a observer_b signal unit metric status method reason "
+    "delay_values delay_sequence delay_weights"
+)
+TYPES = dict.fromkeys(TEXT.split(), pa.string()) | dict.fromkeys(("cell", "seed", "n", "diverged"), pa.int64())
+TYPES |= {name + end: pa.bool_() for name in ("predicts_unknown_input", "certified") for end in ("", "_a", "_b")}
 
 
 def unit_of(metric: str, unit: str) -> str:
     """Return the unit of a metric of a signal that is measured in `unit`."""
-    if metric in SECONDS:
-        return "s"
-    if metric in loop_columns.UNITS:
-        return loop_columns.UNITS[metric]
+    if metric in OWN_UNITS:
+        return OWN_UNITS[metric]
     return f"({unit})^2" if metric.endswith("mse") and not metric.endswith("rmse") else unit
 
 
-def keys(study: str, cell: Any) -> dict[str, Any]:
+def keys(study: str, cell: "Cell") -> dict[str, object]:
     """Return the columns that name a cell: study, scenario, cell number, axes."""
     return {"study": study, "scenario": cell.scenario.name, "cell": cell.number, **cell.values}
 
 
-def words(known: tuple[str, ...] | list[str], which: Any) -> pa.Array:
-    """Return a column of few words: which of the known ones stands in each row."""
-    return pa.DictionaryArray.from_arrays(_array(np.asarray(which, np.int32), pa.int32()), pa.array(known)).cast(
-        pa.string()
-    )
+def metrics_shown(results: Container[str]) -> list[str]:
+    """Return the metrics that a table of runs has columns for: those of loops and of covariances only where there are such."""
+    return [m for m in RUN_METRICS if m in results or m not in ASKED]
 
 
-def together(parts: Iterable[dict[str, list[Any]]]) -> dict[str, list[Any]]:
+def words(vocabulary: Sequence[str], which: ArrayLike) -> pa.Array:
+    """Return a column of few words: which of the vocabulary stands in each row."""
+    indices = pa.array(np.asarray(which, np.int32))
+    return pa.DictionaryArray.from_arrays(indices, pa.array(vocabulary)).cast(pa.string())
+
+
+def together(parts: Iterable[Mapping[str, list[object]]]) -> dict[str, list[object]]:
     """Return parts of a table, by column, as one."""
-    whole: dict[str, list[Any]] = {}
+    out: dict[str, list[object]] = {}
     for part in parts:
         for name, values in part.items():
-            whole.setdefault(name, []).extend(values)
-    return whole
+            out.setdefault(name, []).extend(values)
+    return out
 
 
-def with_intervals(found: pa.Table) -> pa.Table:
+def with_intervals(rows: pa.Table) -> pa.Table:
     """Return a table whose metadata say what intervals are."""
-    return found.replace_schema_metadata({**found.schema.metadata, "pcbench.intervals": INTERVALS})
+    return rows.replace_schema_metadata({**rows.schema.metadata, "pcbench.intervals": INTERVALS})
 
 
-def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
+def table(columns: Columns, bools: tuple[str, ...] = ()) -> pa.Table:
     """Return a table with types, units and meanings fixed by column name; NaN is null."""
     arrays, fields = [], []
     for name, values in columns.items():
-        if isinstance(values, pa.Array):
-            kind = values.type
-        else:
-            if isinstance(values, list) and list in set(map(type, values)):
-                values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
-            kind = _type(name, values, bools)
-            values = _array(values, kind)
+        if isinstance(values, list) and list in set(map(type, values)):
+            values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
+        if not isinstance(values, pa.Array):
+            lists = isinstance(values, list) and any(isinstance(v, list) for v in values[:1])
+            kind = TYPES.get(name) or (pa.list_(pa.float64()) if lists else pa.float64())
+            values = _array(values, pa.bool_() if name in bools else kind)
         arrays.append(values)
-        fields.append(_field(name, kind))
+        fields.append(_field(name, values.type))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
 
 
-def has_schema(metadata: dict[bytes, bytes]) -> bool:
+def has_schema(metadata: Mapping[bytes, bytes]) -> bool:
     """Return whether a table with this metadata has the columns of this release."""
     return metadata.get(b"pcbench.schema") == SCHEMA.encode()
 
 
 @cache
 def _field(name: str, kind: pa.DataType) -> pa.Field:
-    unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
+    unit = AXIS_UNITS.get(name, "s" if OWN_UNITS.get(name) == "s" else "")
     about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
     return pa.field(name, kind, metadata=about)
 
 
-def _array(values: Any, kind: pa.DataType) -> pa.Array:
+def _array(values: ArrayLike, kind: pa.DataType) -> pa.Array:
     """Values as a column; NaN is null."""
     if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
         return pa.array(values, kind, from_pandas=True)
     bad = np.isnan(values)  # four times as fast as `pa.array`
-    known = pa.py_buffer(np.packbits(~bad, bitorder="little")) if bad.any() else None
-    return pa.Array.from_buffers(kind, len(values), [known, pa.py_buffer(np.ascontiguousarray(values, float))])
+    valid = pa.py_buffer(np.packbits(~bad, bitorder="little")) if bad.any() else None
+    return pa.Array.from_buffers(kind, len(values), [valid, pa.py_buffer(np.ascontiguousarray(values, float))])
 
 
-def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
-    if name in bools or name in YES_OR_NO:
-        return pa.bool_()
-    if name in TEXT:
-        return pa.string()
-    if name in WHOLE or name == "diverged":
-        return pa.int64()
-    return pa.list_(pa.float64()) if any(isinstance(v, list) for v in values[:1]) else pa.float64()
-
-
-def axes_of(row: dict[str, Any]) -> list[str]:
+def axes_of(row: Iterable[str]) -> list[str]:
     """Return the axis columns among a row's keys, in order."""
     return [name for name in row if name in AXIS_UNITS or name.startswith("plant.")]
 
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head = [
-        "study",
-        "scenario",
-        "plant",
-        "observer",
-        "cell",
-        *axes,
-        "signal",
-        "unit",
-        "predicts_unknown_input",
-        "certified",
-    ]
-    return [
-        *head,
-        "metric",
-        "method",
-        "n",
-        "diverged",
-        "mean",
-        "se",
-        "ci_low",
-        "ci_high",
-        *(q + end for q in QUANTILES for end in ("", "_low", "_high")),
-        "reason",
-    ]
+    head, rest = (
+        "study scenario plant observer cell",
+        "signal unit predicts_unknown_input certified metric method n diverged",
+    )
+    quantiles = [q + end for q in QUANTILES for end in ("", "_low", "_high")]
+    return [*head.split(), *axes, *rest.split(), "mean", "se", "ci_low", "ci_high", *quantiles, "reason"]
 
 
 def pairs_order(axes: list[str]) -> list[str]:
     """Return the columns of pairs.parquet."""
-    head = [
-        "study",
-        "scenario",
-        "plant",
-        "cell",
-        *axes,
-        "observer_a",
-        "observer_b",
-        "predicts_unknown_input_a",
-        "predicts_unknown_input_b",
-        "certified_a",
-        "certified_b",
-    ]
-    head += ["signal", "unit", "metric", "method"]
-    return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]
+    pair = "observer_a observer_b predicts_unknown_input_a predicts_unknown_input_b certified_a certified_b signal unit metric"
+    rest = "method n mean_diff se ci_low ci_high prob_a_better p_value p_holm"
+    return ["study", "scenario", "plant", "cell", *axes, *pair.split(), *rest.split()]

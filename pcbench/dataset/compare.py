@@ -11,16 +11,17 @@ only some seeds are common, rows are made anew over those: Welch's t supposes th
 A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 from scipy.special import stdtr
 
-from pcbench.dataset import aggregate, block_files, close, columns, manifest, storage
-from pcbench.dataset.block_files import Block
+from pcbench.dataset import aggregate, block_files, close, manifest, storage
+from pcbench.dataset.block_files import Series
 from pcbench.dataset.manifest import Owned
 from pcbench.dataset.seed_ranges import Seeds, common, joined
 from pcbench.dataset.table_diff import ROUNDING, ZERO
@@ -33,15 +34,9 @@ from pcbench.study.serialize import to_toml
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
-MADE_BY = (
-    "versions",
-    "compiler",
-    "device",
-    "system",
-    "precision",
-    "flow",
-    "git",
-)  # of a provenance: what may decide the last bits
+MADE_BY = ("versions", "compiler", "device", "system", "precision", "flow", "git")  # what may decide the last bits
+EXACT = "no draws: exact"
+Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
 
 
 class Comparison(NamedTuple):
@@ -104,19 +99,26 @@ class Side(NamedTuple):
     owned: Owned
     stats: pa.Table
     digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
-    blocks: dict[tuple[str, int, str], list[Block]]  # by scenario, cell and observer
+    blocks: Series
+
+    @property
+    def draws(self) -> dict[Name, list[Seeds]]:
+        """Return the seeds that it holds, joined."""
+        each = self.blocks.items()
+        return {
+            (s, self.digests[s, cell], observer): joined(b.seeds for b in mine) for (s, cell, observer), mine in each
+        }
 
 
 def _side(target: storage.Target, owned: Owned) -> Side:
     """Return a result; raise UserError where it is not finished or not whole."""
-    found = close.table(target, "stats.parquet")
-    if found is None:
+    stats = close.table(target, "stats.parquet")
+    if stats is None:
         raise UserError(
             f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
         )
-    blocks: dict[tuple[str, int, str], list[Block]] = {}
     digests = {c.key: identity(c, 0) for c in owned.cells}
-    there = sorted(block_files.settled(block_files.present(target)))
+    there = block_files.settled(block_files.present(target))
     for b in there:
         if (b.scenario, b.cell) not in digests:
             raise UserError(
@@ -127,69 +129,51 @@ def _side(target: storage.Target, owned: Owned) -> Side:
             raise UserError(
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
-        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     if not close.is_closed(target, there):
         raise UserError(
             f"{target.name}/stats.parquet: is not of the blocks in {target.name}/runs, expected a finished study; run it again "
             "to go on."
         )
-    return Side(target, owned, found, digests, blocks)
+    return Side(target, owned, stats, digests, block_files.series(there))
 
 
-EXACT = "no draws: exact"
-Draws = dict[tuple[str, str, str], list[Seeds]]  # by scenario, cell's digest and observer, joined
-CommonSeeds = dict[tuple[str, str, str], Seeds]  # the same, of the seeds that two sides have in common
-
-
-def _drawn(side: Side) -> Draws:
-    out: Draws = {}
-    for (scenario, cell, observer), mine in side.blocks.items():
-        out[scenario, side.digests[scenario, cell], observer] = joined(b.seeds for b in mine)
-    return out
-
-
-def _shared(a: Side, b: Side) -> CommonSeeds:
+def _shared(a: Side, b: Side) -> dict[Name, Seeds]:
     """Return by cell and observer, where two sides hold different seeds, the longest range that both hold."""
     if a.owned.study.root_seed != b.owned.study.root_seed:
         return {}
-    out, here = {}, _drawn(b)
-    for key, mine in _drawn(a).items():
-        both = [common(i, j) for i in mine for j in here.get(key, [])]
-        if here.get(key) not in (None, mine) and any(seeds.many for seeds in both):
-            out[key] = max(both, key=lambda seeds: seeds.many)
+    out, here = {}, b.draws
+    for name, mine in a.draws.items():
+        both = [common(i, j) for i in mine for j in here.get(name, [])]
+        if mine != here.get(name) and any(seeds.many for seeds in both):
+            out[name] = max(both, key=lambda seeds: seeds.many)
     return out
 
 
-def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
+def _stats(side: Side, shared: dict[Name, Seeds]) -> pd.DataFrame:
     """The rows of stats with their cells' digests and the draws they stand on; over the `shared` seeds, if any."""
-    frame, drawn, root = _over(side, shared).to_pandas(), _drawn(side), side.owned.study.root_seed
-    cells = {c.key: c for c in side.owned.cells}
+    frame, draws, study = _over(side, shared).to_pandas(), side.draws, side.owned.study
+    values = {c.key: c.values for c in side.owned.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
     frame["digest"] = [side.digests[key] for key in keys]
-    frame["where"] = [_where(cells[key].values, list(side.owned.study.axes)) for key in keys]
-    named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
-    frame["draws"] = [f"{root}: {[shared[name]] if name in shared else drawn.get(name, EXACT)}" for name in named]
-    frame["narrowed"] = [name in shared for name in named]
+    frame["where"] = [", ".join(f"{name}={values[key][name]}" for name in study.axes) for key in keys]
+    names = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
+    frame["draws"] = [f"{study.root_seed}: {[shared[n]] if n in shared else draws.get(n, EXACT)}" for n in names]
+    frame["narrowed"] = [name in shared for name in names]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
     return frame[[*KEY, "where", "unit", "certified", "method", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
-def _over(side: Side, shared: CommonSeeds) -> pa.Table:
+def _over(side: Side, shared: dict[Name, Seeds]) -> pa.Table:
     """The table stats, made anew of the runs where only some of the seeds are common."""
-    axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
     parts = []
     for cell in side.owned.cells if shared else ():
-        found = aggregate.observed(side.target, cell, side.blocks)
-        for observer, each in found.items():
+        c = aggregate.of_cell(side.target, cell, side.blocks)
+        for observer in c.blocks:
             within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
-            rows, _ = aggregate.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)
-            parts.append(rows.table(columns.stats_order(axes)))
+            alone = c._replace(blocks={observer: c.blocks[observer]}, about={observer: c.about[observer]})
+            parts.append(aggregate.rows_of(side.owned.study.name, alone, within)[0])
     return pa.concat_tables(parts) if parts else side.stats
-
-
-def _where(values: dict[str, Any], axes: list[str]) -> str:
-    return ", ".join(f"{name}={values[name]}" for name in axes)
 
 
 def judged(both: pd.DataFrame) -> pd.DataFrame:
@@ -198,27 +182,23 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     difference, size = b - a, np.fmax(np.abs(a), np.abs(b))
     relative = np.where(size > ZERO, np.abs(difference) / np.where(size > ZERO, size, 1.0), 0.0)
     same = (relative <= ROUNDING) | (np.abs(difference) <= ZERO)
-    here = ~np.isnan(a), ~np.isnan(b)
     p = welch(*(both[f"{what}_{side}"].to_numpy(float) for side in "ab" for what in ("mean", "se", "n")))
     p = np.where(same, np.nan, p)
-    adjusted = holm(p)
-    same_draws = (both.draws_a == both.draws_b).to_numpy()
+    adjusted, same_draws = holm(p), (both.draws_a == both.draws_b).to_numpy()
     still = both.se_a.fillna(0.0).eq(0).to_numpy() & both.se_b.fillna(0.0).eq(0).to_numpy()
     spread = both.se_a.notna().to_numpy() & both.se_b.notna().to_numpy()
-    without = ~same & here[0] & here[1] & still & (spread | same_draws)
-    lost = (here[0] != here[1]) & ~(both.method_a.eq("none") | both.method_b.eq("none")).to_numpy()
+    without = ~same & ~np.isnan(a) & ~np.isnan(b) & still & (spread | same_draws)
+    lost = (np.isnan(a) != np.isnan(b)) & ~(both.method_a.eq("none") | both.method_b.eq("none")).to_numpy()
     changed = (adjusted < LEVEL) | without | lost
-    out = both[["scenario", "where_a", "observer", "signal", "metric", "unit_a"]].copy()
-    out.columns = pd.Index(["scenario", "where", "observer", "signal", "metric", "unit"])
-    names = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b"]
-    names += ["certified_a", "certified_b"]
-    out = out.assign(**{name: both[name] for name in names}, difference=difference, relative=np.nan_to_num(relative))
-    out = out.assign(p_value=p, p_holm=adjusted, same_draws=same_draws, changed=changed)
-    out = out.assign(identical=(both.bits_a == both.bits_b).to_numpy(), narrowed=both.narrowed_a.to_numpy())
-    order = out.assign(sure=np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0)))
-    return order.sort_values(["changed", "sure", "relative"], ascending=[False, True, False], kind="stable").drop(
-        columns="sure"
-    )
+    names = {"scenario": "scenario", "where_a": "where", "observer": "observer", "signal": "signal", "metric": "metric"}
+    names |= {"unit_a": "unit"}
+    kept = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b", "certified_a", "certified_b"]
+    out = both[[*names, *kept]].rename(columns=names)
+    out = out.assign(difference=difference, relative=np.nan_to_num(relative), p_value=p, p_holm=adjusted)
+    out = out.assign(same_draws=same_draws, changed=changed, identical=(both.bits_a == both.bits_b).to_numpy())
+    out = out.assign(narrowed=both.narrowed_a.to_numpy())
+    sure = np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0))
+    return out.iloc[np.lexsort((-out.relative, sure, ~changed))]
 
 
 def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
@@ -238,15 +218,15 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
 
 def made_by(a: storage.Target, b: storage.Target) -> list[str]:
     """Return how two provenances differ in libraries and machines, a phrase each."""
-    there, here = (close.record(target) or {} for target in (a, b))
-    exact = 0 in (there.get("blocks"), here.get("blocks"))  # no runs there, so none went any way
-    old, new = (_flat({k: each.get(k) for k in MADE_BY if not (exact and k == "flow")}) for each in (there, here))
+    records = [close.record(target) or {} for target in (a, b)]
+    exact = 0 in [each.get("blocks") for each in records]  # no runs there, so none went any way
+    old, new = (_flat({k: each.get(k) for k in MADE_BY if not (exact and k == "flow")}) for each in records)
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
 
 
-def _flat(said: dict[str, Any], under: str = "") -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, value in said.items():
+def _flat(record: Mapping[str, object], under: str = "") -> dict[str, object]:
+    out: dict[str, object] = {}
+    for key, value in record.items():
         out |= _flat(value, f"{under}{key}.") if isinstance(value, dict) else {f"{under}{key}": value}
     return out

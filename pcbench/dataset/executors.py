@@ -7,11 +7,11 @@ free, so that memory does not grow with their number.
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from itertools import islice
 from queue import SimpleQueue
-from threading import Condition, Event, Lock, get_ident
+from threading import Event, Lock, Semaphore
 from typing import Any
 
 from pcbench.engine import runner
@@ -48,42 +48,31 @@ def here(count: int | None = None) -> Iterator[Executor]:
     what is written is waited for; what is computed is not, as that may take minutes, and writes nothing when it ends.
     """
     free: SimpleQueue[Any] = SimpleQueue()
-    busy, stopped, change = set[int](), Event(), Condition()  # threads that neither compute nor wait for a device
     for device in runner.devices(count):
         free.put(device)
     many = 2 * free.qsize()
+    stopped, writing = Event(), Semaphore(many)
     pool = ThreadPoolExecutor(many, "pcbench")
 
-    @contextmanager
-    def hold() -> Iterator[Any]:
-        idle()
-        device = free.get()
-        try:
-            if stopped.is_set():
-                raise CancelledError
-            yield device
-        finally:
-            free.put(device)
-            idle()
-        go_on()
-
-    def idle() -> None:
-        with change:
-            busy.discard(get_ident())
-            change.notify_all()
-
     def go_on() -> None:
-        with change:
-            if stopped.is_set():
-                raise CancelledError
-            busy.add(get_ident())
+        if stopped.is_set():
+            raise CancelledError
 
     def do(work: Callable[..., Any], task: Any) -> Any:
-        go_on()
-        try:
+        with ExitStack() as until_done:
+
+            @contextmanager
+            def hold() -> Iterator[Any]:
+                device = free.get()
+                try:
+                    go_on()
+                    yield device
+                finally:
+                    free.put(device)
+                until_done.enter_context(writing)
+                go_on()
+
             return work(task, hold)
-        finally:
-            idle()
 
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
         left, under_way = iter(tasks), set[Future[Any]]()
@@ -98,11 +87,10 @@ def here(count: int | None = None) -> Iterator[Executor]:
     try:
         yield execute
     except (KeyboardInterrupt, GeneratorExit):
-        with change:
-            stopped.set()
+        stopped.set()
         pool.shutdown(wait=False, cancel_futures=True)
-        with change:
-            change.wait_for(lambda: not busy)
+        for _ in range(many):  # none writes any more once this has all of them
+            writing.acquire()
         raise
     finally:
         pool.shutdown(wait=not stopped.is_set(), cancel_futures=True)  # none writes on when this has ended
@@ -215,13 +203,8 @@ def _local(distributed: Any, workers: int | None) -> Any:
 
 def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
     """Do a task in a worker's process, which becomes pcbench's own at its first task, and computes one at a time."""
-    _set_up()
+    _SET_UP()
     return work(task, _hold)
-
-
-@cache
-def _set_up() -> None:
-    config.setup()
 
 
 @contextmanager
@@ -230,4 +213,5 @@ def _hold() -> Iterator[None]:
         yield
 
 
+_SET_UP = cache(config.setup)
 _COMPUTING = Lock()

@@ -1,9 +1,8 @@
 """Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
 
-import itertools
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,15 +20,16 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.synthesis.certificate import is_certified
 
 OVER_TIME = ("observer", "signal", "t", "mean", "std")
+Values = NDArray[np.float64]
 
 
 class Joint(NamedTuple):
     """Mean and covariance of all errors of one cell together, at ticks 0 .. N; Z errors."""
 
-    t: NDArray[Any]  # [N+1] s
+    t: Values  # [N+1] s
     errors: tuple[tuple[str, str], ...]  # (observer, signal)
-    mean: NDArray[Any]  # [N+1, Z]
-    covariance: NDArray[Any]  # [N+1, Z, Z]
+    mean: Values  # [N+1, Z]
+    covariance: Values  # [N+1, Z, Z]
 
 
 class Exact:
@@ -54,16 +54,12 @@ class Exact:
         """
         frames = []
         for m in self.solved(self._chosen(scenario, cell), "std"):
-            head = columns.keys(self.grid.study.name, m.planned.cell)
-            for each in map(pd.DataFrame, self.over_time(m)):
-                frames.append(each.assign(**{k: [v] * len(each) for k, v in head.items()}))
-        if not frames:
-            return pd.DataFrame()
-        whole = pd.concat(frames, ignore_index=True)
-        last = list(OVER_TIME)
-        return whole[[c for c in whole if c not in last] + last]
+            for part in self.over_time(m):
+                head, many = columns.keys(self.grid.study.name, m.planned.cell), len(part["t"])
+                frames.append(pd.DataFrame({name: [value] * many for name, value in head.items()} | part))
+        return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
-    def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[Any]]]:
+    def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[np.generic]]]:
         """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
         cell = m.planned.cell
         names = [name for name, _ in signals_of(cell.scenario)]
@@ -72,13 +68,13 @@ class Exact:
             if m.why[label] or not m.rows:
                 continue
             means, variances = np.asarray(m.rows.mean[:, place]), np.asarray(m.rows.covariance[:, place, 0])
-            middle, variance = (means[..., 0], variances[..., 0])
+            mean, variance = means[..., 0], variances[..., 0]
             if m.random:
-                middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
+                mean, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
             std = np.sqrt(np.maximum(variance, 0.0))
             for i in range(place.stop - place.start):
-                said = (_repeated(word, len(t)) for word in (label, names[i]))
-                yield dict(zip(OVER_TIME, (*said, t, middle[:, i], std[:, i]), strict=True))
+                words = (_repeated(word, len(t)) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*words, t, mean[:, i], std[:, i]), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.
@@ -88,13 +84,12 @@ class Exact:
         chosen = self._chosen(scenario, cell)
         if len(chosen) > 1:
             raise UserError(f"covariance: got {len(chosen)} cells, expected one; give scenario and cell.")
-        each = list(self.solved(chosen, COVARIANCE))
-        if len(each) > 1:
+        m, *others = self.solved(chosen, COVARIANCE)
+        if others:
             raise UserError(
                 f"covariance: got {len(chosen[0].options)} observers in a closed loop, expected one: each drives a plant of "
                 "its own; ask with observers=[...] of one."
             )
-        m = each[0]
         if not m.rows or any(m.why.values()):
             # One whose numbers overflow spoils those of the others here, and not by itself.
             alone = (why for one in self.solved(chosen) for why in one.why.values())
@@ -102,7 +97,7 @@ class Exact:
         names = [name for name, _ in signals_of(chosen[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
         order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
-        mean = np.asarray(m.rows.mean[:, order])
+        mean: Values = np.asarray(m.rows.mean[:, order])
         apart = mean - mean.mean(-1, keepdims=True)
         between = np.einsum("tis,tjs->tij", apart, apart) / apart.shape[-1]
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
@@ -115,43 +110,44 @@ class Exact:
             for m in solve(planned(cells, recorded == COVARIANCE), asked):
                 yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
 
-    def rows(self, m: CellMoments) -> dict[str, list[Any]]:
+    def rows(self, m: CellMoments) -> dict[str, list[object]]:
         """Return the rows of `stats` as columns, in their order."""
         cell, p = m.planned.cell, m.planned
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
-        found = []
+        order, parts = columns.stats_order(columns.axes_of(head)), []
         for label in m.signals:
-            mine = stats_rows.described(m, label, m.why[label], bound)
-            units, at = [signals[i][1] for i in mine["signal"]], mine["metric"]
-            about = {
+            rows = stats_rows.described(m, label, m.why[label], bound)
+            about = head | {
                 "plant": cell.scenario.plant,
                 "observer": label,
                 "predicts_unknown_input": p.predicts_unknown_input[label],
+                "certified": is_certified(p.certificates[label]._asdict()),
             }
-            about |= {"certified": is_certified(p.certificates[label]._asdict())}
-            mine |= {name: [value] * len(at) for name, value in (head | about).items()}
-            mine |= {"signal": [signals[i][0] for i in mine["signal"]]}
-            found.append(mine | {"unit": list(map(columns.unit_of, at, units))})
-        order = columns.stats_order(columns.axes_of(head))
-        return {name: list(itertools.chain.from_iterable(each[name] for each in found)) for name in order}
+            units = [
+                columns.unit_of(metric, signals[i][1]) for metric, i in zip(rows["metric"], rows["signal"], strict=True)
+            ]
+            rows |= {"signal": [signals[i][0] for i in rows["signal"]], "unit": units}
+            rows |= {name: [value] * len(units) for name, value in about.items()}
+            parts.append({name: rows[name] for name in order})
+        return columns.together(parts)
 
     def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
-        known = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
-        if scenario is not None and scenario not in known:
-            raise unknown("exact", "scenario of the study", scenario, known)
-        found = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
-        if not found:
+        scenarios = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
+        if scenario is not None and scenario not in scenarios:
+            raise unknown("exact", "scenario of the study", scenario, scenarios)
+        chosen = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
+        if not chosen:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
-        return found
+        return chosen
 
 
 @lru_cache(16)
-def _times(dt: float, ticks: int, every: int) -> NDArray[Any]:
+def _times(dt: float, ticks: int, every: int) -> Values:
     """The times of ticks 0 .. N, every so many."""
     return dt * np.arange(0, ticks + 1, every)
 
 
 @lru_cache(256)
-def _repeated(word: str, often: int) -> NDArray[Any]:
+def _repeated(word: str, often: int) -> NDArray[np.object_]:
     return np.broadcast_to(np.array(word, object), often)

@@ -34,7 +34,7 @@ SAID = 3  # refusals that are said
 Row = dict[str, Any]
 
 
-def made(target: storage.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
+def make(target: storage.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
     mark = of(owned)
     there = whole(target)
@@ -106,38 +106,23 @@ def _put(target: storage.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
 
 def whole(target: storage.Target) -> pa.Table | None:
     """Return the exact rows of a dataset; None where it has none, or not as they were written."""
-    content = storage.get(target, NAME)
-    return None if content is None else parquet_io.whole(content)
+    return parquet_io.whole(storage.get(target, NAME))
 
 
-class RowsByCell:
-    """The exact rows of a dataset by cell, made when they are asked for: all at once, those of a large study are gigabytes."""
-
-    def __init__(self, table: pa.Table | None) -> None:
-        """Find out where each cell's rows stand."""
-        self.table, self.places = table, dict[tuple[str, int], list[tuple[int, int]]]()
-        if table is None or not len(table):
-            return
-        names, cells = (table.column(name).combine_chunks() for name in ("scenario", "cell"))
-        codes, numbers = names.dictionary_encode().indices.to_numpy(), cells.to_numpy()
-        new = np.flatnonzero((np.diff(codes) != 0) | (np.diff(numbers) != 0)) + 1
-        for start, stop in itertools.pairwise([0, *new.tolist(), len(table)]):
-            self.places.setdefault((names[start].as_py(), int(numbers[start])), []).append((start, stop))
-
-    def __contains__(self, key: tuple[str, int]) -> bool:
-        """Return whether a cell has any."""
-        return key in self.places
-
-    def get(self, key: tuple[str, int]) -> dict[str, list[Any]]:
-        """Return the rows of a cell as columns; none where it has none."""
-        if self.table is None or key not in self.places:
-            return {}
-        return pa.concat_tables([self.table[start:stop] for start, stop in self.places[key]]).to_pydict()
-
-
-def rows_by_cell(target: storage.Target) -> RowsByCell:
-    """Return the exact rows of a dataset by cell."""
-    return RowsByCell(whole(target))
+def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
+    """Return the exact rows of a dataset by cell, parts of one table."""
+    table = whole(target)
+    if table is None or not len(table):
+        return {}
+    every = {name: column.combine_chunks() for name, column in zip(table.column_names, table.columns, strict=True)}
+    lists = {
+        name: column.cast(pa.list_(pa.float64())) for name, column in every.items() if pa.types.is_list(column.type)
+    }
+    table = columns.with_intervals(columns.table(every | lists))
+    codes, numbers = every["scenario"].dictionary_encode().indices.to_numpy(), every["cell"].to_numpy()
+    starts = np.flatnonzero(np.diff(codes, prepend=-1) | np.diff(numbers, prepend=-1)).tolist()
+    parts = [table[start:stop] for start, stop in itertools.pairwise([*starts, len(table)])]
+    return {(part["scenario"][0].as_py(), part["cell"][0].as_py()): part for part in parts}
 
 
 def simulated(target: storage.Target, owned: Owned) -> Owned:
@@ -157,27 +142,26 @@ def simulated(target: storage.Target, owned: Owned) -> Owned:
     return owned._replace(cells=[c for c in cells if c.options])
 
 
-def pairs(known: dict[str, list[Any]], order: list[str]) -> dict[str, list[Any]]:
-    """Return columns of `pairs` of one cell, in their order: differences of exact numbers, where no schedule is random."""
-    each: dict[tuple[str, str], list[int]] = {}
-    for at, (method, n, *about) in enumerate(
-        zip(*(known[c] for c in ("method", "n", "signal", "metric")), strict=True)
-    ):
+def pairs(rows: pa.Table) -> pa.Table:
+    """Return rows of `pairs`: differences of the exact numbers of each cell, where no schedule is random."""
+    each: dict[tuple[object, ...], list[int]] = {}
+    about = ("method", "n", "scenario", "cell", "signal", "metric")
+    for at, (method, n, *key) in enumerate(zip(*(rows[name].to_pylist() for name in about), strict=True)):
         if method == "exact" and not n:
-            each.setdefault((about[0], about[1]), []).append(at)
-    both = [two for mine in each.values() for two in itertools.combinations(mine, 2)]
-    mean = np.array(known["mean"], float)
-    a, b = (mean[[two[side] for two in both]] for side in (0, 1))
-    same = np.abs(a - b) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
-    apart, none = (a - b).tolist(), [np.nan] * len(both)
-    found = {"mean_diff": apart, "se": [0.0] * len(both), "ci_low": apart, "ci_high": apart}
-    found |= {"prob_a_better": np.where(same, 0.5, np.nan).tolist(), "p_value": none, "p_holm": none}
-    for what in ABOUT:
-        found |= {f"{what}_{side}": [known[what][two[i]] for two in both] for i, side in enumerate("ab")}
-    return {name: found[name] if name in found else [known[name][first] for first, _ in both] for name in order}
-
-
-ABOUT = ("observer", "predicts_unknown_input", "certified")
+            each.setdefault(tuple(key), []).append(at)
+    both = np.array([two for mine in each.values() for two in itertools.combinations(mine, 2)], np.int64).reshape(-1, 2)
+    a, b = (rows["mean"].to_numpy()[both[:, side]] for side in (0, 1))
+    apart, none = a - b, np.full(len(both), np.nan)
+    same = np.abs(apart) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
+    out: dict[str, Any] = {"mean_diff": apart, "se": np.zeros(len(both)), "ci_low": apart, "ci_high": apart}
+    out |= {"prob_a_better": np.where(same, 0.5, np.nan), "p_value": none, "p_holm": none}
+    sides = [rows.take(pa.array(both[:, side])) for side in (0, 1)]
+    for name in ("observer", "predicts_unknown_input", "certified"):
+        out |= {f"{name}_{side}": part[name].combine_chunks() for side, part in zip("ab", sides, strict=True)}
+    order = columns.pairs_order(columns.axes_of(rows.column_names))
+    return columns.with_intervals(
+        columns.table({name: out[name] if name in out else sides[0][name].combine_chunks() for name in order})
+    )
 
 
 def place(scenario: str, cell: int) -> str:

@@ -1,7 +1,4 @@
-"""Tables that know whether they are as they were written: Parquet as bytes, with a digest.
-
-A table that is written as it grows, compressed, so that memory hardly grows with its rows.
-"""
+"""Tables that know whether they are as they were written: Parquet as bytes, with a digest. No jax."""
 
 import hashlib
 from typing import Any
@@ -10,12 +7,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench.dataset import columns
 from pcbench.errors import UserError
 
 SEAL = b"pcbench.digest"  # the key in a table's metadata
+DAMAGE = (pa.ArrowException, OSError, ValueError)  # what pyarrow raises where a file is not as it was written
 PLAIN = 2**28  # bytes that a file may take in memory
 RATIO = 1000  # or so many times its own bytes, if that is more: equal numbers take little in a file
+ROWS = 20_000  # that are gathered before they are written
 
 
 def encoded(table: pa.Table) -> pa.Buffer:
@@ -26,8 +24,8 @@ def encoded(table: pa.Table) -> pa.Buffer:
     pq.write_table(table, sink, compression="snappy", **how)  # 3 ms of 8 less a block than zstd, for a third more bytes
     content = sink.getvalue()
     back = pq.read_metadata(pa.BufferReader(content))
-    said = (table.schema.metadata or {}).items() <= (back.metadata or {}).items()
-    if (back.num_rows, back.num_columns) != table.shape or not said:
+    same = (table.schema.metadata or {}).items() <= (back.metadata or {}).items()
+    if (back.num_rows, back.num_columns) != table.shape or not same:
         raise UserError("store: a table read back from its own bytes differs, expected the same; report this.")
     return content
 
@@ -50,97 +48,89 @@ def opened(content: pa.Buffer) -> pq.ParquetFile:
 
 
 def parsed(content: pa.Buffer) -> pa.Table:
-    """Return the rows of a Parquet file in memory; raise what pyarrow raises where it is damaged."""
+    """Return the rows of a Parquet file in memory; raise one of DAMAGE where it is damaged."""
     with opened(content) as file:
         return file.read(use_threads=False)
 
 
 def sealed(table: pa.Table) -> pa.Table:
     """Return a table with the digest of its columns among its metadata, for `whole` to look at."""
-    return table.replace_schema_metadata({**(table.schema.metadata or {}), SEAL: _digest(table)})
+    return with_metadata(table, {SEAL: digest(table).encode()})
 
 
-def whole(content: pa.Buffer) -> pa.Table | None:
-    """Return the rows of a file that was `sealed`; None where they are not those that were written."""
+def whole(content: pa.Buffer | None) -> pa.Table | None:
+    """Return the rows of a file that was `sealed`; None where there is none, or they are not those that were written."""
     try:
-        table = parsed(content)
-    except (pa.ArrowException, OSError, ValueError):
+        table = None if content is None else parsed(content)
+    except DAMAGE:
         return None
-    return table if (table.schema.metadata or {}).get(SEAL) == _digest(table) else None
+    return table if table is not None and metadata(table).get(SEAL) == digest(table).encode() else None
 
 
-def type_of(kind: pa.DataType) -> str:
-    """Return the name of a type; of a list the same whatever Parquet and Arrow call what is in it."""
-    return f"list<item: {kind.value_type}>" if pa.types.is_list(kind) else str(kind)
+def metadata(table: pa.Table) -> dict[bytes, bytes]:
+    """Return a table's metadata; empty where it has none."""
+    return dict(table.schema.metadata or {})
 
 
-def _digest(table: pa.Table) -> bytes:
-    out = hashlib.sha256()
+def with_metadata(table: pa.Table, more: dict[bytes, bytes]) -> pa.Table:
+    """Return a table with more metadata."""
+    return table.replace_schema_metadata(metadata(table) | more)
+
+
+def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+    """Return a table with other values in one of its columns, which keeps its type and what it says of itself."""
+    field = table.schema.field(name)
+    values = values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
+    return table.set_column(table.schema.get_field_index(name), field, values)
+
+
+def digest(table: pa.Table, begin: bytes = b"", words: bool = True) -> str:
+    """Return the digest of a table's columns, of numbers to the bit, after some bytes; with its words or without."""
+    out = hashlib.sha256(begin)
     for field, column in zip(table.schema, table.columns, strict=True):
-        out.update(f"{field.name}:{type_of(field.type)}:{column.null_count}".encode())
-        number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
-        out.update(np.ascontiguousarray(column.to_numpy()).tobytes() if number else _said(column).encode())
-    return out.hexdigest()[:32].encode()
+        kind = f"list<item: {field.type.value_type}>" if pa.types.is_list(field.type) else field.type
+        out.update(f"{field.name}:{kind}:{column.null_count}".encode())
+        if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
+            out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
+        elif words:
+            out.update(_as_text(column).encode())
+    return out.hexdigest()[:32]
 
 
-def _said(column: pa.ChunkedArray) -> str:
+def _as_text(column: pa.ChunkedArray) -> str:
     """The `repr` of a column's list of values; of words, which are few, each is written once and looked up."""
     if not pa.types.is_string(column.type):
         return repr(column.to_pylist())
-    found = column.combine_chunks().dictionary_encode()
-    known = np.array([*map(repr, found.dictionary.to_pylist()), "None"], object)
-    return f"[{', '.join(known[found.indices.fill_null(len(known) - 1).to_numpy()].tolist())}]"
-
-
-ROWS = 20_000  # that are gathered before they are written
-GATHERED = 2_000  # that are gathered before they are a table
+    coded = column.combine_chunks().dictionary_encode()
+    vocabulary = np.array([*map(repr, coded.dictionary.to_pylist()), "None"], object)
+    return f"[{', '.join(vocabulary[coded.indices.fill_null(len(vocabulary) - 1).to_numpy()].tolist())}]"
 
 
 class GrowingTable:
-    """A table whose rows come in parts, one part at least."""
+    """A table whose rows come in parts, one part at least, written compressed: memory hardly grows with its rows."""
 
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()
         self.waiting: list[pa.Table] = []
-        self.columns: dict[str, list[Any]] = {}  # of rows that are to be a table
-        self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
+        self.writer: pq.ParquetWriter | None = None  # once there is a schema
 
     def add(self, table: pa.Table) -> None:
         """Add some rows."""
-        self._gather()
-        self._wait(table)
-
-    def _wait(self, table: pa.Table) -> None:
-        self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
+        self.waiting.append(with_metadata(table, self.about))
         if sum(map(len, self.waiting)) >= ROWS:
             self._write()
 
-    def add_columns(self, more: dict[str, list[Any]]) -> None:
-        """Add some rows, by column, that are no table yet: of many together one is made in the time of one of few."""
-        if list(more) != list(self.columns):
-            self._gather()
-            self.columns = {name: [] for name in more}
-        for name, values in more.items():
-            self.columns[name].extend(values)
-        if len(self.columns["study"]) >= GATHERED:
-            self._gather()
-
     def content(self) -> pa.Buffer:
         """Return the file's bytes."""
-        self._gather()
         self._write()
-        self.writer.close()
+        if self.writer:
+            self.writer.close()
         return self.sink.getvalue()
-
-    def _gather(self) -> None:
-        if self.columns and (self.columns["study"] or not (self.writer or self.waiting)):
-            self._wait(columns.with_intervals(columns.table(self.columns)))
-        self.columns = {name: [] for name in self.columns}
 
     def _write(self) -> None:
         if self.waiting:
             table = pa.concat_tables(self.waiting)
-            how = {"compression": "zstd", "write_page_checksum": True}
+            how: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
             self.writer = self.writer or pq.ParquetWriter(self.sink, table.schema, **how)
             self.writer.write_table(table)
             self.waiting = []

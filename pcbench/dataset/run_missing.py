@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pcbench import planning
 from pcbench.dataset import aggregate, block_files, manifest, moments_tables, storage, task
@@ -30,10 +30,9 @@ TASKS = 64  # to share among cores and workers
 LONG = 60.0  # [s] a call that takes longer is announced
 HOUR = 3600.0  # [s]
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
-Heard = Callable[
-    [tuple[str, int], int, aggregate.Held], None
-]  # (key of a cell, how many of its runs are there now, blocks)
-Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
+Key = tuple[str, int]  # a cell's
+Heard = Callable[[Key, int, aggregate.Held], None]  # of which cell, how many of its runs are there now, in which blocks
+Close = Callable[[list[Block], dict[Key, int]], Heard]
 
 
 class Sizes(NamedTuple):
@@ -57,55 +56,45 @@ def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = Mappi
 
 def whole(target: storage.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
-    digests = manifest.digests(owned)
-    known: dict[str, set[str]] = {}
-    for cell in owned.cells:
-        known.setdefault(cell.scenario.name, set()).update(cell.options)
-    there = block_files.present(target)
+    observers = {(cell.scenario.name, observer) for cell in owned.cells for observer in cell.options}
+    digests, there = manifest.digests(owned), block_files.present(target)
     for b in there:
-        if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
+        if (b.scenario, b.cell) not in digests or (b.scenario, b.observer) not in observers:
             raise UserError(
                 f"{target.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
             )
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda b: block_files.damage(target, b, digests[b.scenario, b.cell]), there))
-    for b, wrong in zip(there, found, strict=True):
-        if wrong == block_files.OTHER_SCHEMA:
+        each = pool.map(lambda b: block_files.damage(target, b, digests[b.scenario, b.cell]), there)
+        damages = dict(zip(there, each, strict=True))
+    for b, damage in damages.items():
+        if damage == block_files.OTHER_SCHEMA:
             raise UserError(
-                f"{target.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
-                "--overwrite."
+                f"{target.name}/{b.name}: {damage}, expected version {SCHEMA}; give a new folder with --out, or start over "
+                "with --overwrite."
             )
-    good = [b for b, wrong in zip(there, found, strict=True) if not wrong]
-    kept = block_files.settled(good)
+    kept = block_files.settled(b for b, damage in damages.items() if not damage)
     stays = set(kept)
-    for b, wrong in zip(there, found, strict=True):
-        if wrong:
-            say(f"{target.name}/{b.name}: is damaged ({wrong}); it is done again.")
+    for b, damage in damages.items():
+        if damage:
+            say(f"{target.name}/{b.name}: is damaged ({damage}); it is done again.")
         elif b not in stays:
             say(f"{target.name}/{b.name}: holds seeds that another block holds; it is removed.")
-        else:
-            continue
-        storage.remove(target, b.name)
-    _of_these_releases(target, kept, say)
-    return kept
-
-
-def _of_these_releases(target: storage.Target, kept: list[Block], say: Callable[[str], None]) -> None:
-    """Say where a study goes on with other releases than it was begun with."""
-    if kept and (old := block_files.about_block(target, kept[0]).get("versions", {})) != (new := provenance.versions()):
+        if b not in stays:
+            storage.remove(target, b.name)
+    old = block_files.about_block(target, kept[0]).get("versions", {}) if kept else {}
+    if kept and old != (new := provenance.versions()):
         changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
         say(f"{target.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
+    return kept
 
 
 def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
     """Return the ranges of seeds that no block holds."""
-    have: dict[tuple[str, int, str], list[Seeds]] = {}
-    for b in there:
-        have.setdefault((b.scenario, b.cell, b.observer), []).append(b.seeds)
+    have = block_files.series(there)
     out: Gaps = {}
     for cell in owned.cells:
         for o in cell.options:
-            if ranges := gaps(have.get((*cell.key, o), []), wanted(cell), size(cell)):
+            if ranges := gaps((b.seeds for b in have.get((*cell.key, o), ())), wanted(cell), size(cell)):
                 out.setdefault(cell.key, {})[o] = ranges
     return out
 
@@ -113,21 +102,9 @@ def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[C
 def lacking(target: storage.Target, owned: Owned) -> int:
     """Return how many runs of a study have no block."""
     there = block_files.present(target)
-    todo = missing(moments_tables.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
-    return runs_in(todo)
-
-
-def _simulated(owned: Owned, todo: Gaps) -> None:
-    """Raise UserError where runs are missing whose estimates are made elsewhere."""
-    for cell in owned.cells:
-        for label in todo.get(cell.key, {}):
-            if cell.entry(label).elsewhere:
-                many = runs_in({cell.key: {label: todo[cell.key][label]}})
-                raise UserError(
-                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
-                    "elsewhere; write their draws with pcbench external prepare, estimate them, and give "
-                    "them to pcbench external score, or leave it out."
-                )
+    return runs_in(
+        missing(moments_tables.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
+    )
 
 
 def runs_in(todo: Gaps) -> int:
@@ -151,12 +128,12 @@ def fill(
     `say` gets a sentence for each program whose calls take long. `close` is told which blocks there will be and what cells lack
     of them, and returns who hears of runs that are there.
     """
-    todo = missing(owned, there, wanted, partial(_block, owned, wanted, sizes))
+    todo = missing(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
     if not todo:
         storage.clear(target)  # of one that was killed while it closed the tables, too
         manifest.renew(target, owned)
         return Cost()
-    _simulated(owned, todo)
+    _require_simulated(owned, todo)
     cost, took = Cost(), Stopwatch()
     with took("planning"):
         plan = planned(owned, todo, wanted)
@@ -164,74 +141,72 @@ def fill(
     progress.begin("runs", runs_in(todo))
     progress.note("compiling")
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
-    heard = close(*_expected(there, todo)) if close else None
-    compiled: dict[Any, float] = {}
+    new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
+    lacks = {key: runs_in({key: labels}) for key, labels in todo.items()}
+    heard = close([*there, *new], lacks) if close else None
+    compiled: dict[tuple[str, int], float] = {}
     for report in execute(work, took.each("planning", plan.tasks(wanted))):
-        _alike(report)
+        _require_versions(report)
         compiled[report.program] = report.compile_seconds
-        spent = Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds)
-        cost = added(cost, spent)
+        cost = added(cost, Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds))
         if report.call:
             if report.call.seconds > LONG:
-                say(_long(report.cell[0], report.call, todo))
+                say(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.runs)
         if heard:
             with took("closing"):
                 heard(report.cell, report.runs, report.held)
         progress.note("simulating")
+    storage.sync(target, {str(Path(b.name).parent) for b in new})
     seconds = took.seconds
-    storage.last(target, {str(Path(b.name).parent) for b in _expected([], todo)[0]})
     return cost._replace(compiled=compiled, planning_seconds=seconds["planning"], closing_seconds=seconds["closing"])
 
 
-def _expected(there: list[Block], todo: Gaps) -> tuple[list[Block], dict[tuple[str, int], int]]:
-    """The blocks that there will be, and how many runs cells lack."""
-    new = [
-        Block(scenario, label, cell, seeds)
-        for (scenario, cell), labels in todo.items()
-        for label, ranges in labels.items()
-        for seeds in ranges
-    ]
-    return [*there, *new], {key: runs_in({key: labels}) for key, labels in todo.items()}
+def _require_simulated(owned: Owned, todo: Gaps) -> None:
+    """Raise UserError where runs are missing whose estimates are made elsewhere."""
+    for cell in owned.cells:
+        for label, ranges in todo.get(cell.key, {}).items():
+            if cell.entry(label).elsewhere:
+                many = sum(seeds.many for seeds in ranges)
+                raise UserError(
+                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
+                    "elsewhere; write their draws with pcbench external prepare, estimate them, and give them to pcbench "
+                    "external score, or leave it out."
+                )
 
 
-def _long(scenario: str, call: task.Call, todo: Gaps) -> str:
-    """Return a sentence about calls that take long: how long one takes, and how many there are."""
-    seconds, width, labels = call
-    each = [max((runs_in({key: {o: todo[key][o]}}) for o in labels if o in todo[key]), default=0) for key in todo]
-    calls, time = sum(-(-many // width) for many in each), f"{seconds / 60:.0f} min"
-    return (
-        f"{scenario}: a call of {', '.join(labels)}, of up to {width} runs, takes about "
-        f"{time if seconds < 2 * HOUR else f'{seconds / HOUR:.1f} h'} or more; calls to do: {calls}. "
-        "Runs are written at the end of their call."
-    )
-
-
-def _alike(report: task.Report) -> None:
+def _require_versions(report: task.Report) -> None:
     """Raise UserError where a worker has other releases than this process: the last bits may differ."""
-    here = provenance.versions()
-    if report.versions != here:
-        theirs = ", ".join(f"{k} {v}" for k, v in report.versions.items() if here.get(k) != v)
-        ours = ", ".join(f"{k} {v}" for k, v in here.items() if report.versions.get(k) != v)
+    here, there = provenance.versions(), report.versions
+    if there != here:
+        theirs = ", ".join(f"{k} {v}" for k, v in there.items() if here.get(k) != v)
+        ours = ", ".join(f"{k} {v}" for k, v in here.items() if there.get(k) != v)
         raise UserError(
             f"--dask: a worker has {theirs}, expected {ours} as here; install the same releases everywhere."
         )
 
 
-def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
+def _announcement(scenario: str, call: task.Call, todo: Gaps) -> str:
+    """Return a sentence about calls that take long: how long one takes, and how many there are."""
+    seconds, width, labels = call
+    each = [max((runs_in({key: {o: mine[o]}}) for o in labels if o in mine), default=0) for key, mine in todo.items()]
+    time = f"{seconds / 60:.0f} min" if seconds < 2 * HOUR else f"{seconds / HOUR:.1f} h"
+    return (
+        f"{scenario}: a call of {', '.join(labels)}, of up to {width} runs, takes about {time} or more; calls to do: "
+        f"{sum(-(-many // width) for many in each)}. Runs are written at the end of their call."
+    )
+
+
+def _block_size(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
     if sizes.block_size:
-        one = task.bytes_of_a_block(cell, 1)
-        return int(max(min(sizes.block_size, sizes.memory / one), 1))
-    many = wanted(cell).many
-    size, pairs = planning.width(cell), sum(len(c.options) for c in owned.cells)
-
-    def may_double() -> bool:
-        tasks = len(owned.cells) * many / (2 * size)
-        few = size < CALLS * planning.width(cell) and tasks >= TASKS
-        return few or pairs * many / size > MANY_FILES
-
-    while may_double() and task.bytes_of_a_block(cell, 2 * size) < sizes.memory:
+        return int(max(min(sizes.block_size, sizes.memory / task.bytes_of_a_block(cell, 1)), 1))
+    many, pairs = wanted(cell).many, sum(len(c.options) for c in owned.cells)
+    size = width = planning.width(cell)
+    while task.bytes_of_a_block(cell, 2 * size) < sizes.memory:
+        few = size < CALLS * width and len(owned.cells) * many / (2 * size) >= TASKS
+        if not few and pairs * many / size <= MANY_FILES:
+            break
         size *= 2
     return size

@@ -57,50 +57,42 @@ class How(NamedTuple):
 def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
-    goal, say = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say
+    goal, say, progress = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say, how.progress
     with config.float64(), ExitStack() as stack:
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
         target = storage.target(keep.name if keep else str(out))
         owned = manifest.claim(target, grid, how.overwrite)
         adaptive_seeds.check(goal, owned)
-        share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        sizes = run_missing.Sizes(how.block_size, share)
-        made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
-        run_tasks = stack.enter_context(made)
+        sizes = run_missing.Sizes(how.block_size, executors.share(how.memory, how.dask, how.workers, how.devices))
+        run_tasks = stack.enter_context(
+            executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
+        )
         there = [] if owned.overwrite else run_missing.whole(target, owned, say)
-        exact, exactly = Cost(), perf_counter()
-        if grid.study.evaluation != "runs" and moments_tables.made(target, owned, say, how.progress):
+        cost, exact_start = Cost(), perf_counter()
+        if grid.study.evaluation != "runs" and moments_tables.make(target, owned, say, progress):
             owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
-            exact = Cost(exact_seconds=perf_counter() - exactly)
+            cost = Cost(exact_seconds=perf_counter() - exact_start)
         left = moments_tables.simulated(target, owned)
-        wanted = run_missing.everything(left, there, how.more)
         closing: list[close.Closing] = []
 
-        def beside(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> run_missing.Heard:
+        def close_meanwhile(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> run_missing.Heard:
             closing.append(close.Closing(target, owned, blocks, lacking))
             return closing[0].done
 
-        once = None if goal else beside  # more seeds would make its tables anew
-        cost = added(exact, run_missing.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once, say))
+        meanwhile = None if goal else close_meanwhile  # more seeds would make its tables anew
+        wanted = run_missing.everything(left, there, how.more)
+        cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, progress, meanwhile, say))
         for wanted in adaptive_seeds.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, how.progress, say=say))
+            cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, progress, say=say))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not close.is_closed(target, there):
-            how.progress.note("statistics")
-            about = {
-                "started": began.isoformat(timespec="seconds"),
-                "wall_seconds": round(perf_counter() - start, 3),
-                "compile_seconds": round(cost.compile_seconds, 3),
-                "exact_seconds": round(cost.exact_seconds, 3),
-                "planning_seconds": round(cost.planning_seconds, 3),
-                "computing_seconds": round(cost.computing_seconds, 3),
-                "writing_seconds": round(cost.writing_seconds, 3),
-                "closing_seconds": round(cost.closing_seconds, 3),
-                "runs_added": cost.runs,
-                "until_se": how.until_se,
-            }
+            progress.note("statistics")
+            seconds = {"wall_seconds": perf_counter() - start, "compile_seconds": cost.compile_seconds}
+            seconds |= {name: getattr(cost, name) for name in cost._fields[2:]}
+            about = {"started": began.isoformat(timespec="seconds"), "runs_added": cost.runs, "until_se": how.until_se}
+            about |= {name: round(value, 3) for name, value in seconds.items()}
             close.close(target, owned, there, about, closing[0] if closing else None)
     where: str | Path | None = out
     if out is not None and target.local:

@@ -6,8 +6,6 @@ away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs:/
 one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
 name write the same bytes. Nothing is locked anywhere: what is done is what is there.
 No symbolic link is followed below a folder.
-
-Files and folders of this machine: made new, found without following symbolic links, kept over a power cut. No jax.
 """
 
 import itertools
@@ -16,7 +14,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -32,66 +30,6 @@ from pcbench.errors import UserError, shown_address
 from pcbench.runtime import ending
 
 NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
-
-
-def create(path: str | Path) -> int:
-    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
-
-
-def links(root: str, name: str) -> list[str]:
-    """Return the parts of a name below a folder that are symbolic links, the outermost first."""
-    parts = name.split("/") if name else []
-    every = ["/".join(parts[: i + 1]) for i in range(len(parts))]
-    return [each for each in every if os.path.islink(f"{root}/{each}")]
-
-
-def files(folder: str) -> Iterator[tuple[str, int]]:
-    """Yield the paths and sizes of all files below a folder, and of links, which are not followed."""
-    try:
-        entries = list(os.scandir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    for entry in entries:
-        if entry.is_dir(follow_symlinks=False):
-            yield from files(entry.path)
-        else:
-            with suppress(FileNotFoundError):
-                yield entry.path, entry.stat(follow_symlinks=False).st_size
-
-
-def make_folders(root: str, name: str) -> None:
-    """Make the folders that a name asks for below the root; a root that has been removed is not made again."""
-    folder = Path(root)
-    for part in Path(name).parent.parts:
-        folder /= part
-        if not folder.is_dir():
-            folder.mkdir(exist_ok=True)
-            sync_folder(folder.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Let the names of the files in a folder outlast a power cut."""
-    with suppress(OSError):  # not every file system lets a folder be opened
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def require_printable(root: str) -> None:
-    """Raise UserError for a path that this process's encoding cannot write."""
-    try:
-        root.encode()
-        os.fsencode(root)
-    except UnicodeEncodeError:
-        raise UserError(
-            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
-            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
-        ) from None
-
-
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
@@ -116,47 +54,63 @@ def target(out: str | Path) -> Target:
     """Return what a path or a URI names; raise UserError where pyarrow cannot reach it."""
     if not str(out).strip():
         raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
-    if "://" not in str(out):
-        root = str(Path(out).expanduser().absolute())
-        require_printable(root)
-        return Target(pafs.LocalFileSystem(), root, str(out), root)
-    return _reached(str(out))
+    if "://" in str(out):
+        return _remote(str(out))
+    root = str(Path(out).expanduser().absolute())
+    try:
+        root.encode()
+        os.fsencode(root)
+    except UnicodeEncodeError:
+        raise UserError(
+            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
+            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
+        ) from None
+    return Target(pafs.LocalFileSystem(), root, str(out), root)
 
 
 @lru_cache(maxsize=16)
-def _reached(out: str) -> Target:
+def _remote(out: str) -> Target:
+    name = shown_address(out)
     try:
-        fs, root = pafs.FileSystem.from_uri(str(out))
-        return Target(fs, root.rstrip("/"), shown_address(out), out)
+        fs, root = pafs.FileSystem.from_uri(out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:
-        name = shown_address(out)
         reason = f" ({_reason(error)})" if name == out else ""  # which may quote what is not to be shown
         raise UserError(f"{name}: is no place that can be reached{reason}; expected a path or a URI.") from None
+    return Target(fs, root.rstrip("/"), name, out)
+
+
+def create(path: str | Path) -> int:
+    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
 
 
 def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
     """Put bytes under a name below the target, whole or not at all; the target itself must be there.
 
-    Of a file that is not `lasting` a power cut may take the name, until `last` was called: then there is none, and none half.
+    Of a file that is not `lasting` a power cut may take the name, until `sync` was called: then there is none, and none half.
     """
-    path = f"{target.root}/{name}"
-    with said(f"{target.name}/{name}"), ending.uncut():
+    path = Path(target.root, name)
+    with refusals(f"{target.name}/{name}"), ending.uncut():
         if not target.local:
-            with target.fs.open_output_stream(path) as stream:
+            with target.fs.open_output_stream(f"{target.root}/{name}") as stream:
                 stream.write(content)
             return
-        _require_no_link(target, name, parents=True)
+        _require_no_link(target, name.rpartition("/")[0])
         beside, handle = _partial(target.root)
         try:
             with open(handle, "wb") as f:
                 f.write(content)
                 f.flush()
                 os.fsync(f.fileno())
-            if not os.path.isdir(os.path.dirname(path)):
-                make_folders(target.root, name)
+            folder = Path(target.root)
+            for part in Path(name).parent.parts:  # a root that has been removed is not made again
+                folder /= part
+                if not folder.is_dir():
+                    folder.mkdir(exist_ok=True)
+                    _sync_folder(folder.parent)
             os.replace(beside, path)
             if lasting:
-                sync_folder(Path(path).parent)
+                _sync_folder(path.parent)
         finally:
             with suppress(OSError):
                 os.unlink(beside)
@@ -170,13 +124,24 @@ def _partial(root: str) -> tuple[str, int]:
             return path, create(path)
 
 
-def _require_no_link(target: Target, name: str, parents: bool = False) -> None:
-    """Raise UserError where a name below a folder goes through a symbolic link; with `parents` its last part may be one."""
-    for each in links(target.root, name.rpartition("/")[0] if parents else name) if target.local else []:
-        raise UserError(
-            f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
-            "there what it points at."
-        )
+def _sync_folder(folder: Path) -> None:
+    """Let the names of the files in a folder outlast a power cut."""
+    with suppress(OSError):  # not every file system lets a folder be opened
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _require_no_link(target: Target, name: str) -> None:
+    """Raise UserError where a name below a folder is, or goes through, a symbolic link."""
+    for each in itertools.accumulate(name.split("/"), "{}/{}".format) if target.local and name else ():
+        if os.path.islink(f"{target.root}/{each}"):
+            raise UserError(
+                f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
+                "there what it points at."
+            )
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
@@ -184,30 +149,62 @@ def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) 
     put(target, name, parquet_io.encoded(table), lasting)
 
 
-def last(target: Target, folders: Iterable[str]) -> None:
-    """Let the names of all files in some folders below the target outlast a power cut."""
-    for folder in folders if target.local else ():
-        sync_folder(Path(target.root) / folder)
-
-
-def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
+def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
     """Put one JSON file."""
     put(target, name, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
+    """Put files that belong together: in a folder of this machine all of them, or none where this is stopped."""
+    beside = {name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" if target.local else name for name in files}
+    root = Path(target.root)
+    with ending.uncut():
+        try:
+            for name, content in files.items():
+                put(target, beside[name], content)
+            if target.local:
+                with refusals(target.name):
+                    rename_all([(root / beside[name], root / name) for name in files])
+        finally:
+            for each in beside.values() if target.local else ():
+                with suppress(OSError):
+                    (root / each).unlink(missing_ok=True)
+
+
+def rename_all(pairs: Iterable[tuple[Path, Path]]) -> None:
+    """Give files that belong together their names; who is stopped in the middle does so first."""
+    left = list(pairs)
+    try:
+        with ending.uncut():
+            while left:
+                os.replace(*left[0])
+                del left[0]
+    except KeyboardInterrupt:
+        for beside, name in left:
+            with suppress(FileNotFoundError):  # it has its name already
+                os.replace(beside, name)
+        raise
+
+
+def sync(target: Target, folders: Iterable[str]) -> None:
+    """Let the names of all files in some folders below the target outlast a power cut."""
+    for folder in folders if target.local else ():
+        _sync_folder(Path(target.root) / folder)
 
 
 def document(target: Target, name: str) -> dict[str, Any] | None:
     """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
     try:
-        found = json.loads(text(target, name) or b"null")
+        content = json.loads(text(target, name) or b"null")
     except ValueError:
         return None
-    return found if isinstance(found, dict) else None
+    return content if isinstance(content, dict) else None
 
 
 def get(target: Target, name: str) -> pa.Buffer | None:
     """Return what stands under a name; None where nothing does. Raises UserError for a link."""
     _require_no_link(target, name)
-    with said(f"{target.name}/{name}", "read"):
+    with refusals(f"{target.name}/{name}", "read"):
         if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
             return None
         with target.fs.open_input_file(f"{target.root}/{name}") as file:
@@ -216,8 +213,8 @@ def get(target: Target, name: str) -> pa.Buffer | None:
 
 def text(target: Target, name: str) -> bytes | None:
     """Return what stands under a name as Python's bytes; None where nothing does."""
-    found = get(target, name)
-    return None if found is None else found.to_pybytes()
+    content = get(target, name)
+    return None if content is None else content.to_pybytes()
 
 
 def names(target: Target, under: str = "") -> list[str]:
@@ -230,15 +227,30 @@ def names(target: Target, under: str = "") -> list[str]:
 
 def sizes(target: Target, under: str = "") -> dict[str, int]:
     """Return the sizes [bytes] of those files."""
-    with said(target.name, "read"):
+    with refusals(target.name, "read"):
         base = f"{target.root}/{under}" if under else target.root
         if target.local:
             _require_no_link(target, under)
-            each = {path[len(target.root) + 1 :]: size for path, size in files(base)}
+            every = dict(_files(base))
         else:
-            found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
-            each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
-        return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
+            infos = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
+            every = {i.path: int(i.size or 0) for i in infos if i.is_file}
+        below = {path[len(target.root) + 1 :]: size for path, size in every.items()}
+        return {name: size for name, size in below.items() if not any(part[0] in "._" for part in name.split("/"))}
+
+
+def _files(folder: str) -> Iterator[tuple[str, int]]:
+    """Yield the paths and sizes of all files below a folder, and of links, which are not followed."""
+    try:
+        entries = list(os.scandir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for entry in entries:
+        if entry.is_dir(follow_symlinks=False):
+            yield from _files(entry.path)
+        else:
+            with suppress(FileNotFoundError):
+                yield entry.path, entry.stat(follow_symlinks=False).st_size
 
 
 def footer(target: Target, name: str) -> pq.FileMetaData | None:
@@ -253,35 +265,33 @@ def footer(target: Target, name: str) -> pq.FileMetaData | None:
 
 def remove(target: Target, name: str) -> None:
     """Remove a file, or a link, if it is there; raise UserError where a folder on the way to it is a link."""
-    _require_no_link(target, name, parents=True)
-    with said(f"{target.name}/{name}"), suppress(FileNotFoundError):
+    _require_no_link(target, name.rpartition("/")[0])
+    with refusals(f"{target.name}/{name}"), suppress(FileNotFoundError):
         os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
 
 
 def make(target: Target) -> None:
     """Make the target, and clear away what killed writers have left unfinished there."""
-    with said(target.name):
+    with refusals(target.name):
         target.fs.create_dir(target.root, recursive=True)
     clear(target)
 
 
 def clear(target: Target) -> None:
     """Clear away what killed writers have left unfinished in a target."""
-    with said(target.name):
+    with refusals(target.name):
         for left in unfinished(target):
             left.unlink(missing_ok=True)
 
 
 def unfinished(target: Target) -> list[Path]:
     """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
-    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _forgotten(p)] if target.local else []
+    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _abandoned(p)] if target.local else []
 
 
-def _forgotten(path: Path) -> bool:
+def _abandoned(path: Path) -> bool:
     ours = UNFINISHED.fullmatch(path.name)
-    if not ours:
-        return False
-    if ours[1] == socket.gethostname():
+    if ours and ours[1] == socket.gethostname():
         try:
             os.kill(int(ours[2]), 0)
         except ProcessLookupError:
@@ -289,12 +299,12 @@ def _forgotten(path: Path) -> bool:
         except (PermissionError, OverflowError):
             return False
     with suppress(OSError):
-        return time() - path.stat().st_mtime > FORGOTTEN
+        return ours is not None and time() - path.stat().st_mtime > FORGOTTEN
     return False
 
 
 @contextmanager
-def said(where: str, done: str = "written") -> Iterator[None]:
+def refusals(where: str, done: str = "written") -> Iterator[None]:
     """Turn what a file system refuses into one sentence."""
     try:
         yield

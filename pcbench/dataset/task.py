@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, columns, storage, table_builder, timing
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.serialize import pack, unpack
@@ -21,7 +22,6 @@ from pcbench.planning import run_local
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.runtime import config, provenance
-from pcbench.statistics import RUN_METRICS
 from pcbench.study.grid import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
@@ -80,26 +80,20 @@ class Report(NamedTuple):
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
-    call: Call | None = None
-    results: run_local.Results = {}
     with hold() as device:
         began = perf_counter()
-        if task.timed:
-            p, seconds, made = estimated(work, task, device)
-            call = Call(seconds, made.width, p.labels)
-        else:
-            p, results, made = simulated(work, task, device)
+        p, results, program, call = simulated(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), storage.target(work.out)
-    blocks = {} if task.timed else dict(files(work, task, p, results, made.ways))
+    blocks = {} if call else dict(files(work, task, p, results, program.ways))
     for name, (table, _) in blocks.items():
         storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
     few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
     return Report(
         cell=p.cell.key,
         runs=task.runs,
-        program=(config.name(), made.number),
-        compile_seconds=made.compile_seconds,
+        program=(config.name(), program.number),
+        compile_seconds=program.compile_seconds,
         writing_seconds=perf_counter() - start,
         computing_seconds=computing,
         versions=provenance.versions(),
@@ -108,9 +102,31 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     )
 
 
+def simulated(
+    work: Work, task: Task, device: Any = None
+) -> tuple[Plan, run_local.Results, runner.Program, Call | None]:
+    """Return what the runs of a task leave, or how long a call takes, estimated from calls that end early.
+
+    Raises UserError where a call takes more memory than there is for it.
+    """
+    with config.float64():
+        p = unpack(task.parcel)
+        seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
+        jobs = list(run_local.jobs(p, work.root_seed, seeds))
+        program = runner.program(p.layout, jobs[0], device)
+        if program.memory > work.memory:
+            raise UserError(
+                f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {program.memory / 1e6:.0f} MB, "
+                f"got {work.memory / 1e6:.0f} MB for each of those at a time, expected more; give more, or fewer workers."
+            )
+        if task.timed:
+            return p, {}, program, Call(timing.seconds(program, jobs[0]), program.width, p.labels)
+        return p, run_local.results(p, runner.serial(program, jobs)), program, None
+
+
 def files(
     work: Work, task: Task, p: Plan, results: run_local.Results, ways: dict[str, str]
-) -> Iterator[tuple[str, tuple[pa.Table, aggregate.Runs]]]:
+) -> Iterator[tuple[str, tuple[pa.Table, aggregate.BlockRuns]]]:
     """Yield the blocks of a task: name, rows, and these as a closing table takes them; `ways` by the program's observers."""
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
@@ -122,45 +138,21 @@ def files(
         at += seeds.many
 
 
-def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, run_local.Results, runner.Program]:
-    """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
-    with config.float64():
-        p, jobs, made = _prepared(work, task, device)
-        return p, run_local.results(p, runner.serial(made, jobs)), made
-
-
-def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, runner.Program]:
-    """Return about how many seconds a call of a task takes, from calls that end early."""
-    with config.float64():
-        p, jobs, made = _prepared(work, task, device)
-        return p, timing.seconds(made, jobs[0]), made
-
-
-def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[runner.Job], runner.Program]:
-    p = unpack(task.parcel)
-    seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
-    jobs = list(run_local.jobs(p, work.root_seed, seeds))
-    made = runner.program(p.layout, jobs[0], device)
-    _fits(p, made.memory, work.memory)
-    return p, jobs, made
-
-
 def block(
     work: Work,
     p: Plan,
     label: str,
-    results: dict[str, Any],
+    results: statistics.Results,
     seeds: Seeds,
     way: str,
     common: dict[int, dict[str, pa.Array]] | None = None,
-) -> tuple[str, tuple[pa.Table, aggregate.Runs]]:
+) -> tuple[str, tuple[pa.Table, aggregate.BlockRuns]]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
 
     `common` has the columns that blocks of these seeds have in common, by how many signals they are of; it is added to.
     """
-    c, signals = p.certificates[label], signals_of(p.cell.scenario)
-    many = len(results["mae"])
-    bound = None if p.bound is None else [float(b) for b in p.bound[:many]]
+    c, many = p.certificates[label], len(results["mae"])
+    proof = {"inequality": c.inequality, "margin": float(c.margin) if isfinite(c.margin) else None}
     about = {
         "study": work.study,
         "root_seed": work.root_seed,
@@ -169,25 +161,21 @@ def block(
         "options": p.cell.told[label],
         "first": seeds.first,
         "last": seeds.stop,
-        "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
+        "metrics": {m: len(results[m]) for m in statistics.RUN_METRICS if m in results},
         "predicts_unknown_input": p.predicts_unknown_input[label],
-        "bound": bound,
-        "certificate": {
-            "inequality": c.inequality,
-            "margin": float(c.margin) if isfinite(c.margin) else None,
-            "solver": c.solver,
-            "status": c.status,
-        },
+        "bound": None if p.bound is None else [float(b) for b in p.bound[:many]],
+        "certificate": proof | {"solver": c.solver, "status": c.status},
         "flow": way,
         "versions": provenance.versions(),
     }
     common = {} if common is None else common
     if many not in common:
-        common[many] = table_builder.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
+        signals, head = signals_of(p.cell.scenario)[:many], columns.keys(work.study, p.cell)
+        common[many] = table_builder.common_columns(head, np.arange(*seeds), signals)
     table = table_builder.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
-    kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
-    return name, (block_files.sealed(table, about), aggregate.Runs(about, kept))
+    mine = {m: results[m] for m in (*statistics.RUN_METRICS, "diverged", "unsettled") if m in results}
+    return name, (block_files.sealed(table, about), aggregate.BlockRuns(about, mine))
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
@@ -209,11 +197,3 @@ def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> 
 def bytes_of_a_block(cell: Cell, seeds: int) -> int:
     """Return the memory that the results of some seeds take for all observers of a cell: arrays, rows and a file's bytes."""
     return seeds * len(signals_of(cell.scenario)) * len(cell.options) * ROW_BYTES
-
-
-def _fits(p: Plan, needed: int, given: float) -> None:
-    if needed > given:
-        raise UserError(
-            f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {needed / 1e6:.0f} MB, got "
-            f"{given / 1e6:.0f} MB for each of those at a time, expected more; give more, or fewer workers."
-        )

@@ -45,26 +45,29 @@ class Planned(NamedTuple):
         The first task of a program comes after one that makes it and estimates how long a call takes (see `interleaved`).
         """
         cells = {cell.key: cell for cell in self.owned.cells}
-        turns = {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
-        known: set[Hashable] = set()
-        for expensive in sorted(turns):
-            yield from interleaved(self._tasks(wanted, expensive, known))
+        begun: set[Hashable] = set()
+        for expensive in sorted(
+            {cells[key].entry(label).expensive for key, mine in self.todo.items() for label in mine}
+        ):
+            yield from interleaved(self._tasks(wanted, expensive, begun))
 
-    def _tasks(self, wanted: SeedsOf, expensive: bool, known: set[Hashable]) -> Iterator[task.Task]:
-        """Yield the tasks of observers that are expensive, or are not; of a program that is not `known`, one that times it."""
+    def _tasks(self, wanted: SeedsOf, expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
+        """Yield the tasks of observers that are expensive, or are not; of a program that is not `begun`, one that times it."""
         for p in self.drafts(wanted):
             ranges = {
                 label: each
                 for label, each in self.todo.get(p.cell.key, {}).items()
                 if label in p.labels and p.cell.entry(label).expensive == expensive
             }
-            if ranges:
-                whole = padding.fitted(p, self.room, self.ask)
-                for each in task.tasks(whole, p.layout.width, ranges):
-                    if (program := padding.key_of(whole)) not in known:
-                        known.add(program)
-                        yield each._replace(timed=True)
-                    yield each
+            if not ranges:
+                continue
+            fitted = padding.fitted(p, self.room, self.ask)
+            program = padding.key_of(fitted)
+            for each in task.tasks(fitted, p.layout.width, ranges):
+                if program not in begun:
+                    begun.add(program)
+                    yield each._replace(timed=True)
+                yield each
 
 
 def interleaved(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:

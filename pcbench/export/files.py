@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from pcbench.dataset import atomic_files, storage
+from pcbench.dataset import storage
 from pcbench.errors import UserError
 from pcbench.export import functions, library, numbers, recording, structs
 from pcbench.export import replay as replaying
@@ -168,7 +168,7 @@ def write(found: Exported, out: str | Path) -> list[Path]:
     target = storage.target(Path(out).expanduser())
     storage.make(target)
     each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
-    atomic_files.put_all(target, each)
+    storage.put_all(target, each)
     return [Path(target.root) / name for name in found.files]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import atomic_files, manifest, parquet_io, storage, write_table
+from pcbench.dataset import manifest, parquet_io, storage, write_table
 from pcbench.dynamics import linear
 from pcbench.external import runs
 from pcbench.planning import setting
@@ -134,7 +134,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
         keys = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in CELL.items())
         files[f"{FOLDER}/README.md"] = README.format(rows=rows, keys=keys).encode()
-        atomic_files.put_all(target, files)
+        storage.put_all(target, files)
         return target
 
 

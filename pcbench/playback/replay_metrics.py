@@ -15,7 +15,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench.dataset import atomic_files, storage
+from pcbench.dataset import storage
 from pcbench.dataset.columns import SCHEMA, unit_of
 from pcbench.errors import UserError
 from pcbench.planning import digits
@@ -68,7 +68,7 @@ class Draft:
     def finish(self, summary: dict[str, Any]) -> None:
         """Write what else is known beside the estimates, NaN as null, and give both files their names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
-        atomic_files.renamed([(self.estimates, self.folder / ESTIMATES), (self.summary, self.folder / SUMMARY)])
+        storage.rename_all([(self.estimates, self.folder / ESTIMATES), (self.summary, self.folder / SUMMARY)])
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench import plots
 from pcbench.cli import export
-from pcbench.dataset import atomic_files, storage
+from pcbench.dataset import storage
 from pcbench.export import files
 from pcbench.playback import replay_metrics
 from pcbench.plots.time_series import BINS, edges_of
@@ -136,7 +136,7 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
 def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
     """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
     target, names, calls = storage.target(tmp_path), ("a", "b/b", "c"), []
-    atomic_files.put_all(target, dict.fromkeys(names, b"old"))
+    storage.put_all(target, dict.fromkeys(names, b"old"))
     module = storage if at == "put" else os
     does = getattr(module, at)
 
@@ -147,7 +147,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
 
     monkeypatch.setattr(module, at, stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
-        atomic_files.put_all(target, dict.fromkeys(names, b"new"))
+        storage.put_all(target, dict.fromkeys(names, b"new"))
     assert standing(tmp_path) == dict.fromkeys(names, left)
 
 

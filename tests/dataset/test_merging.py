@@ -103,7 +103,7 @@ def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
     assert len([name for name in before if name.startswith("moments/")]) == 2
     assert not verify.verify(tmp_path / "both", None, 0).wrong
     owned = manifest.opened(storage.target(tmp_path / "both"))
-    assert not moments_tables.made(storage.target(tmp_path / "both"), owned, pytest.fail)
+    assert not moments_tables.make(storage.target(tmp_path / "both"), owned, pytest.fail)
 
 
 @pytest.mark.ci
