@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from pcbench import api
-from pcbench.dataset import executors, manifest, run_missing, storage, task
+from pcbench.dataset import executors, manifest, run_missing, storage, task, timing
 from pcbench.engine import runner
 from pcbench.runtime import config, provenance
 from pcbench.runtime.progress import Progress
@@ -89,17 +89,8 @@ def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> t
     """Simulate a task's seeds and leave it at that."""
     with hold() as device:
         p, _, made, _ = task.simulated(work, one, device)
-    versions = provenance.versions()
-    return task.Report(
-        cell=p.cell.key,
-        runs=one.runs,
-        program=("", 0),
-        compile_seconds=made.compile_seconds,
-        writing_seconds=0.0,
-        computing_seconds=0.0,
-        versions=versions,
-        held={},
-    )
+    cost = timing.Cost(one.runs, {("", 0): made.compile_seconds})
+    return task.Report(p.cell.key, cost, provenance.versions(), {})
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:

@@ -173,7 +173,7 @@ def simulate(
     """
     setup()
     from pcbench import api
-    from pcbench.dataset import trajectory_table, write_table
+    from pcbench.dataset import write_table
     from pcbench.planning import all_observers
     from pcbench.plants import signals_of
     from pcbench.study import parse
@@ -182,7 +182,7 @@ def simulate(
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     for sentence in all_observers.sentences(frame.attrs["excluded"]):
         say(sentence)
-    write_table.put(file, trajectory_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
+    write_table.put(file, write_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
 
 

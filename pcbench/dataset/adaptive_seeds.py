@@ -11,8 +11,8 @@ from typing import NamedTuple
 from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, storage
 from pcbench.dataset.manifest import Owned
+from pcbench.dataset.run_missing import SeedsOf
 from pcbench.dataset.seed_ranges import Seeds, counted
-from pcbench.dataset.work_plan import SeedsOf
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
 

@@ -87,7 +87,6 @@ class Closing:
         self.weakest: dict[str, dict[str, Any]] = {}  # certificates by scenario and observer
         self.ways: dict[str, dict[str, str]] = {}  # how observers went: lifted, stepped, or both
         self.left = deque(owned.cells)
-        self.waits = self._waiting()
         self.held: dict[Key, aggregate.Held] = {}  # of cells whose turn is still to come
         self.blocks = block_files.series(block_files.settled(there))
 
@@ -96,21 +95,14 @@ class Closing:
         if runs == self.lacking[key]:  # of a cell that comes in parts nothing is held
             self.held[key] = held
         self.lacking[key] -= runs
-        if not self.lacking[key]:
-            self.waits.discard(key)
-        while not self.waits and self.left:
+        while self.left and not any(self.lacking.get(c.key) for c in islice(self.left, TOGETHER)):
             self._add_some()
-            self.waits = self._waiting()
 
     def content(self) -> tuple[pa.Buffer, pa.Buffer]:
         """Return stats and pairs of all cells, in the order of the study, as the bytes of their files."""
         while self.left:
             self._add_some()
         return self.stats.content(), adjusted(self.pairs.content(), self.made_of)
-
-    def _waiting(self) -> set[Key]:
-        """Those of the next cells that lack runs."""
-        return {c.key for c in islice(self.left, TOGETHER) if self.lacking.get(c.key)}
 
     def _add_some(self) -> None:
         """Add the next TOGETHER cells, whatever is there of them: where a file's parts end depends on the study alone."""

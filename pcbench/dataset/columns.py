@@ -33,9 +33,8 @@ MEANING = {
     "cell": "number of the combination of axis values, from 0, within its scenario",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
-    "predicts_unknown_input": "whether the observer's prediction to the present carries the unknown input it has "
-    "found; null: it finds "
-    "none, or predicts nothing",
+    "predicts_unknown_input": "whether the observer's prediction to the present carries the unknown input it has found; null: "
+    "it finds none, or predicts nothing",
     **{f"predicts_unknown_input_{one}": f"predicts_unknown_input of observer_{one}" for one in "ab"},
     "certified": "whether something proves the observer's gains in this cell (an inequality, checked again, with a margin "
     "above 0); null: it has no gains",

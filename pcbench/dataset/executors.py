@@ -7,24 +7,38 @@ free, so that memory does not grow with their number.
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import cache
 from itertools import islice
 from queue import SimpleQueue
 from threading import Event, Lock, Semaphore
-from typing import Any
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import jax
 
 from pcbench.engine import runner
 from pcbench.errors import UserError, shown_address
 from pcbench.runtime import config, ending
 from pcbench.runtime.memory import allowed
 
-Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
+if TYPE_CHECKING:
+    from distributed import LocalCluster
+
 AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
 SHARE = 2.0**30  # bytes of results a task may take on a worker whose memory is not known here
 LIVES = 10  # times a task may lose its worker
 PATIENCE = "20s"  # for a scheduler to answer
 ALONE = "120s"  # that a task waits for a worker of this machine, all of which have ended; others may come again
+T = TypeVar("T")
+R = TypeVar("R")
+Hold = Callable[[], AbstractContextManager[jax.Device | None]]  # a device, held while it computes; None: any
+
+
+class Executor(Protocol):
+    """A function that has tasks done, and yields what `work` returns of each."""
+
+    def __call__(self, work: Callable[[T, Hold], R], tasks: Iterable[T], /) -> Iterator[R]:
+        """Yield reports as they come."""
 
 
 def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
@@ -47,7 +61,7 @@ def here(count: int | None = None) -> Iterator[Executor]:
     There are twice as many tasks under way as devices to compute on: while one writes its files, another computes. After Ctrl-C
     what is written is waited for; what is computed is not, as that may take minutes, and writes nothing when it ends.
     """
-    free: SimpleQueue[Any] = SimpleQueue()
+    free: SimpleQueue[jax.Device] = SimpleQueue()
     for device in runner.devices(count):
         free.put(device)
     many = 2 * free.qsize()
@@ -58,11 +72,11 @@ def here(count: int | None = None) -> Iterator[Executor]:
         if stopped.is_set():
             raise CancelledError
 
-    def do(work: Callable[..., Any], task: Any) -> Any:
+    def do(work: Callable[[T, Hold], R], task: T) -> R:
         with ExitStack() as until_done:
 
             @contextmanager
-            def hold() -> Iterator[Any]:
+            def hold() -> Iterator[jax.Device]:
                 device = free.get()
                 try:
                     go_on()
@@ -74,8 +88,8 @@ def here(count: int | None = None) -> Iterator[Executor]:
 
             return work(task, hold)
 
-    def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
-        left, under_way = iter(tasks), set[Future[Any]]()
+    def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
+        left, under_way = iter(tasks), set[Future[R]]()
         while True:
             under_way |= {pool.submit(do, work, t) for t in islice(left, many - len(under_way))}
             if not under_way:
@@ -104,11 +118,19 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     its tasks to another; a task done twice leaves the same file. All workers must reach the dataset.
     Raises UserError where there is no such cluster.
     """
-    distributed = _distributed()
+    try:
+        import distributed
+    except ImportError:
+        raise UserError(
+            "--dask: the library is not there, expected it installed: pip install 'pcbench[dask]'."
+        ) from None
     from asyncio import CancelledError as AsyncCancelled
 
+    from dask import config as dask_config
+
+    dask_config.set({"distributed.scheduler.allowed-failures": LIVES})
     try:
-        cluster = _local(distributed, workers) if address == "local" else None
+        cluster = _local(workers) if address == "local" else None
         client = distributed.Client(cluster or address, timeout=PATIENCE, set_as_default=False)
     except RuntimeError:  # its processes import the script that started them, and come here again
         raise UserError(
@@ -123,7 +145,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
 
     nobody = getattr(distributed.scheduler, "NoWorkerError", ())  # of releases that know a time for it
 
-    def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
+    def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
         left, under_way = iter(tasks), distributed.as_completed(loop=client.loop)
 
         def feed() -> None:
@@ -165,53 +187,39 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
                     cluster.close(timeout=10)
 
 
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise UserError(
-            "--dask: the library is not there, expected it installed: pip install 'pcbench[dask]'."
-        ) from None
-    import dask
-
-    dask.config.set({"distributed.scheduler.allowed-failures": LIVES})
-    return distributed
-
-
-def _local(distributed: Any, workers: int | None) -> Any:
+def _local(workers: int | None) -> "LocalCluster":
     """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
     if runner.devices()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
             "scheduler's address; leave --dask out."
         )
-    count = workers or runner.cores()
-    import dask
+    from dask import config as dask_config
+    from distributed import LocalCluster
 
-    dask.config.set({"distributed.scheduler.no-workers-timeout": ALONE})
-    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    return distributed.LocalCluster(
-        n_workers=count,
+    dask_config.set({"distributed.scheduler.no-workers-timeout": ALONE})
+    return LocalCluster(
+        n_workers=workers or runner.cores(),
         threads_per_worker=2,  # one computes while the other writes
         processes=True,
         dashboard_address="127.0.0.1:0",  # any port that is free, for this machine only
         memory_limit=None,
-        env=single,
+        env=dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
         silence_logs="CRITICAL",
     )
 
 
-def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
+def _on_a_worker(work: Callable[[T, Hold], R], task: T) -> R:
     """Do a task in a worker's process, which becomes pcbench's own at its first task, and computes one at a time."""
-    _SET_UP()
-    return work(task, _hold)
+    _set_up()
+    return work(task, _one_at_a_time)
 
 
 @contextmanager
-def _hold() -> Iterator[None]:
+def _one_at_a_time() -> Iterator[None]:
     with _COMPUTING:
         yield
 
 
-_SET_UP = cache(config.setup)
+_set_up = cache(config.setup)
 _COMPUTING = Lock()

@@ -20,7 +20,7 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.synthesis.certificate import is_certified
 
 OVER_TIME = ("observer", "signal", "t", "mean", "std")
-Values = NDArray[np.float64]
+Values = NDArray[np.floating]
 
 
 class Joint(NamedTuple):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pcbench.dataset import columns, manifest, parquet_io, storage
 from pcbench.dataset.manifest import Owned
@@ -31,77 +32,65 @@ OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
 WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
 SAID = 3  # refusals that are said
-Row = dict[str, Any]
 
 
 def make(target: storage.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
     mark = of(owned)
     there = whole(target)
-    if there is not None and not owned.overwrite and (there.schema.metadata or {}).get(OF) == mark:
+    if there is not None and not owned.overwrite and parquet_io.metadata(there).get(OF) == mark:
         return False
     manifest.begin(target, owned)
     for name in [n for n in storage.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
         storage.remove(target, name)
     from pcbench.dataset.moments_frames import (
-        Exact,  # takes half a second, with pandas, which a study of runs does not wait for
-    )
+        Exact,
+    )  # with pandas, half a second that a study of runs does not wait for
 
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
-    rows: dict[str, list[Any]] = {}
+    parts: list[dict[str, list[object]]] = []  # rows by column, of all cells
     progress.begin("exact cells", len(owned.cells))
-    _put(target, _cells(owned, exact, rows, progress))
-    each = zip(rows["metric"], rows["reason"], strict=True)
-    refused = list(dict.fromkeys(reason for metric, reason in each if metric == "mse" and reason))
-    for sentence in refused[:SAID]:
-        say(sentence)
-    if refused[SAID:]:
-        say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
-    table = columns.with_intervals(columns.table(rows))
-    storage.put_table(
-        target, NAME, parquet_io.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: mark}))
-    )
-    return True
-
-
-def _cells(
-    owned: Owned, exact: "Exact", rows: dict[str, list[Any]], progress: Progress
-) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
-    for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
-        frames: list[dict[str, Any]] = []
-        for m in parts:
-            for name, values in exact.rows(m).items():
-                rows.setdefault(name, []).extend(values)
-            frames += exact.over_time(m, POINTS)
-        if frames:
-            yield place(*key), columns.table({name: _column([f[name] for f in frames]) for name in frames[0]})
-        progress.step(1)
-
-
-def _column(parts: list[Any]) -> Any:
-    """One column of several parts; of words each part is one word."""
-    if parts[0].dtype != object:
-        return np.concatenate(parts)
-    return _words(tuple(part[0] for part in parts), tuple(len(part) for part in parts))
-
-
-@lru_cache(16)
-def _words(known: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
-    """Words, each so often in turn: cells of a study have the same."""
-    return columns.words(known, np.repeat(np.arange(len(known)), often))
-
-
-def _put(target: storage.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
-    """Put files while the next are made: what they wait for is the disk."""
-    with thread_pools.pool(WRITERS, always_wait=True) as threads:
+    with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are made while files wait for the disk
         waiting: deque[Future[None]] = deque()
-        for name, table in files:
-            waiting.append(threads.submit(lambda n, t: storage.put_table(target, n, parquet_io.sealed(t)), name, table))
+        for name, table in _over_time(owned, exact, parts, progress):
+            waiting.append(threads.submit(storage.put_table, target, name, parquet_io.sealed(table)))
             if len(waiting) > 2 * WRITERS:
                 waiting.popleft().result()
         for each in waiting:
             each.result()
+    rows = columns.together(parts)
+    reasons = zip(rows["metric"], rows["reason"], strict=True)
+    refused = list(dict.fromkeys(str(reason) for metric, reason in reasons if metric == "mse" and reason))
+    for sentence in refused[:SAID]:
+        say(sentence)
+    if refused[SAID:]:
+        say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
+    table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})
+    storage.put_table(target, NAME, parquet_io.sealed(table))
+    return True
+
+
+def _over_time(
+    owned: Owned, exact: "Exact", rows: list[dict[str, list[object]]], progress: Progress
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
+    for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
+        frames: list[dict[str, NDArray[np.generic]]] = []
+        for m in parts:
+            rows.append(exact.rows(m))
+            frames += exact.over_time(m, POINTS)
+        if frames:
+            many = tuple(len(f["t"]) for f in frames)
+            words = {name: _words(tuple(str(f[name][0]) for f in frames), many) for name in ("observer", "signal")}
+            numbers = {name: np.concatenate([f[name] for f in frames]) for name in ("t", "mean", "std")}
+            yield place(*key), columns.table(words | numbers)
+        progress.step(1)
+
+
+@lru_cache(16)
+def _words(vocabulary: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
+    """Words, each so often in turn: cells of a study have the same."""
+    return columns.words(vocabulary, np.repeat(np.arange(len(vocabulary)), often))
 
 
 def whole(target: storage.Target) -> pa.Table | None:
@@ -127,19 +116,15 @@ def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
 
 def simulated(target: storage.Target, owned: Owned) -> Owned:
     """Return the study with what is left of it to simulate: all of it, nothing, or what has no exact number."""
-    evaluation = owned.study.evaluation
-    if evaluation == "runs":
+    if owned.study.evaluation == "runs":
         return owned
-    if evaluation == "exact":
+    if owned.study.evaluation == "exact":
         return owned._replace(cells=[])
     there = whole(target)
-    rows = there.select(["scenario", "cell", "observer", "method"]).to_pylist() if there is not None else []
+    rows = [] if there is None else there.select(["scenario", "cell", "observer", "method"]).to_pylist()
     exact = {(row["scenario"], row["cell"], row["observer"]) for row in rows if row["method"] == "exact"}
-    cells = [
-        c._replace(options={o: given for o, given in c.options.items() if (*c.key, o) not in exact})
-        for c in owned.cells
-    ]
-    return owned._replace(cells=[c for c in cells if c.options])
+    left = [{o: given for o, given in c.options.items() if (*c.key, o) not in exact} for c in owned.cells]
+    return owned._replace(cells=[c._replace(options=o) for c, o in zip(owned.cells, left, strict=True) if o])
 
 
 def pairs(rows: pa.Table) -> pa.Table:

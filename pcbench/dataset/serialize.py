@@ -6,8 +6,9 @@ the gains are those that were designed and certified once, in one place.
 
 import io
 import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from itertools import chain
 from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any
 
@@ -59,47 +60,47 @@ def unpack(parcel: bytes | Plan) -> Plan:
 class _Pickler(pickle.Pickler):
     """Writes a function without a name, which a user's own code has made, as its number among those."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[Any, Any]) -> None:
+    def __init__(self, file: io.BytesIO, own: Mapping[Any, object]) -> None:
         super().__init__(file)
         self.numbers = {id(f): i for i, f in enumerate(_nameless(own))}
 
-    def persistent_id(self, x: Any) -> int | None:
+    def persistent_id(self, x: object) -> int | None:
         return self.numbers.get(id(x))
 
 
 class _Unpickler(pickle.Unpickler):
     """Reads them again."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[Any, Any]) -> None:
+    def __init__(self, file: io.BytesIO, own: Mapping[Any, object]) -> None:
         super().__init__(file)
-        self.functions = list(_nameless(own))
+        self.functions = _nameless(own)
 
-    def persistent_load(self, number: int) -> Any:
+    def persistent_load(self, number: int) -> FunctionType:
         return self.functions[number]
 
 
-def _nameless(own: Mapping[Any, Any]) -> Iterator[FunctionType]:
-    """Yield the functions that cannot be found by name among what a user's own code has made, always in the same order."""
+def _nameless(own: Mapping[Any, object]) -> list[FunctionType]:
+    """The functions that cannot be found by name among what a user's own code has made, always in the same order."""
     seen: set[int] = set()
-    for where in sorted(own):
-        yield from (f for f in _functions(own[where], seen) if "<" in f.__qualname__)
+    return [f for where in sorted(own) for f in _functions(own[where], seen) if "<" in f.__qualname__]
 
 
-def _functions(x: Any, seen: set[int]) -> Iterator[FunctionType]:
+def _functions(x: object, seen: set[int]) -> Iterator[FunctionType]:
     if id(x) in seen or isinstance(x, type | ModuleType):
         return
     seen.add(id(x))
+    parts: Iterable[object] = ()
     if isinstance(x, FunctionType):
         yield x
     elif isinstance(x, partial):
-        for each in (
-            x.func,
-            *x.args,
-            *x.keywords.values(),
-        ):  # a tuple made here might get the number of one made before
-            yield from _functions(each, seen)
-    elif isinstance(x, tuple | Mapping):
-        for each in x.values() if isinstance(x, Mapping) else x:
-            yield from _functions(each, seen)
+        parts = chain(
+            [x.func], x.args, x.keywords.values()
+        )  # a tuple made here might get the number of one made before
+    elif isinstance(x, Mapping):
+        parts = x.values()
+    elif isinstance(x, tuple):
+        parts = x
     elif hasattr(x, "__dict__"):
-        yield from _functions(vars(x), seen)
+        parts = [vars(x)]
+    for part in parts:
+        yield from _functions(part, seen)

@@ -33,12 +33,10 @@ def keep(target: storage.Target, study: Study) -> None:
 
 def files_in(target: storage.Target, there: dict[str, Any]) -> Files:
     """Return the digests of the copies of users' code that the study whose text is `there` was made with."""
+    folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in there["resolved"].get("code", {}).items()}
     return {
-        name: {
-            PurePosixPath(file).name: _digest(storage.text(target, file))
-            for file in storage.names(target, f"{user_code.FOLDER}/{digest}")
-        }
-        for name, digest in there["resolved"].get("code", {}).items()
+        name: {PurePosixPath(file).name: _digest(storage.text(target, file)) for file in storage.names(target, folder)}
+        for name, folder in folders.items()
     }
 
 
@@ -85,45 +83,40 @@ def gate(target: storage.Target, there: dict[str, Any], run: bool) -> Gate:
             )
         module, name = user_code.split(named.reference, where)
         kept, path = module.startswith(f"{user_code.FOLDER}/"), PurePosixPath(module)
-        if not run:
-            digest = path.parent.name if kept else ""
-            try:
-                return _absent(
-                    named, user_code.Code(path.name if kept else module, name, (), digest), there["resolved"]
-                )
-            except (LookupError, TypeError, ValueError, AttributeError, NameError, PydanticUserError):
-                raise UserError(
-                    f"{where}: got '{short(named.reference)}', whose facts and options are not in [resolved] as written, "
-                    "expected them there; run the study again from its own file into a new folder."
-                ) from None
-        if not kept:
+        if run and kept:
+            code = user_code.Code(path.name, name, _files(target, path), path.parent.name)
+            return registry.of(named.kind, code, where)
+        if run:
             return registry.load(named.kind, named.reference, where)
-        return registry.of(named.kind, user_code.Code(path.name, name, _files(target, path), path.parent.name), where)
+        code = user_code.Code(path.name if kept else module, name, (), path.parent.name if kept else "")
+        try:
+            return _absent(named, code, there["resolved"])
+        except (LookupError, TypeError, ValueError, AttributeError, NameError, PydanticUserError):
+            raise UserError(
+                f"{where}: got '{short(named.reference)}', whose facts and options are not in [resolved] as written, "
+                "expected them there; run the study again from its own file into a new folder."
+            ) from None
 
     return Gate(load, files=False)
 
 
 def _absent(named: Named, code: user_code.Code, resolved: dict[str, Any]) -> Own:
     """What stands for a user's own whose code is left alone, by what a study's text says of it."""
-    digest = code.digest or resolved.get("code", {}).get(
-        named.key if named.kind == "observer" else f"{named.kind} {code.name}", ""
-    )
-    code = code._replace(digest=digest)
+    key = named.key if named.kind == "observer" else f"{named.kind} {code.name}"
+    code = code._replace(digest=code.digest or resolved.get("code", {}).get(key, ""))
     if named.kind == "plant":
         return user_plants.absent(named.reference, code, resolved["plants"][named.reference])
     if named.kind == "controller":
         return user_controllers.absent(named.reference, code)
-    every = resolved["options"]
-    options: dict[str, Any] = next(
-        (every[s][named.key] for s in resolved["observers"] if named.key in every.get(s, {})), {}
-    )
+    every = [resolved["options"].get(scenario, {}) for scenario in resolved["observers"]]
+    options: dict[str, Any] = next((each[named.key] for each in every if named.key in each), {})
     return user_observers.absent(named.reference, code, options)
 
 
 def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:
     """The files of a copy, the module first; raise UserError where they are not as they were."""
-    names = [PurePosixPath(name).name for name in storage.names(target, str(path.parent))]
-    order = [path.name, *sorted(name for name in names if name != path.name and name.endswith(".py"))]
+    names = {PurePosixPath(name).name for name in storage.names(target, str(path.parent))} - {path.name}
+    order = [path.name, *sorted(name for name in names if name.endswith(".py"))]
     files = tuple((name, storage.text(target, f"{path.parent}/{name}") or b"") for name in order)
     if user_code.digest(files) != path.parent.name:
         raise UserError(

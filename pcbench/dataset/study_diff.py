@@ -8,27 +8,13 @@ from pcbench.dataset.seed_ranges import common, counted
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.references import Named, renamed
 
+Tables = dict[str, Any]  # a study as it is written, or a part
 Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest of each file
-GROWS = (
-    "seeds",
-    "first_seed",
-    "evaluation",
-    "schedules",
-    "axes",
-    "observers",
-    "excluded",
-    "tuned",
-    "custom_observers",
-    "scenarios",
-    "scenario",
-    "tables",
-    "options",
-    "lti",
-    "resolved",
-)
+GROWS = "seeds first_seed evaluation schedules axes observers excluded tuned custom_observers scenarios scenario tables options"
+GROWN = {*GROWS.split(), "lti", "resolved"}
 
 
-def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
+def changes(there: Tables, here: Tables, files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
     """Yield what differs between a study on disk and one that is to go on there, a phrase each.
 
     `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
@@ -36,7 +22,7 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
     code = list(_recoded(there, here, files))
     yield from code
     old_texts, new_texts = (renamed(study, _undated) for study in (there, here))
-    for key in sorted((there.keys() | here.keys()) - set(GROWS)):
+    for key in sorted((there.keys() | here.keys()) - GROWN):
         if old_texts.get(key) != new_texts.get(key):
             yield _phrase(key, old_texts.get(key), new_texts.get(key))
     a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
@@ -51,7 +37,9 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
             if name not in new["observers"][scenario]:
                 yield f"observers: {name} there, not here"
         yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
-        was, now = (_without_code(each["scenarios"].get(scenario, {})) for each in (old, new))
+        was, now = (
+            {k: v for k, v in each["scenarios"].get(scenario, {}).items() if k != "code"} for each in (old, new)
+        )
         yield from _deep(scenario, was, now)
     old_tuned, new_tuned = (_tuned_cells(study) for study in (there, here))
     for cell, options in old_tuned.items():
@@ -62,35 +50,26 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
         yield from _lost(there, here)
 
 
-def _tuned_cells(study: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _tuned_cells(study: Tables) -> dict[str, Tables]:
     """The options of the cells that were tuned each for itself, by the values of the axes there."""
     cells = (study.get("tuned") or {}).get("cells") or []
     return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
 
 
-def _recoded(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files]) -> Iterator[str]:
+def _recoded(there: Tables, here: Tables, files: tuple[Files, Files]) -> Iterator[str]:
     """Yield what has other code, with the files that have changed where they are known."""
     old, new = (study["resolved"].get("code", {}) for study in (there, here))
     for name, digest in old.items():
-        if new.get(name, digest) != digest:
-            a, b = (each.get(name, {}) for each in files)
-            if a and b:
-                yield f"the code of {name}: {_changed(a, b)} since"
-                continue
-            where = [
-                study.get("custom_observers", {}).get(name, f"{user_code.FOLDER}/{d}")
-                for study, d in ((there, digest), (here, new[name]))
-            ]
-            yield f"the code of {name}: {where[0]} there, {where[1]} here"
-
-
-def _changed(a: Mapping[str, str], b: Mapping[str, str]) -> str:
-    names = sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
-    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} changed"
-
-
-def _without_code(scenario: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in scenario.items() if k != "code"}
+        if new.get(name, digest) == digest:
+            continue
+        a, b = (each.get(name, {}) for each in files)
+        if a and b:
+            changed = sorted(file for file in a.keys() | b.keys() if a.get(file) != b.get(file))
+            yield f"the code of {name}: {' and '.join(changed)} {'has' if len(changed) == 1 else 'have'} changed since"
+            continue
+        sides = (there, digest), (here, new[name])
+        where = [study.get("custom_observers", {}).get(name, f"{user_code.FOLDER}/{d}") for study, d in sides]
+        yield f"the code of {name}: {where[0]} there, {where[1]} here"
 
 
 def _undated(each: Named) -> str:
@@ -98,19 +77,20 @@ def _undated(each: Named) -> str:
     return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
 
 
-def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+def _lost(there: Tables, here: Tables) -> Iterator[str]:
     """Yield, where cells were lost, the axes that lost a value or are new."""
-    old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
-    if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
-        axes, found = (there.get("axes", {}), here.get("axes", {})), []
-        for name in sorted(axes[0].keys() | axes[1].keys()):
-            a, b = (each.get(name) for each in axes)
-            if a is None or b is None or any(v not in b for v in a):
-                found.append(_phrase(f"axes.{name}", a, b))
-        yield from found or ["cells: some that stand there are not of this study"]
+    old, new = ({s: set(digests) for s, digests in each["resolved"].get("cells", {}).items()} for each in (there, here))
+    if all(digests <= new.get(s, set()) for s, digests in old.items()):
+        return
+    axes = there.get("axes", {}), here.get("axes", {})
+    both = [(name, *(each.get(name) for each in axes)) for name in sorted(axes[0].keys() | axes[1].keys())]
+    lost = [(name, a, b) for name, a, b in both if a is None or b is None or any(v not in b for v in a)]
+    yield from (_phrase(f"axes.{name}", a, b) for name, a, b in lost)
+    if not lost:
+        yield "cells: some that stand there are not of this study"
 
 
-def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Iterator[str]:
+def _deep(where: str, old: Tables, new: Tables, names: list[str] | None = None) -> Iterator[str]:
     for key in sorted(names if names is not None else old.keys() | new.keys()):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
@@ -119,6 +99,6 @@ def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str]
             yield _phrase(f"{where}.{key}", a, b)
 
 
-def _phrase(where: str, there: Any, here: Any) -> str:
-    say = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
-    return f"{where}: {say[0]} there, {say[1]} here"
+def _phrase(where: str, there: object, here: object) -> str:
+    sides = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
+    return f"{where}: {sides[0]} there, {sides[1]} here"

@@ -3,17 +3,19 @@
 A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import nullcontext
 from math import isfinite
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import numpy as np
 import pyarrow as pa
 
 from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, columns, storage, table_builder, timing
+from pcbench.dataset.executors import Hold
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.serialize import pack, unpack
 from pcbench.engine import runner
@@ -26,7 +28,6 @@ from pcbench.study.grid import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
 FEW_ROWS = 10_000  # of a task: 3 MB
-Hold = Callable[[], AbstractContextManager[Any]]  # a device, held while it computes
 
 
 class Work(NamedTuple):
@@ -45,7 +46,7 @@ class Task(NamedTuple):
     pieces: tuple[tuple[Seeds, tuple[str, ...]], ...]  # seeds and observers: the blocks to write
     timed: bool = False  # no block is written: it is estimated how long a call takes
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Go to another process as bytes, that it can read whosever code the cell has."""
         planned = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
         return Task, (planned, self.pieces, self.timed)
@@ -68,13 +69,9 @@ class Report(NamedTuple):
     """What a task reports once its files stand."""
 
     cell: tuple[str, int]  # its key
-    runs: int
-    program: tuple[str, int]  # which one computed it, of which process
-    compile_seconds: float  # that this program took to make
-    writing_seconds: float
-    computing_seconds: float  # while it held its device, the making of the program included
+    cost: timing.Cost
     versions: dict[str, str]  # of what computed it
-    held: aggregate.Held  # the blocks by name, where they have few rows: whoever wants them need not read them
+    held: aggregate.Held  # its blocks, where they have few rows: whoever wants them need not read them
     call: Call | None = None  # of a task that is timed
 
 
@@ -89,21 +86,18 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     for name, (table, _) in blocks.items():
         storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
     few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
-    return Report(
-        cell=p.cell.key,
+    cost = timing.Cost(
         runs=task.runs,
-        program=(config.name(), program.number),
-        compile_seconds=program.compile_seconds,
-        writing_seconds=perf_counter() - start,
+        compiled={(config.name(), program.number): program.compile_seconds},
         computing_seconds=computing,
-        versions=provenance.versions(),
-        held={name: runs for name, (_, runs) in blocks.items()} if few else {},
-        call=call,
+        writing_seconds=perf_counter() - start,
     )
+    held = {name: runs for name, (_, runs) in blocks.items()} if few else {}
+    return Report(p.cell.key, cost, provenance.versions(), held, call)
 
 
 def simulated(
-    work: Work, task: Task, device: Any = None
+    work: Work, task: Task, device: jax.Device | None = None
 ) -> tuple[Plan, run_local.Results, runner.Program, Call | None]:
     """Return what the runs of a task leave, or how long a call takes, estimated from calls that end early.
 

@@ -1,12 +1,9 @@
-"""What a run of a study took.
-
-How long a call takes, estimated before a study is begun.
-"""
+"""What a run of a study took, and how long a call takes, estimated before a study is begun."""
 
 from collections.abc import Mapping
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +40,7 @@ class Cost(NamedTuple):
     """What a run of a study took."""
 
     runs: int = 0
-    compiled: Mapping[Any, float] = MappingProxyType({})  # seconds by program
+    compiled: Mapping[tuple[str, int], float] = MappingProxyType({})  # seconds by program: which one, of which process
     planning_seconds: float = 0.0  # of this thread: designs, and the laying out of cells
     computing_seconds: float = 0.0  # of all threads that compute
     writing_seconds: float = 0.0  # of all that write

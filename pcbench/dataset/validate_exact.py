@@ -8,7 +8,7 @@ errors that are normal or of their squares; with fewer than `FEW` runs a mean sq
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -88,7 +88,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     zero = np.where(squares, np.maximum(ZERO, lost) ** 2, np.maximum(ZERO, lost))  # below it all is rounding
     left = np.where(squares, 2 * np.sqrt(size) * lost + lost**2, lost)
     varies = (error > 1e-12 * size) & (size > zero)
-    t: Any = apart / np.where(varies, error, 1.0)
+    t: pd.Series = apart / np.where(varies, error, 1.0)
     p = stdtr(both.n - 1, -t.abs())  # as the normal number that is as rare
     z = np.where(varies, np.where(p > 0, -ndtri(np.maximum(p, 1e-300)), np.inf) * np.sign(t), np.nan)
     still = np.where(varies | (size <= zero), 0.0, np.maximum(apart.abs() - left, 0.0) / np.where(size > 0, size, 1.0))

@@ -206,7 +206,7 @@ def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
                 yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
 
 
-def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:
+def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: executors.Hold) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, program, _ = task.simulated(work, one, device)

@@ -5,29 +5,11 @@ import re
 from pcbench.tables.layout import Entry, Head, Table
 
 NEEDS = r"% needs \usepackage{booktabs, siunitx}"
-SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "_": r"\_",
-    "%": r"\%",
-    "&": r"\&",
-    "#": r"\#",
-    "$": r"\$",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-}
+SPECIAL = {c: rf"\{c}" for c in "{}_%&#$"}
+SPECIAL |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
 LETTERS = {"±": r"$\pm$", "²": r"\textsuperscript{2}", "<": r"\textless{}", ">": r"\textgreater{}"}
-IN_UNITS = {
-    "*": " ",
-    "·": r"\cdot ",
-    "²": "^{2}",
-    "³": "^{3}",
-    "°": r"{}^{\circ}",
-    "Ω": r"\Omega ",
-    "µ": r"\mu ",
-    "μ": r"\mu ",
-}
+IN_UNITS = {"*": " ", "·": r"\cdot ", "²": "^{2}", "³": "^{3}", "°": r"{}^{\circ}", "Ω": r"\Omega "}
+IN_UNITS |= dict.fromkeys("µμ", r"\mu ")  # the micro sign, and the letter
 OF_UNIT = re.compile(r"\^(-?\d+|\([^()]*\))|(.)", re.S)
 SYMBOLS = {"degC": (r"\degreeCelsius", r"^\circ\mathrm{C}"), "%": (r"\percent", r"\%")}  # with siunitx, and without
 ESTIMATE = re.compile(r"\(?(?P<value>[-+\d.e]+?)(?: ± (?P<half>[\d.]+|\?)\)?)?(?:e(?P<power>[-+]\d+))?")
@@ -43,11 +25,12 @@ def latex(tables: list[Table], plain: bool = False) -> str:
 def _table(t: Table, plain: bool) -> str:
     top, middle, bottom = (r"\hline",) * 3 if plain else (r"\toprule", r"\midrule", r"\bottomrule")
     heads = " & ".join(_head(h, plain) for h in [*t.stub, *t.heads])
+    label = re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.scenario, t.signal))))
     lines = [
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{_text('. '.join([t.about, ' '.join(t.notes)]))}}}",
-        rf"\label{{tab:{_label(t)}}}",
+        rf"\label{{tab:{label}}}",
         *([] if plain else [r"\sisetup{separate-uncertainty = true, detect-all, group-digits = integer}"]),
         rf"\begin{{tabular}}{{{'l' * len(t.stub)}{'r' * len(t.heads)}}}",
         top,
@@ -73,19 +56,12 @@ def _over(t: Table, plain: bool) -> list[str]:
     return [line, rf"\cline{{{rule}}}" if plain else rf"\cmidrule(lr){{{rule}}}"]
 
 
-def _label(t: Table) -> str:
-    return re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.scenario, t.signal))))
-
-
 def _head(h: Head, plain: bool) -> str:
     if not h.unit or h.unit == "1":
         return _text(h.text)
     with_siunitx, without = SYMBOLS.get(h.unit) or (_power(h.unit), rf"\mathrm{{{_power(h.unit)}}}")
-    return f"{_text(h.text)} [{f'${without}$' if plain else _unit(with_siunitx)}]"
-
-
-def _unit(text: str) -> str:
-    return rf"\unit{{{text}}}"
+    unit = f"${without}$" if plain else rf"\unit{{{with_siunitx}}}"
+    return f"{_text(h.text)} [{unit}]"
 
 
 def _power(unit: str) -> str:

@@ -64,13 +64,12 @@ class Table(NamedTuple):
         runs = {e.row["n"] + e.row["diverged"] for e in self.entries}
         each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; one that leans to one side by its ends" if any(" .. " in e.text for e in self.entries) else ""
-        said = [f"Means over {each} runs, ± half a 95 % interval{leans}."]
+        notes = [f"Means over {each} runs, ± half a 95 % interval{leans}."]
         if any(e.best for e in self.entries):
-            said += ["Bold: the best, and each that is not significantly worse (paired t-test, Holm, 5 %)."]
-        said += (
-            ["Dagger: some runs diverged; the mean is over the others."] if any(e.lost for e in self.entries) else []
-        )
-        return said
+            notes += ["Bold: the best, and each that is not significantly worse (paired t-test, Holm, 5 %)."]
+        if any(e.lost for e in self.entries):
+            notes += ["Dagger: some runs diverged; the mean is over the others."]
+        return notes
 
 
 def tables(result: Result, metric: str, signals: list[str] | None = None) -> list[Table]:

@@ -123,6 +123,15 @@ def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
 
 
 @pytest.mark.ci
+def test_a_reason_may_name_its_cell_by_another_number(exact_parts, tmp_path):
+    b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
+    table = moments_tables.whole(b)
+    other = parquet_io.with_column(table, "reason", ["cart/slow, cell 7: is not affine"] * len(table))
+    storage.put_table(b, "exact.parquet", parquet_io.sealed(other))
+    assert merge.merge([exact_parts[0], b.root], tmp_path / "both").missing == 0
+
+
+@pytest.mark.ci
 def test_a_damaged_part_and_another_method_are_refused(exact_parts, tmp_path):
     pcbench.run(SURE, out=tmp_path / "c", seeds=4, evaluation="both")
     with pytest.raises(UserError, match="evaluation: exact there, both here"):

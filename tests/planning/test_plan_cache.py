@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pcbench.dataset import manifest, run_missing, storage
-from pcbench.dataset import work_plan as planning
 from pcbench.planning import build, padding
 from pcbench.runtime import config
 from pcbench.study import parse
@@ -31,7 +30,7 @@ def planned(study, place):
     """What is planned of a study, and how often a draft is made of its cells."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
     wanted = run_missing.everything(owned, [])
-    return planning.planned(owned, run_missing.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
+    return run_missing.planned(owned, run_missing.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
 
 
 class Task(NamedTuple):
@@ -53,7 +52,7 @@ class Task(NamedTuple):
 )
 def test_a_program_is_begun_before_the_tasks_of_the_one_before_it(given, ahead, wanted):
     tasks = [Task(name, name.isupper()) for name in given.split()]
-    assert " ".join(t.name for t in planning.interleaved(tasks, ahead)) == wanted
+    assert " ".join(t.name for t in run_missing.interleaved(tasks, ahead)) == wanted
 
 
 @pytest.mark.ci
@@ -65,7 +64,7 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
     for room in (2**30, 0, None):
         if room is None:  # so that the second cell does not fit as a whole
             room = size
-        monkeypatch.setattr(planning, "DRAFTS", room)
+        monkeypatch.setattr(run_missing, "DRAFTS", room)
         made.clear()
         with config.float64():
             plan, wanted = planned(study, storage.target(tmp_path / "out"))
