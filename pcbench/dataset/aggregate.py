@@ -89,13 +89,13 @@ def _tables(
     cell = cells[0].cell
     about = {"plant": cell.scenario.plant, "method": "runs", "reason": None, "p_holm": np.nan}
     heads = [columns.keys(study, c.cell) | about for c in cells]
-    known = [{o: _known(about) for o, about in c.about.items()} for c in cells]
+    facts = [{o: _facts(about) for o, about in c.about.items()} for c in cells]
     signals = signals_of(cell.scenario)
-    stats = table_builder.stats_table(heads, known, signals, described)
-    return stats, table_builder.pairs_table(heads, known, signals, compared)
+    stats = table_builder.stats_table(heads, facts, signals, described)
+    return stats, table_builder.pairs_table(heads, facts, signals, compared)
 
 
-def _known(about: dict[str, Any]) -> dict[str, bool | None]:
+def _facts(about: dict[str, Any]) -> dict[str, bool | None]:
     return {"predicts_unknown_input": about["predicts_unknown_input"], "certified": is_certified(about["certificate"])}
 
 

@@ -52,8 +52,8 @@ def close(
         **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),
     }
     digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
-    found = {"certificates": mine.weakest, "flow": mine.ways, "digests": digests}
-    record = provenance.describe() | study | about | found
+    derived = {"certificates": mine.weakest, "flow": mine.ways, "digests": digests}
+    record = provenance.describe() | study | about | derived
     storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
 

@@ -69,10 +69,10 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     """
     targets = storage.target(a), storage.target(b)
     holdings = manifest.opened(targets[0]), manifest.opened(targets[1])
-    if found := manifest.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
+    if changed := manifest.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
         raise UserError(
-            f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(found[:3])}), expected the same study; "
-            "compare results of one study."
+            f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
+            "study; compare results of one study."
         )
     sides = [_side(target, owned) for target, owned in zip(targets, holdings, strict=True)]
     shared = _shared(*sides)
@@ -208,12 +208,12 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
     """
     va, vb = sa**2, sb**2
     enough = [(n > 1) | ((n == 0) & (s == 0)) for n, s in ((na, sa), (nb, sb))]
-    known = enough[0] & enough[1] & (va + vb > 0)
+    comparable = enough[0] & enough[1] & (va + vb > 0)
     na, nb = np.maximum(na, 2), np.maximum(nb, 2)
-    va, vb = np.where(known, va, 1.0), np.where(known, vb, 1.0)
+    va, vb = np.where(comparable, va, 1.0), np.where(comparable, vb, 1.0)
     a, b = va / (va + vb), vb / (va + vb)  # variances may be so small that their squares are zero
-    df = 1 / (a**2 / np.where(known, na - 1, 1) + b**2 / np.where(known, nb - 1, 1))
-    return np.where(known, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)
+    df = 1 / (a**2 / np.where(comparable, na - 1, 1) + b**2 / np.where(comparable, nb - 1, 1))
+    return np.where(comparable, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)
 
 
 def made_by(a: storage.Target, b: storage.Target) -> list[str]:

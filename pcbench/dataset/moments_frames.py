@@ -1,7 +1,7 @@
 """Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
 
 from collections.abc import Iterator
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +63,7 @@ class Exact:
         """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
         cell = m.planned.cell
         names = [name for name, _ in signals_of(cell.scenario)]
-        t = _times(cell.scenario.dt, cell.times.ticks, Asked(0, 0, points=points).every(cell.times.ticks))
+        ticks = np.arange(0, cell.times.ticks + 1, Asked(0, 0, points=points).every(cell.times.ticks))
         for label, place in m.signals.items():
             if m.why[label] or not m.rows:
                 continue
@@ -73,8 +73,8 @@ class Exact:
                 mean, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
             std = np.sqrt(np.maximum(variance, 0.0))
             for i in range(place.stop - place.start):
-                words = (_repeated(word, len(t)) for word in (label, names[i]))
-                yield dict(zip(OVER_TIME, (*words, t, mean[:, i], std[:, i]), strict=True))
+                words = (np.full(len(ticks), word, object) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*words, cell.scenario.dt * ticks, mean[:, i], std[:, i]), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.
@@ -140,14 +140,3 @@ class Exact:
         if not chosen:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
         return chosen
-
-
-@lru_cache(16)
-def _times(dt: float, ticks: int, every: int) -> Values:
-    """The times of ticks 0 .. N, every so many."""
-    return dt * np.arange(0, ticks + 1, every)
-
-
-@lru_cache(256)
-def _repeated(word: str, often: int) -> NDArray[np.object_]:
-    return np.broadcast_to(np.array(word, object), often)

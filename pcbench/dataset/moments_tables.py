@@ -9,7 +9,6 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,17 +79,11 @@ def _over_time(
             rows.append(exact.rows(m))
             frames += exact.over_time(m, POINTS)
         if frames:
-            many = tuple(len(f["t"]) for f in frames)
-            words = {name: _words(tuple(str(f[name][0]) for f in frames), many) for name in ("observer", "signal")}
+            part = np.repeat(np.arange(len(frames)), [len(f["t"]) for f in frames])
+            words = {name: columns.words([str(f[name][0]) for f in frames], part) for name in ("observer", "signal")}
             numbers = {name: np.concatenate([f[name] for f in frames]) for name in ("t", "mean", "std")}
             yield place(*key), columns.table(words | numbers)
         progress.step(1)
-
-
-@lru_cache(16)
-def _words(vocabulary: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
-    """Words, each so often in turn: cells of a study have the same."""
-    return columns.words(vocabulary, np.repeat(np.arange(len(vocabulary)), often))
 
 
 def whole(target: storage.Target) -> pa.Table | None:

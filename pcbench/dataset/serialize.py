@@ -47,10 +47,10 @@ def unpack(parcel: bytes | Plan) -> Plan:
     if isinstance(parcel, Plan):
         return parcel
     codes, numbers = pickle.loads(parcel)
-    found = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
-    p: Plan = _Unpickler(io.BytesIO(numbers), found).load()
-    s = p.cell.scenario.having(own={kind: mine for (kind, o), mine in found.items() if not o})
-    cell = p.cell._replace(scenario=s, own={o: mine for (_, o), mine in found.items() if o})
+    own = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
+    p: Plan = _Unpickler(io.BytesIO(numbers), own).load()
+    s = p.cell.scenario.having(own={kind: mine for (kind, o), mine in own.items() if not o})
+    cell = p.cell._replace(scenario=s, own={o: mine for (_, o), mine in own.items() if o})
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = plants.entry_of(s).plant, loop_setup.controller(cell)

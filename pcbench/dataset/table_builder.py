@@ -14,35 +14,35 @@ from pcbench.dataset.columns import Columns, words
 from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, Described, Judged, Pair, Results
 
 Head = dict[str, object]  # what the rows of a cell have in common, by column
-Known = list[dict[str, dict[str, bool | None]]]  # [C] columns of yes, no or null by observer
+Facts = list[dict[str, dict[str, bool | None]]]  # [C] what is so of each observer, by column
 Signals = Sequence[tuple[str, str]]  # name and unit
 Indices = NDArray[np.int64]
 
 
-def stats_table(heads: list[Head], known: Known, signals: Signals, found: Mapping[str, Described]) -> pa.Table:
+def stats_table(heads: list[Head], facts: Facts, signals: Signals, described: Mapping[str, Described]) -> pa.Table:
     """Return the rows of stats: by cell, by observer, by signal, every metric."""
-    each = list(found.values())
+    each = list(described.values())
     shown = np.concatenate([d.shown for d in each], 1)
     values = np.concatenate([d.values for d in each], 1)[shown]
     cells, row = np.nonzero(shown)
     who = np.repeat(np.arange(len(each)), [len(d.names) for d in each])[row]
     names = [name for d in each for name in d.names]
-    out = {"observer": words(list(found), who)} | _of_rows(names, signals, row)
-    out |= _of_observers(known, list(found), cells, who)
+    out = {"observer": words(list(described), who)} | _of_rows(names, signals, row)
+    out |= _of_observers(facts, list(described), cells, who)
     numbers = {"n": np.concatenate([d.n for d in each])[row], "diverged": np.array([d.diverged for d in each])[who]}
     numbers |= dict(zip((*ESTIMATED, *COLUMNS), values.T, strict=True))
     return _table(heads, cells, out | numbers, columns.stats_order(columns.axes_of(heads[0])))
 
 
-def pairs_table(heads: list[Head], known: Known, signals: Signals, found: Mapping[Pair, Judged]) -> pa.Table:
+def pairs_table(heads: list[Head], facts: Facts, signals: Signals, compared: Mapping[Pair, Judged]) -> pa.Table:
     """Return the rows of pairs: by cell, by pair of observers, by signal, every metric that is compared."""
-    each, names = list(found.values()), [name for j in found.values() for name in j.names]
+    each, names = list(compared.values()), [name for j in compared.values() for name in j.names]
     cells, row = np.divmod(np.arange(len(heads) * len(names)), max(len(names), 1))
     pair = np.repeat(np.arange(len(each)), [len(j.names) for j in each])[row]
     out = _of_rows(names, signals, row)
-    for side, observers in zip("ab", zip(*found, strict=True) if found else ((), ()), strict=True):
+    for side, observers in zip("ab", zip(*compared, strict=True) if compared else ((), ()), strict=True):
         out[f"observer_{side}"] = words(observers, pair)
-        out |= {f"{what}_{side}": column for what, column in _of_observers(known, observers, cells, pair).items()}
+        out |= {f"{what}_{side}": column for what, column in _of_observers(facts, observers, cells, pair).items()}
     values = np.concatenate([j.values for j in each], 1) if each else np.zeros((len(heads), 0, len(VERDICT)))
     numbers = {"n": np.array([j.n for j in each], np.int64)[pair]}
     numbers |= dict(zip(VERDICT, values.reshape(-1, len(VERDICT)).T, strict=True))
@@ -67,11 +67,11 @@ def _of_rows(names: Sequence[tuple[str, int]], signals: Signals, row: Indices) -
     return {what: pa.array(each, pa.string()).take(pa.array(row)) for what, each in said.items()}
 
 
-def _of_observers(known: Known, observers: Sequence[str], cells: Indices, who: Indices) -> dict[str, pa.Array]:
+def _of_observers(facts: Facts, observers: Sequence[str], cells: Indices, who: Indices) -> dict[str, pa.Array]:
     """Columns of yes, no or null: of which cell and which of the observers each row is."""
     out, at = {}, pa.array(cells * len(observers) + who)
     for what in ("predicts_unknown_input", "certified"):
-        out[what] = pa.array([each[o][what] for each in known for o in observers], pa.bool_()).take(at)
+        out[what] = pa.array([each[o][what] for each in facts for o in observers], pa.bool_()).take(at)
     return out
 
 

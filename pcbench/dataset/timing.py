@@ -12,14 +12,14 @@ from pcbench.engine import runner
 FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of the calls that are timed
 
 
-def seconds(made: runner.Program, job: runner.Job) -> float:
+def seconds(program: runner.Program, job: runner.Job) -> float:
     """Return about how many seconds a call takes, from calls that end early, each after twice as many ticks.
 
     They stop once the last took `ENOUGH` seconds, or a sixteenth of the ticks are done, or a call is clearly `SHORT`. The first
     ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 if all observers are lifted, or the
     program is the definition, whose calls do not end early.
     """
-    if all(way in ("lifted", "defined") for way in made.ways.values()):
+    if all(way in ("lifted", "defined") for way in program.ways.values()):
         return 0.0
     many, before = int(job.problem.windows[-1, 1]), (0, 0.0)
     end, rest = FIRST, 0.0
@@ -27,7 +27,7 @@ def seconds(made: runner.Program, job: runner.Job) -> float:
         windows = np.minimum(job.problem.windows, end)
         windows[-1] = end, end + 1
         start = perf_counter()
-        for _ in runner.serial(made, [job._replace(problem=job.problem._replace(windows=windows))]):
+        for _ in runner.serial(program, [job._replace(problem=job.problem._replace(windows=windows))]):
             took = perf_counter() - start
         rest = max(took - before[1], 0.0) / (end - before[0]) * (many - end)
         if took * many / end < SHORT:
@@ -45,7 +45,7 @@ class Cost(NamedTuple):
     computing_seconds: float = 0.0  # of all threads that compute
     writing_seconds: float = 0.0  # of all that write
     closing_seconds: float = 0.0  # of this thread, beside the others
-    exact_seconds: float = 0.0  # of what has an exact answer, from planning to files; 0: nothing was made
+    exact_seconds: float = 0.0  # of what has an exact answer, from planning to files; 0: there was nothing to do
 
     @property
     def compile_seconds(self) -> float:

@@ -74,9 +74,9 @@ def check(out: str | Path) -> Checked:
         raise UserError(f"{target.name}: has fewer than {FEW} runs a cell, expected more; add some with --seeds.")
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules).stats
     refused = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
-    known = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
+    expected = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
     peaks = stats[stats.metric == "max_abs_error"][[*KEY[:-1], "mean"]].rename(columns={"mean": "max_abs_error"})
-    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(known, on=KEY).merge(peaks, on=KEY[:-1], how="left")
+    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(expected, on=KEY).merge(peaks, on=KEY[:-1], how="left")
     return Checked(judged(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
 
 
