@@ -7,7 +7,6 @@ from typing import Any
 from pydantic import BaseModel
 
 from pcbench import controllers, observers, plants
-from pcbench.cli.scenario_fields import not_at_default
 from pcbench.controllers import CONTROLLERS
 from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
@@ -16,7 +15,9 @@ from pcbench.observers.parts.options import TUNABLE, extra
 from pcbench.plants import PLANTS, parameters_in, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
-from pcbench.statistics import POOLED, RUN_METRICS
+from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.sources import Table, Wave
+from pcbench.statistics import RUN_METRICS
 from pcbench.study import STUDIES, Choices, Study, observers_of, parse
 from pcbench.study.axes import AXES, axes_of
 from pcbench.study.plugins import registry, user_code
@@ -27,16 +28,15 @@ TAKES = {
     "one constant delay": "of one constant age",
     "constant delays": "taken regularly, all channels together; each channel of a constant age of its own",
 }
+NAMED = {  # fields of a scenario that its description names itself
+    *("sampling_period", "delay", "noise_std", "steady_start", "controller"),
+    *("settle_band", "divergence_threshold", "signals", "unknowns"),
+}
 Description = dict[str, Any]
 
 
-def plant(name: str) -> Description:
+def plant(p: plants.PlantSpec) -> Description:
     """Return a plant with its states, unknown inputs, and parameters."""
-    return plant_of(PLANTS[name])
-
-
-def plant_of(p: plants.PlantSpec) -> Description:
-    """Return any plant likewise."""
     return {
         "summary": p.summary,
         "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
@@ -45,13 +45,8 @@ def plant_of(p: plants.PlantSpec) -> Description:
     }
 
 
-def observer(name: str) -> Description:
+def observer(o: observers.ObserverSpec) -> Description:
     """Return an observer with the samples it takes and its options."""
-    return observer_of(OBSERVERS[name])
-
-
-def observer_of(o: observers.ObserverSpec) -> Description:
-    """Return any observer likewise."""
     return {
         "summary": o.summary,
         "knows_schedule": o.knows_schedule,
@@ -61,16 +56,11 @@ def observer_of(o: observers.ObserverSpec) -> Description:
     }
 
 
-def controller(name: str) -> Description:
-    """Return a controller with its options, of a study's table [controller]."""
-    return controller_of(CONTROLLERS[name])
-
-
-def controller_of(c: controllers.ControllerSpec) -> Description:
-    """Return any controller likewise, its own options before those that all laws have."""
-    said, mine = options(c.options), get_annotations(c.options)
-    order = sorted(said, key=lambda name: name not in mine)
-    return {"summary": c.summary, "table": "[controller]", "options": {name: said[name] for name in order}}
+def controller(c: controllers.ControllerSpec) -> Description:
+    """Return a controller with its options, of a study's table [controller]: its own before those that all laws have."""
+    every, own = options(c.options), get_annotations(c.options)
+    order = sorted(every, key=lambda name: name not in own)
+    return {"summary": c.summary, "table": "[controller]", "options": {name: every[name] for name in order}}
 
 
 def options(model: type[BaseModel]) -> dict[str, Description]:
@@ -92,34 +82,26 @@ def _kind(schema: Mapping[str, Any]) -> Description:
     schema = next((each for each in schema.get("anyOf", []) if each.get("type") != "null"), schema)
     if "enum" in schema:
         return {"type": "choice", "choices": schema["enum"]}
-    above, least = schema.get("exclusiveMinimum"), schema.get("minimum")
-    low = f"> {above:g}" if above is not None else f">= {least:g}" if least is not None else None
-    most = schema.get("maximum")
-    ends = " and ".join(filter(None, (low, f"<= {most:g}" if most is not None else None)))
-    return {"type": _type(schema), "range": ends or None}
-
-
-def _type(schema: Mapping[str, Any]) -> str:
+    signs = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
+    ends = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if schema.get(key) is not None]
+    if ends[1:] and ends[1].startswith(">"):  # of two lower ends the exclusive one
+        del ends[1]
     kind = schema.get("type", "value")
     if kind == "array":
         inner = schema.get("items", {}).get("type", "value")
-        return "matrix" if inner == "array" else f"list of {inner}s"
-    return {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}.get(kind, kind)
+        kind = "matrix" if inner == "array" else f"list of {inner}s"
+    words = {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}
+    return {"type": words.get(kind, kind), "range": " and ".join(ends) or None}
 
 
-def scenario(name: str) -> Description:
-    """Return a published scenario with its plant, its times, its observers and its source."""
-    return sheet(SCENARIOS[name])
+def scenario(s: Scenario, study: Study | None = None) -> Description:
+    """Return a scenario with its plant, its times, its source and every field that is not as usual.
 
-
-def sheet(s: Scenario, study: Study | None = None) -> Description:
-    """Return any scenario likewise, with every field that is not as usual; of a `study` with its observers and axes."""
-    signals = signals_in(s)
-    bounds = (
-        (s.scoring.divergence_threshold,) * len(signals)
-        if isinstance(s.scoring.divergence_threshold, float)
-        else s.scoring.divergence_threshold
-    )
+    Of a `study` with the study's observers and axes.
+    """
+    signals, bounds = signals_in(s), s.scoring.divergence_threshold
+    if isinstance(bounds, float):
+        bounds = (bounds,) * len(signals)
     return {
         "summary": s.summary,
         "source": s.source,
@@ -137,14 +119,32 @@ def sheet(s: Scenario, study: Study | None = None) -> Description:
             {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
             for (n, u), band, bound in zip(signals, s.scoring.settle_band, bounds, strict=True)
         ],
-        **not_at_default(s),
+        **{
+            name: _data(s.value(name))
+            for record, fields in RECORDS.items()
+            for name in fields
+            if name not in NAMED and s.value(name) != type(getattr(s, record))._field_defaults.get(name, ())
+        },
+        **({"observer_options": _data(s.options)} if s.options else {}),
         "axes": [*axes_of(s), *(f"plant.{p}" for p in parameters_in(s))],
     }
 
 
-def study(name: str) -> Description:
+def _data(value: Any) -> Any:
+    """A value of a scenario as lists and dicts: of a wave what it says, of a table of inputs how many rows it has."""
+    if isinstance(value, Wave):
+        return {name: each for name, each in value._asdict().items() if each != value._field_defaults.get(name, "")}
+    if isinstance(value, Table):
+        return f"a table of {len(value.t):,} rows"
+    if isinstance(value, Mapping):
+        return {name: _data(each) for name, each in value.items()}
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [_data(each) for each in value] if isinstance(value, tuple | list) else value
+
+
+def study(s: Study) -> Description:
     """Return a built-in study."""
-    s = STUDIES[name]
     return {
         "summary": ", ".join(s.scenarios) if len(s.scenarios) < 4 else f"{len(s.scenarios)} scenarios",
         "scenarios": s.scenarios,
@@ -155,24 +155,13 @@ def study(name: str) -> Description:
     }
 
 
-def metric(name: str) -> Description:
-    """Return what a metric means."""
-    return {"summary": MEANING.get(name) or METRICS[name]}
-
-
 def axis(name: str) -> Description:
     """Return what an axis of a study holds."""
     unit = AXIS_UNITS.get(name, "s")
     return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else "")}
 
 
-def choice(name: str) -> Description:
-    """Return a choice of `[options.scenario]`."""
-    said = options(Choices)[name]
-    return {"summary": said["description"]} | said
-
-
-METRICS = {
+METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
     "pooled_rmse": "square root of the mean of e^2 over ticks and runs: it weighs bad runs more than the mean of rmse does",
     "steady_pooled_rmse": "the same from the tail start on",
     "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, on average over x(0), over the "
@@ -180,21 +169,19 @@ METRICS = {
     "divergence_rate": "fraction of runs whose error became non-finite or left the scenario's divergence threshold",
     "unsettled_rate": "fraction of the other runs whose error left its band in the tail",
 }
-CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Description]]] = {
-    "observers": (tuple(OBSERVERS), observer),
-    "scenarios": (tuple(SCENARIOS), scenario),
-    "plants": (tuple(PLANTS), plant),
-    "controllers": (tuple(CONTROLLERS), controller),
-    "studies": (tuple(STUDIES), study),
-    "axes": (AXES, axis),
-    "metrics": ((*RUN_METRICS, *POOLED, "rms_efficiency", "divergence_rate", "unsettled_rate"), metric),
-    "choices": (tuple(Choices.model_fields), choice),
+CATALOGUE: dict[
+    str, tuple[Mapping[str, Any], Callable[[Any], Description]]
+] = {  # by kind: what there is, described how
+    "observers": (OBSERVERS, observer),
+    "scenarios": (SCENARIOS, scenario),
+    "plants": (PLANTS, plant),
+    "controllers": (CONTROLLERS, controller),
+    "studies": (STUDIES, study),
+    "axes": ({name: name for name in AXES}, axis),
+    "metrics": (METRICS, lambda meaning: {"summary": meaning}),
+    "choices": (options(Choices), lambda option: {"summary": option["description"]} | option),
 }
-OWN: dict[str, tuple[str, Callable[[Any], Description]]] = {  # kinds of what may be a user's own
-    "observers": ("observer", observer_of),
-    "plants": ("plant", plant_of),
-    "controllers": ("controller", controller_of),
-}
+OWN = ("observers", "plants", "controllers", "scenarios")  # kinds of what may be a user's own
 WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  # what `pcbench list` alone names
 TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
 
@@ -203,28 +190,21 @@ def found(kind: str, name: str | None = None) -> dict[str, Description]:
     """Return what there is of a kind, by name, or the one of that name; raise UserError for another word."""
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)
-    names, say = CATALOGUE[kind]
-    there = registry.installed(kind.removesuffix("s"))
+    members, describe = CATALOGUE[kind]
+    installed = registry.installed(kind.removesuffix("s"))
     if name is None:
-        return {each: say(each) for each in names} | {each: _offered(offer) for each, offer in there.items()}
-    if name in names:
-        return {name: say(name)}
-    if name in there or user_code.is_reference(name):
-        return {name: _own(kind, there[name].reference if name in there else name)}
-    raise unknown(f"list {kind}", "name there (or MODULE:NAME)", name, [*names, *there])
-
-
-def _offered(offer: registry.Installed) -> Description:
-    """What is said of something that an installed package offers, without its code."""
-    return {"summary": f"of the package {offer.package}", "use": offer.reference}
-
-
-def _own(kind: str, reference: str) -> Description:
-    """What is said of a user's own by its code."""
-    where = f"list {kind}"
-    if kind == "scenarios":
-        return sheet(parse.scenario_of(reference))
+        packages = {
+            each: {"summary": f"of the package {offer.package}", "use": offer.reference}
+            for each, offer in installed.items()
+        }
+        return {each: describe(member) for each, member in members.items()} | packages
+    if name in members:
+        return {name: describe(members[name])}
+    reference = installed[name].reference if name in installed else name
+    if not user_code.is_reference(reference):
+        raise unknown(f"list {kind}", "name there (or MODULE:NAME)", name, [*members, *installed])
     if kind not in OWN:
-        raise unknown(where, "name there", reference, CATALOGUE[kind][0])
-    singular, say = OWN[kind]
-    return say(registry.load(singular, reference, where).entry)
+        raise unknown(f"list {kind}", "name there", reference, members)
+    if kind == "scenarios":
+        return {name: describe(parse.scenario_of(reference))}
+    return {name: describe(registry.load(kind.removesuffix("s"), reference, f"list {kind}").entry)}

@@ -5,8 +5,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.interrupts import stop_if_asked
-from pcbench.cli.recordings import Late
-from pcbench.cli.shared import Quiet, Set, console, out, say, setup
+from pcbench.cli.shared import Late, Quiet, Set, Start, console, out, say, setup
 from pcbench.errors import UserError
 
 
@@ -22,7 +21,7 @@ def export(
         typer.Option(help="recording that the C has room for, and is tested on [default: none, a simulated run]"),
     ] = None,
     delay: Late = None,
-    start: Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")] = None,
+    start: Start = None,
     changes: Set = None,
     quiet: Quiet = False,
 ) -> None:

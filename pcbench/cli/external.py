@@ -5,13 +5,27 @@ from typing import Annotated, Any
 import typer
 
 from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Set, Signals, chosen, console, names, out, say, setup
+from pcbench.cli.shared import (
+    RANKS,
+    Folder,
+    Metric,
+    Quiet,
+    Set,
+    Signals,
+    Study,
+    chosen,
+    console,
+    names,
+    out,
+    say,
+    setup,
+)
 
 Name = Annotated[str, typer.Option(help="what the tables call it")]
 
 
 def prepare(
-    study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
+    study: Study,
     folder: Annotated[str, out("folder, which becomes the study's")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
     observers: Annotated[

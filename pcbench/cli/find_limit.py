@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import RANKS, AsJson, Quiet, Set, console, names, out, say, setup
+from pcbench.cli.shared import RANKS, AsJson, Observers, Quiet, Set, Signal, console, names, out, say, setup
 
 
 def find_limit(
@@ -22,7 +22,7 @@ def find_limit(
         ),
     ],
     metric: Annotated[str, typer.Option(help="what is to stay below: pcbench list metrics")] = RANKS,
-    signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
+    signal: Signal = None,
     between: Annotated[
         tuple[float, float] | None,
         typer.Option(
@@ -38,7 +38,7 @@ def find_limit(
     max_seeds: Annotated[
         int | None, typer.Option(help="of a value whose interval holds the limit [default: 16 times the study's]")
     ] = None,
-    observers: Annotated[str | None, typer.Option(help="comma-separated names, or all that can run")] = None,
+    observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
@@ -58,12 +58,10 @@ def find_limit(
     from pcbench.limits import find_limit
     from pcbench.study import parse
 
-    name = parse.outline(study, changes or []).name
-    into = (
-        str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{'-'.join(axis)}").strip("-"))
-        if folder is None
-        else folder
-    )
+    into = folder
+    if into is None:
+        name = f"{parse.outline(study, changes or []).name}-{'-'.join(axis)}"
+        into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", name).strip("-"))
     with bar(quiet or as_json, "designing gains") as progress:
         table = find_limit.find_limit(
             study,
@@ -89,8 +87,8 @@ def find_limit(
     elif len(axis) > 1:
         screen = console()
         limits.frontier(table, screen)
-        screen.print(f"Each value has its own study in {into}", highlight=False, markup=False, soft_wrap=True)
+        screen.say(f"Each value has its own study in {into}")
     else:
         screen = console()
         limits.answers(table, screen)
-        screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
+        screen.say(f"Now look at it: pcbench report {into}")

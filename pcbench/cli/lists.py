@@ -1,11 +1,18 @@
-"""The command that says what there is."""
+"""The commands that say what there is: a line each, or one thing in full."""
 
 import json
-from typing import Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pcbench.cli.shared import AsJson, Set, console, require_effect, say, write
+from pcbench.errors import UserError, printable
+
+if TYPE_CHECKING:
+    from pcbench.cli.render.tables import Screen
+
+IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  # not said in a line
 
 
 def list_(
@@ -25,22 +32,22 @@ def list_(
     Example: pcbench list observers pccebo
     """
     from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, found
-    from pcbench.cli.render import listing
 
-    said = {kind: found(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
+    kinds = {kind: found(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
     if as_json:
-        print(json.dumps(said, indent=2))
-    elif what is not None and name is not None:
-        listing.whole(name, said[what][name], console())
-    else:
-        for kind, rows in said.items():
-            listing.lines(TITLES.get(kind, kind), rows, console())
-        kind = what or "observers"
-        console().print(
-            f"One of them in full: pcbench list {kind} {next(iter(said[kind]))}", highlight=False, markup=False
-        )
-        if what is None:
-            console().print("There are also: pcbench list axes, metrics, choices", highlight=False, markup=False)
+        print(json.dumps(kinds, indent=2))
+        return
+    screen = console()
+    if what is not None and name is not None:
+        print_in_full(name, kinds[what][name], screen)
+        return
+    for kind, members in kinds.items():
+        rows = [(each, description["summary"]) for each, description in members.items()]
+        screen.fold(TITLES.get(kind, kind), ("name", "what"), rows, no_wrap=("name",))
+    kind = what or "observers"
+    screen.print(f"One of them in full: pcbench list {kind} {next(iter(kinds[kind]))}")
+    if what is None:
+        screen.print("There are also: pcbench list axes, metrics, choices")
 
 
 def show(
@@ -61,18 +68,15 @@ def show(
 
     Example: pcbench show cart/white --toml > mine.toml
     """
-    from pcbench.cli.catalogue import sheet
-    from pcbench.cli.render import listing
-    from pcbench.errors import UserError
+    from pcbench.cli import catalogue
     from pcbench.study import observers_of, parse, scenario_template
     from pcbench.study.load import raw_of
 
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
     if with_costs:
-        require_effect(
-            {"--toml": as_toml}, "with --operations", "a study file, or what its observers cost; leave one out"
-        )
+        either = "a study file, or what its observers cost; leave one out"
+        require_effect({"--toml": as_toml}, "with --operations", either)
         _costs(scenario, changes, as_json)
         return
     study = parse.outline(scenario, changes or [])
@@ -80,39 +84,75 @@ def show(
         from pcbench.planning import all_observers  # with jax: gains are designed
 
         study = all_observers.outline(scenario, changes or [])
-        _say_excluded(study.excluded)
+        say(*all_observers.sentences(study.excluded))
     found = parse.scenario_in(study, scenario)
     if as_toml:
-        mine = found._replace(observers=tuple(observers_of(study, found.name)))
-        write(scenario_template.as_study(mine, study.axes, study.options))
+        shown = found._replace(observers=tuple(observers_of(study, found.name)))
+        write(scenario_template.as_study(shown, study.axes, study.options))
     elif as_json:
-        print(json.dumps({found.name: sheet(found, study)}, indent=2))
+        print(json.dumps({found.name: catalogue.scenario(found, study)}, indent=2))
     else:
-        listing.whole(found.name, sheet(found, study), console())
+        screen = console()
+        print_in_full(found.name, catalogue.scenario(found, study), screen)
         end = f"As a study of your own, every field of it: pcbench show {scenario} --toml > mine.toml"
         if found.plant == "lti" or found.own:
             end = f"It is a study of your own: edit {scenario}, then pcbench run {scenario}"
-        console().print(end, highlight=False, markup=False, soft_wrap=True)
-
-
-def _say_excluded(excluded: dict[str, str] | None) -> None:
-    from pcbench.planning import all_observers
-
-    for sentence in all_observers.sentences(excluded):
-        say(sentence)
+        screen.say(end)
 
 
 def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     """Print what the observers of a scenario or a study cost."""
     from pcbench import api
+    from pcbench.planning import all_observers
 
     table = api.operation_counts(study, overrides=changes)
-    _say_excluded(table.attrs["excluded"])
+    say(*all_observers.sentences(table.attrs["excluded"]))
     if as_json:
         print(table.to_json(orient="records", indent=2))
         return
-    shown = table[["scenario", "cell", "observer", "sample", "tick", "memory"]]
-    console().print(shown.to_string(index=False), highlight=False, markup=False)
-    console().print(
-        "sample, tick: multiplications of one run; memory: bytes from tick to tick.", highlight=False, markup=False
-    )
+    screen = console()
+    screen.print(table[["scenario", "cell", "observer", "sample", "tick", "memory"]].to_string(index=False))
+    screen.print("sample, tick: multiplications of one run; memory: bytes from tick to tick.")
+
+
+def print_in_full(name: str, description: Mapping[str, Any], screen: "Screen") -> None:
+    """Print all that is said of one thing."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    screen.print(Text.assemble((printable(name), "bold"), printable(f": {description['summary']}")))
+    for key, value in description.items():
+        if key not in IN_FULL and value not in (None, [], {}, ""):
+            screen.print(f"  {key.replace('_', ' ')}: {words(value)}")
+    for key, word in (("signals", "signal"), ("unknown", "unknown")):
+        each = description.get(key)
+        for signal in each if isinstance(each, list) else []:
+            rest = [f"{k.replace('_', ' ')} {v:g}" for k, v in signal.items() if k not in ("name", "unit")]
+            text = f"  {word} {signal['name']} [{signal['unit']}]"
+            screen.print(text + (f": {', '.join(rest)}" if rest else ""))
+    for key, value in description.get("parameters", {}).items():
+        screen.print(f"  parameter plant.{key} = {value:g}")
+    options = description.get("options") or {}
+    if options:
+        screen.print(f"  options, which a study sets below {description.get('table', '[options.NAME]')}:")
+    for key, o in options.items():
+        kind = " | ".join(map(str, o.get("choices", ()))) or " ".join(filter(None, (o["type"], o["range"])))
+        tunable = ", can be tuned" if o["tunable"] else ""
+        screen.print(f"  {key}: {kind}, default {words(o['default'])}{tunable}", style="bold")
+        screen.print(Padding(o["description"], (0, 0, 0, 6)))
+
+
+def words(value: object) -> str:
+    """Return a value as a person writes it."""
+    if value is None or value == {}:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{k} {words(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        each = [f"[{words(v)}]" if isinstance(v, list) else words(v) for v in value]
+        return each[0] if len(set(each)) == 1 and len(each) > 1 and not isinstance(value[0], str) else ", ".join(each)
+    return str(value)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from pcbench.cli.shared import setup
+from pcbench.cli.shared import console, setup
 from pcbench.errors import UserError, short, unknown
 
 Kind = Literal["observer", "plant", "controller", "scenario"]
@@ -44,9 +44,18 @@ def new(
         if os.path.exists(path):  # unlike the path's own, it answers for a name that is too long
             raise UserError(f"new {kind}: {path} is there already, expected a new file; give another name.")
     for path in paths:
+        if kind == "scenario":
+            setup()
+            from pcbench.scenarios import SCENARIOS
+            from pcbench.study import scenario_template
+
+            text = scenario_template.as_study(SCENARIOS[BASE])
+            text = text.replace('name = "my-cart-white"', f'name = "{name}"', 1)
+        else:
+            text = (TEMPLATES / (kind + path.suffix)).read_text(encoding="utf-8").replace(PLACEHOLDER, name)
         try:
             with path.open("x", encoding="utf-8") as file:
-                file.write(_scenario(name) if kind == "scenario" else _lesson(kind + path.suffix, name))
+                file.write(text)
         except OSError as error:
             raise UserError(f"new {kind}: {path} cannot be written ({error.strerror}); mend that.") from None
     print(f"{' and '.join(map(str, paths))} {'are' if len(paths) > 1 else 'is'} written. Next:")
@@ -54,33 +63,10 @@ def new(
         print("  " + command.format(name=name))
 
 
-def _lesson(template: str, name: str) -> str:
-    return (TEMPLATES / template).read_text(encoding="utf-8").replace(PLACEHOLDER, name)
-
-
-def _scenario(name: str) -> str:
-    setup()
-    from pcbench.scenarios import SCENARIOS
-    from pcbench.study import scenario_template
-
-    return scenario_template.as_study(SCENARIOS[BASE]).replace('name = "my-cart-white"', f'name = "{name}"', 1)
-
-
 FOLDER = Path(__file__).parents[1] / "guide"
 ORDER = (  # of a reader's questions; what is not here follows by the alphabet
-    *(
-        "first-study",
-        "reading-results",
-        "who-knows",
-        "exact-answers",
-        "which-observer",
-        "axes-and-schedules",
-        "what-suffices",
-        "outliers",
-        "nonlinear",
-        "unknown-delay",
-        "logs",
-    ),
+    *("first-study", "reading-results", "who-knows", "exact-answers", "which-observer", "axes-and-schedules"),
+    *("what-suffices", "outliers", "nonlinear", "unknown-delay", "logs"),
     *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),
     "code-and-guests",
     "from-a-bag-to-c",
@@ -91,7 +77,8 @@ ORDER = (  # of a reader's questions; what is not here follows by the alphabet
 
 def pages() -> dict[str, Path]:
     """Return the guide's pages by topic, in order."""
-    found = {_topic(path): path for path in FOLDER.rglob("*.md")}
+    every = ((path.parent.name if path.stem == "README" else path.stem, path) for path in FOLDER.rglob("*.md"))
+    found = {name.replace("_", "-"): path for name, path in every}
     first = [topic for topic in ORDER if topic in found]
     return {topic: found[topic] for topic in [*first, *sorted(found.keys() - set(first))]}
 
@@ -108,22 +95,16 @@ def guide(
 
     Example: pcbench guide which-observer
     """
-    known = pages()
+    topics = pages()
     if topic is None:
-        wide = max(map(len, known))
+        wide = max(map(len, topics))
         print("The guide, a page a question:\n")
-        print("\n".join(f"  {name:<{wide}}  {title(path.read_text('utf-8'))}" for name, path in known.items()))
+        print("\n".join(f"  {name:<{wide}}  {title(path.read_text('utf-8'))}" for name, path in topics.items()))
         print("\nOne of them: pcbench guide which-observer")
         return
-    path = known.get(topic.strip().lower().removesuffix(".md").replace("_", "-"))
+    path = topics.get(topic.strip().lower().removesuffix(".md").replace("_", "-"))
     if path is None:
-        raise unknown("guide", "page", topic, known)
+        raise unknown("guide", "page", topic, topics)
     from rich.markdown import Markdown
 
-    from pcbench.cli.shared import console
-
     console().print(Markdown(path.read_text("utf-8"), hyperlinks=False))
-
-
-def _topic(path: Path) -> str:
-    return (path.parent.name if path.stem == "README" else path.stem).replace("_", "-")

@@ -6,13 +6,13 @@ from typing import Annotated, Any
 import typer
 
 from pcbench import toml_text
-from pcbench.cli.shared import AsJson, Set, console, out, setup
+from pcbench.cli.shared import AsJson, Observer, Scenario, Set, console, out, setup
 from pcbench.errors import UserError
 
 
 def design(
-    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
-    observer: Annotated[str, typer.Argument(help="an observer's name")],
+    scenario: Scenario,
+    observer: Observer,
     gain: Annotated[str | None, typer.Option(help="a way to find gains, e.g. h2 of pccebo [default: its own]")] = None,
     sweep: Annotated[
         str | None, typer.Option(metavar="OPTION=A,B,...", help="the trade-off: what is promised for each of these")
@@ -28,6 +28,8 @@ def design(
     Example: pcbench design cart/gaussian pccebo --gain h2 --sweep decay=0.2,0.5,1,2
     """
     setup()
+    import pyarrow as pa
+
     from pcbench.cli.render import gains
     from pcbench.cli.render.tables import readable
     from pcbench.dataset import storage, write_table
@@ -40,7 +42,7 @@ def design(
             write_table.kind_of(file)
         table = design.trade_off(scenario, observer, *_values(sweep), gain=gain, overrides=changes)
         if file is not None:
-            write_table.put(file, gains.arrow(table))
+            write_table.put(file, pa.Table.from_pandas(table, preserve_index=False))
         if as_json:
             print(readable(table.to_dict("records")))
         else:
@@ -60,10 +62,10 @@ def design(
         print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))
     else:
         screen = console()
-        screen.print(f"{observer} in {scenario}", style="bold", highlight=False)
+        screen.print(f"{observer} in {scenario}", style="bold")
         gains.gains(found, screen)
         if file is not None:
-            screen.print(f"Now run it: pcbench run {file}", highlight=False, markup=False, soft_wrap=True)
+            screen.say(f"Now run it: pcbench run {file}")
 
 
 def _may_write(out: Path) -> None:

@@ -5,9 +5,8 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, say, setup
+from pcbench.cli.shared import AsJson, Late, Quiet, Set, Start, console, names, out, say, setup
 
-Late = Annotated[float | None, typer.Option(help="how late every sample is [s], where the log does not say")]
 File = Annotated[
     str, typer.Argument(metavar="LOG", help="a folder or file of tables, or a TOML that says what a bag holds")
 ]
@@ -46,7 +45,7 @@ def replay(
     observers: Annotated[str, typer.Option(help="comma-separated names, or all that can run")],
     folder: Annotated[str, out("folder for the estimates and what is known of them")],
     delay: Late = None,
-    start: Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")] = None,
+    start: Start = None,
     seed: Annotated[int, typer.Option(help="of observers that draw numbers themselves")] = 0,
     changes: Set = None,
     quiet: Quiet = False,
@@ -77,8 +76,7 @@ def replay(
     if as_json:
         print(readable(found.summary | {"out": folder}))
         return
-    for sentence in found.summary["said"]:
-        say(sentence)
+    say(*found.summary["said"])
     if quiet:
         print(folder)
     else:

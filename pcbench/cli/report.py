@@ -4,7 +4,7 @@ The commands for a paper: tables of a result, and what to cite.
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -44,7 +44,7 @@ def report(
     setup()
     from pcbench import statistics
     from pcbench.cli.render.progress import bar
-    from pcbench.plots import Paper
+    from pcbench.plots.layout import PAPER
     from pcbench.report.figures import Shown
     from pcbench.runtime import config
 
@@ -57,7 +57,6 @@ def report(
         raise UserError(
             f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
         )
-    where = f"{folder.rstrip('/')}/report.html" if file is None else file
     shown = Shown(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
     with config.float64(), bar(quiet) as drawn:
         progress = stoppable(drawn)
@@ -65,18 +64,18 @@ def report(
             from pcbench.dataset.result import open_result
             from pcbench.report import export_figures
 
-            known = export_figures.kinds_of("svg,pdf,png" if formats is None else formats)
-            paper = Paper(
-                3.75 if width is None else width, 9.0 if size is None else size, "DejaVu Sans" if font is None else font
-            ).checked()
-            made = export_figures.write(open_result(folder), figures, progress, shown._replace(paper=paper), known)
-            where, said = figures, f"{len(made)} figures as {', '.join(k.upper() for k in known)} in {figures}"
+            kinds = export_figures.kinds_of("svg,pdf,png" if formats is None else formats)
+            given: dict[str, Any] = {"width": width, "size": size, "font": font}
+            paper = PAPER._replace(**{name: value for name, value in given.items() if value is not None}).checked()
+            written = export_figures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
+            where, said = figures, f"{len(written)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
         else:
             from pcbench.report import page
 
-            written = page.write(folder, where, progress, shown)
-            large = f"{written / 1e6:.1f} MB" if written >= 1e5 else f"{written / 1e3:.0f} kB"
-            said = f"{where}: one page of {large}, which opens in any browser"
+            where = f"{folder.rstrip('/')}/report.html" if file is None else file
+            many = page.write(folder, where, progress, shown)
+            bytes_ = f"{many / 1e6:.1f} MB" if many >= 1e5 else f"{many / 1e3:.0f} kB"
+            said = f"{where}: one page of {bytes_}, which opens in any browser"
     print(where if quiet else said)
 
 
@@ -97,7 +96,14 @@ def tables(
 
     Example: pcbench tables results/quick --latex --signal all --out tables.tex
     """
-    form = _form({"latex": latex or plain, "markdown": markdown, "csv": csv}, file)
+    given = [form for form, yes in (("latex", latex or plain), ("markdown", markdown), ("csv", csv)) if yes]
+    suffix = Path(file).suffix.lower() if file else ".md"
+    if len(given) > 1:
+        raise UserError(f"tables: got --{' and --'.join(given)}, expected one form; leave the others out.")
+    if not given and suffix not in SUFFIXES:
+        raise UserError(
+            f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; say --latex or so."
+        )
     from pcbench.dataset.result import open_result
     from pcbench.tables import latex as tex
     from pcbench.tables import layout, text
@@ -105,25 +111,11 @@ def tables(
     found = layout.tables(open_result(folder), metric, chosen(signal))
     if not found:
         raise UserError(f"--metric: got {metric}, which the signals asked for do not have; take another.")
-    said = {
-        "latex": lambda: tex.latex(found, plain),
-        "markdown": lambda: text.markdown(found),
-        "csv": lambda: text.values(found),
-    }
-    _put(said[form](), file)
-
-
-def _form(asked: dict[str, bool], file: str | None) -> str:
-    """The form that is asked for: by its option, or else by the file's name."""
-    named = [form for form, yes in asked.items() if yes]
-    suffix = Path(file).suffix.lower() if file else ".md"
-    if len(named) > 1:
-        raise UserError(f"tables: got --{' and --'.join(named)}, expected one form; leave the others out.")
-    if not named and suffix not in SUFFIXES:
-        raise UserError(
-            f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; say --latex or so."
-        )
-    return named[0] if named else SUFFIXES[suffix]
+    form = given[0] if given else SUFFIXES[suffix]
+    if form == "latex":
+        _put(tex.latex(found, plain), file)
+    else:
+        _put(text.markdown(found) if form == "markdown" else text.values(found), file)
 
 
 def _put(content: str, file: str | None) -> None:

@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pcbench.cli.interrupts import stoppable
 from pcbench.cli.shared import AsJson, Quiet, console, setup
 from pcbench.errors import UserError, unknown
+
+if TYPE_CHECKING:
+    from pcbench.papers.claim import Claim
 
 ALL = "all"
 
@@ -32,46 +35,37 @@ def reproduce(
     if page is not None and paper != ALL:
         raise UserError(f"--page: got the paper '{paper}' alone, expected all of them; write pcbench reproduce all.")
     setup()
-    if paper == ALL:
-        _every(page, quiet, as_json)
-    else:
-        title, claims = PAPERS[paper]
-        _one(paper, title, claims(), quiet, as_json)
-
-
-def _one(paper: str, title: str, rows: list[Any], quiet: bool, as_json: bool) -> None:
-    from pcbench.cli.render import folder
-
-    if as_json:
-        print(json.dumps(_said(paper, title, rows), indent=2))
-    elif not quiet:
-        folder.claims(title, rows, console())
-
-
-def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
     from pcbench.cli.render import folder
     from pcbench.cli.render.progress import bar
     from pcbench.dataset import storage
-    from pcbench.papers import PAPERS, every
+    from pcbench.papers import every
     from pcbench.papers.claim import counts
-    from pcbench.papers.page import page as written
+    from pcbench.papers.page import page as text_of
 
+    if paper != ALL:
+        title, claims = PAPERS[paper]
+        rows = claims()
+        if as_json:
+            print(json.dumps(_data(paper, title, rows), indent=2))
+        elif not quiet:
+            folder.claims(title, rows, console())
+        return
     if page is not None:
         storage.make(storage.target(page.parent))  # a folder that cannot be written is said before the work
     with bar(quiet or as_json) as progress:
         found = every.claims(stoppable(progress))
     if page is not None:
-        storage.put(storage.target(page.parent), page.name, written(found).encode())
+        storage.put(storage.target(page.parent), page.name, text_of(found).encode())
     if as_json:
-        said = [_said(name, PAPERS[name][0], rows) for name, rows in found.items()]
-        print(json.dumps({"papers": said, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
+        papers = [_data(name, PAPERS[name][0], rows) for name, rows in found.items()]
+        print(json.dumps({"papers": papers, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
     elif not quiet:
         screen = console()
         folder.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
         if page is not None:
-            screen.print(f"The page: {page}", highlight=False, markup=False)
+            screen.print(f"The page: {page}")
 
 
-def _said(paper: str, title: str, rows: list[Any]) -> dict[str, Any]:
+def _data(paper: str, title: str, rows: "list[Claim]") -> dict[str, object]:
     keys = ("claim", "printed", "reproduced", "verdict")
     return {"paper": paper, "source": title, "claims": [{k: getattr(row, k) for k in keys} for row in rows]}

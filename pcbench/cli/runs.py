@@ -4,8 +4,10 @@ Commands that look after a study's folder: how far it is, several made one, comp
 """
 
 import json
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 from time import perf_counter
 from typing import Annotated
 
@@ -17,9 +19,12 @@ from pcbench.cli.shared import (
     AsJson,
     Folder,
     Metric,
+    Observers,
     Quiet,
+    Scenario,
     Set,
     Signals,
+    Study,
     chosen,
     console,
     names,
@@ -29,13 +34,17 @@ from pcbench.cli.shared import (
     setup,
 )
 from pcbench.errors import UserError
+from pcbench.runtime.progress import Progress
+
+AHEAD = ("scipy.special", "pandas")  # what statistics need, and pyarrow, which looks for pandas before it takes a list
+SAMPLE = 4  # blocks that are computed again
 
 
 def run(
-    study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
+    study: Study,
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
     first_seed: Annotated[int | None, typer.Option(help="the first of them [default: 0]")] = None,
-    observers: Annotated[str | None, typer.Option(help="comma-separated names, or all that can run")] = None,
+    observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
@@ -81,7 +90,6 @@ def run(
         require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench import api, statistics
-    from pcbench.cli import prefetch
     from pcbench.cli.render.progress import bar
     from pcbench.study import parse
 
@@ -108,7 +116,7 @@ def run(
             workers=workers,
             block_size=block_size,
             memory=memory,
-            progress=stoppable(prefetch.importing(progress, prefetch.CLOSING + (() if quiet else prefetch.SHOWING))),
+            progress=stoppable(_importing_ahead(progress, quiet)),
             say=say,
         )
     if result.study.custom_observers and find_spec("matplotlib"):
@@ -125,7 +133,7 @@ def run(
     elif quiet:
         print(into)
     else:
-        from pcbench.cli.render import results, timing
+        from pcbench.cli.render import results
 
         screen = console()
         results.closing(result, screen, metric, where, api.operation_counts(result.study) if costs else None)
@@ -133,10 +141,20 @@ def run(
             from pcbench.cli.render import gains
 
             gains.fair(result.fair, screen)
-        screen.print(timing.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
-        for line in timing.timings(result, perf_counter() - began) if timings else []:
-            screen.print(line, highlight=False, markup=False, soft_wrap=True)
-        screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
+        screen.say(results.sentence(result, into))
+        screen.say(*(results.timings(result, perf_counter() - began) if timings else []))
+        screen.say(f"Now look at it: pcbench report {into}")
+
+
+def _importing_ahead(progress: Progress, quiet: bool) -> Progress:
+    """A Progress that hears the same, and once work has begun has modules imported beside it that closing and printing need."""
+    modules = AHEAD if quiet else (*AHEAD, "pcbench.cli.render.results")
+
+    def begin(what: str, steps: int | None) -> None:
+        progress.begin(what, steps)
+        Thread(target=lambda: [import_module(name) for name in modules], name="importing").start()
+
+    return progress._replace(begin=begin)
 
 
 def _require_exact(metric: str) -> None:
@@ -145,10 +163,8 @@ def _require_exact(metric: str) -> None:
     from pcbench.statistics import COMPARED
 
     def has_one(metric: str) -> bool:
-        pooled = (
-            f"steady_pooled_{metric.removeprefix('steady_')}" if metric.startswith("steady_") else f"pooled_{metric}"
-        )
-        return metric not in RUNS_ONLY or pooled in ORDER
+        steady = "steady_" if metric.startswith("steady_") else ""
+        return metric not in RUNS_ONLY or f"{steady}pooled_{metric.removeprefix(steady)}" in ORDER
 
     if not has_one(metric):
         raise UserError(
@@ -158,7 +174,7 @@ def _require_exact(metric: str) -> None:
 
 
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
+    scenario: Scenario,
     observer: Annotated[str, typer.Option(help="an observer's name, several with commas, or all that can run")],
     file: Annotated[str, out("file to write, .parquet or .csv")],
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
@@ -180,19 +196,12 @@ def simulate(
 
     write_table.kind_of(file)
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
-    for sentence in all_observers.sentences(frame.attrs["excluded"]):
-        say(sentence)
+    say(*all_observers.sentences(frame.attrs["excluded"]))
     write_table.put(file, write_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
 
 
-SAMPLE = 4  # blocks that are computed again
-
-
-def status(
-    folder: Folder,
-    as_json: AsJson = False,
-) -> None:
+def status(folder: Folder, as_json: AsJson = False) -> None:
     """Show how far a study is, and which files cannot be read. Exit code 1 where one is damaged; `verify` reads every number.
 
     Example: pcbench status results/quick
@@ -226,12 +235,9 @@ def merge(
     with bar(quiet) as progress:
         made = merge.merge(folders, into, progress)
     again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
-    lack = (
-        f" {made.missing:,} runs are missing: pcbench run {into}/study.toml --out {into} fills them."
-        if made.missing
-        else ""
-    )
-    print(f"{made.blocks:,} blocks in {into}.{again}{lack}")
+    fills = f"pcbench run {into}/study.toml --out {into} fills them"
+    missing = f" {made.missing:,} runs are missing: {fills}." if made.missing else ""
+    print(f"{made.blocks:,} blocks in {into}.{again}{missing}")
 
 
 def verify(
@@ -258,11 +264,8 @@ def verify(
     """
     drawn = {"--sample": sample, "--seed": seed}
     if exact:
-        require_effect(
-            drawn | {"--all": every},
-            "with --exact",
-            "blocks to compute again, or a comparison with exact values; leave one out",
-        )
+        either = "blocks to compute again, or a comparison with exact values; leave one out"
+        require_effect(drawn | {"--all": every}, "with --exact", either)
     if every:
         require_effect(drawn, "with --all", "every block, or some; leave one out")
     if not exact:
@@ -324,8 +327,8 @@ def compare(
         moved = found.rows[found.rows.changed].to_dict("records")
         print(readable(said | drawn | {"moved": moved}))
     elif not quiet:
-        from pcbench.cli.render.comparison import comparison
+        from pcbench.cli.render import folder
 
-        comparison(found, there, here, console())
+        folder.comparison(found, there, here, console())
     if found.changed:
         raise typer.Exit(1)

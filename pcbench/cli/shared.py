@@ -5,23 +5,32 @@ import io
 import os
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pcbench.errors import UserError, printable
 
+if TYPE_CHECKING:
+    from pcbench.cli.render.tables import Screen
+
 PLAIN = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}  # in ASCII
 WIDE = 100  # columns of a table in a file, where COLUMNS says nothing
+RANKS = "steady_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
 
 
-def _named(out: str | None) -> str | None:
+def _require_name(out: str | None) -> str | None:
     """Raise UserError for an empty name, before any work."""
     if out is not None and not out.strip():
         raise UserError(
             "--out: got an empty name, expected a file, a folder or a URI; give one, or leave the option out."
         )
     return out
+
+
+def out(text: str) -> Any:
+    """Return the option that says where a result goes."""
+    return typer.Option("--out", "-o", help=text, callback=_require_name)
 
 
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
@@ -31,36 +40,38 @@ Set = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="change the study, e.g. axes.noise_std=0.1 (repeatable)"),
 ]
 Folder = Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")]
+Study = Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")]
+Scenario = Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")]
+Observer = Annotated[str, typer.Argument(help="an observer's name")]
+Observers = Annotated[str | None, typer.Option(help="comma-separated names, or all that can run")]
 Signals = Annotated[
     str | None,
     typer.Option("--signal", help="which signals to show, with commas, or all [default: those a scenario is known by]"),
 ]
+Signal = Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")]
 Metric = Annotated[str, typer.Option(help="metric that ranks observers: pcbench list metrics")]
-RANKS = "steady_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
-
-
-def out(text: str, *names: str) -> Any:
-    """Return the option that says where a result goes."""
-    return typer.Option(*(names or ("--out",)), "-o", help=text, callback=_named)
+Late = Annotated[float | None, typer.Option(help="how late every sample is [s], where the log does not say")]
+Start = Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")]
 
 
 def speak() -> None:
     """Let no letter that the terminal's encoding lacks make output fail: it is written in ASCII."""
-    codecs.register_error("pcbench", _in_ascii)
+
+    def in_ascii(error: UnicodeError) -> tuple[str, int]:
+        if not isinstance(error, UnicodeEncodeError):
+            raise error
+        return "".join(PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end
+
+    codecs.register_error("pcbench", in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="pcbench")
 
 
-def _in_ascii(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end
-
-
-def say(sentence: str) -> None:
+def say(*sentences: str) -> None:
     """Tell the user something, beside what a command prints."""
-    print(f"pcbench: {printable(sentence)}", file=sys.stderr)
+    for sentence in sentences:
+        print(f"pcbench: {printable(sentence)}", file=sys.stderr)
 
 
 def write(text: str) -> None:
@@ -68,14 +79,14 @@ def write(text: str) -> None:
     print(printable(text, but="\n\t"), end="")
 
 
-def require_effect(given: Mapping[str, Any], beside: str, expected: str) -> None:
+def require_effect(given: Mapping[str, object], beside: str, expected: str) -> None:
     """Raise UserError for an option that is given `beside` another, with which it has no effect."""
     for name, value in given.items():
         if value is not None and value is not False:
             raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
 
 
-def console() -> Any:
+def console() -> "Screen":
     """Return where tables are printed: as wide as the terminal, or as COLUMNS says."""
     from pcbench.cli.render.tables import Screen
 

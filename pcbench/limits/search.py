@@ -16,7 +16,7 @@ The question, checked before anything runs: one scenario, one axis, one metric o
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from math import ceil, isfinite, sqrt
 from typing import Any, NamedTuple
@@ -338,14 +338,18 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
 
 def notes(q: Question) -> list[str]:
     """Return what has to be known of an answer besides."""
-    said = [
+    note = (
         "A value suffices where the whole 95 % interval is below the limit and no run diverged; where the interval holds the "
         "limit, it is not decided."
-    ]
-    others = [name for name in (*q.study.axes, q.axis.name) if name in PUSHES or name.startswith("plant.")]
-    if not others and settles_alone(q.scenario):
-        said.append(
-            f"{q.scenario.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
-            "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std)."
-        )
-    return said
+    )
+    return [note, *filter(None, [settles_sentence(q.scenario, [*q.study.axes, q.axis.name])])]
+
+
+def settles_sentence(s: Scenario, varied: Iterable[str]) -> str:
+    """Return that no observer is needed, on a plant that is known exactly and forgets its start; otherwise nothing."""
+    if any(name in PUSHES or name.startswith("plant.") for name in varied) or not settles_alone(s):
+        return ""
+    return (
+        f"{s.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
+        "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std)."
+    )

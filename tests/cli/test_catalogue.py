@@ -29,15 +29,15 @@ def test_everything_that_there_is_is_listed():
 
 
 def test_plants_have_their_signals_with_units_and_their_parameters_with_values():
-    said = catalogue.plant("cart")
+    said = catalogue.plant(PLANTS["cart"])
     assert said["signals"] == [{"name": "position", "unit": "m"}, {"name": "velocity", "unit": "m/s"}]
     assert said["parameters"] == {"lam": 122, "b": 355, "drift_sign": 1, "input_bias": 0}
     assert said["unknown"] == []
-    assert catalogue.plant("helicopter")["unknown"][-1] == {"name": "yaw_viscosity", "unit": "N m s/rad"}
+    assert catalogue.plant(PLANTS["helicopter"])["unknown"][-1] == {"name": "yaw_viscosity", "unit": "N m s/rad"}
 
 
 def test_scenarios_have_their_times_and_bands_in_their_units():
-    said = catalogue.scenario("csth/10s")
+    said = catalogue.scenario(SCENARIOS["csth/10s"])
     assert [(s["name"], s["unit"], s["settled_within"], s["diverged_beyond"]) for s in said["signals"]] == [
         ("volume", "L", 0.025, 5e5),
         ("enthalpy", "J", 1000.0, 2e10),
@@ -49,7 +49,7 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
         SCENARIOS["csth/10s"].scoring.steady_start,
     )
     assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
-    assert catalogue.scenario("cart/white")["axes"][-4:] == [
+    assert catalogue.scenario(SCENARIOS["cart/white"])["axes"][-4:] == [
         "plant.lam",
         "plant.b",
         "plant.drift_sign",
@@ -58,10 +58,10 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
 
 
 def test_observers_say_what_they_know_and_take():
-    kfbo, kf = catalogue.observer("kfbo"), catalogue.observer("kf")
+    kfbo, kf = catalogue.observer(OBSERVERS["kfbo"]), catalogue.observer(OBSERVERS["kf"])
     assert (kfbo["knows_schedule"], kfbo["samples"]) == (False, "of one constant age")
     assert (kf["knows_schedule"], kf["samples"]) == (True, "of any age, in any order, from clocks of their own")
-    assert catalogue.observer("model-only")["options"] == {}
+    assert catalogue.observer(OBSERVERS["model-only"])["options"] == {}
 
 
 @pytest.mark.parametrize(

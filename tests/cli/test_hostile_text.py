@@ -15,9 +15,9 @@ from matplotlib.text import Text
 from rich.progress import Progress, TextColumn
 
 import pcbench
+from pcbench.cli import lists
 from pcbench.cli.commands import app
-from pcbench.cli.render import listing
-from pcbench.cli.render.tables import Column, Screen, printed
+from pcbench.cli.render.tables import Column, Screen
 from pcbench.errors import UserError
 from pcbench.plots.layout import PAPER, set_values, sheet
 from pcbench.study import parse, scenario_template, scenarios_of
@@ -83,9 +83,7 @@ class Page(HTMLParser):
 def test_a_table_prints_cells_heads_and_titles_as_text():
     out = io.StringIO()
     console = Screen(file=out, width=400)
-    printed(
-        "[bold]title", [Column("[u]head", [*LABELS, UNPRINTABLE, ":smile:"], left=True, bold=frozenset({1}))], console
-    )
+    console.fit("[bold]title", [Column("[u]head", [*LABELS, UNPRINTABLE, ":smile:"], left=True, bold=frozenset({1}))])
     console.print("[/b]", style="bold")
     assert all(each in out.getvalue() for each in (*LABELS, "[bold]title", "[u]head", "[/b]", ":smile:"))
     assert is_plain(out.getvalue())
@@ -94,8 +92,8 @@ def test_a_table_prints_cells_heads_and_titles_as_text():
 def test_a_table_for_a_terminal_has_no_codes_but_those_of_its_styles():
     out = io.StringIO()
     console = Screen(file=out, width=400, force_terminal=True)
-    printed("title", [Column("observer", [*LABELS, UNPRINTABLE], left=True, bold=frozenset({0, 10}))], console)
-    listing.whole("name", {"summary": UNPRINTABLE, "source": "[link=//x]y"}, console)
+    console.fit("title", [Column("observer", [*LABELS, UNPRINTABLE], left=True, bold=frozenset({0, 10}))])
+    lists.print_in_full("name", {"summary": UNPRINTABLE, "source": "[link=//x]y"}, console)
     without = re.sub(r"\x1b\[[\d;]*m", "", out.getvalue())
     assert is_plain(without.replace("\n", ""))
     assert all(each in without for each in (*LABELS, "[link=//x]y"))

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from small_study import STUDY
 
 import pcbench
-from pcbench.cli import shared
-from pcbench.cli.render import consistency, recordings, results
-from pcbench.cli.render.tables import Column, Screen, aligned, printed
+from pcbench.cli import lists, shared
+from pcbench.cli.render import recordings, results
+from pcbench.cli.render.tables import Column, Screen, aligned
 from pcbench.controllers import CONTROLLERS
 from pcbench.export.files import Line
 from pcbench.observers import OBSERVERS
@@ -225,7 +225,7 @@ def test_what_stands_before_a_sign_ends_there_and_what_stands_behind_it_begins_t
 def test_where_room_is_scarce_the_least_goes_first(width, left_out):
     columns = [Column("name", ["n" * 20]), Column("less", ["1" * 20], spare=1), Column("least", ["2" * 20], spare=2)]
     console = Screen(file=io.StringIO(), width=width)
-    assert printed("title", columns, console) == left_out
+    assert console.fit("title", columns) == left_out
     text = console.file.getvalue()
     assert [c.head for c in columns if c.cells[0] not in text] == left_out
 
@@ -254,11 +254,10 @@ def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
 @pytest.mark.parametrize("kind", ["observers", "scenarios", "plants", "studies", "axes", "metrics", "choices"])
 def test_everything_there_is_can_be_told_whole(kind):
     from pcbench.cli.catalogue import found
-    from pcbench.cli.render import listing
 
     for name, said in found(kind).items():
         console = Screen(file=io.StringIO(), width=80)
-        listing.whole(name, said, console)
+        lists.print_in_full(name, said, console)
         text = console.file.getvalue()
         assert max(map(len, text.splitlines())) <= 80
         for option, told in said.get("options", {}).items():
@@ -331,7 +330,7 @@ def believed(cells, squares=SQUARES):
 def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exact):
     console, stats = Screen(file=io.StringIO(), width=100), believed(cells)
     stats = stats[~stats.metric.str.endswith("band")] if exact else stats
-    assert consistency.said("cart/slow", stats, console) == [consistency.MEANS]
+    assert results.print_consistency("cart/slow", stats, console) == [results.MEANS]
     text = console.file.getvalue()
     if cells == 30:
         assert "cautious 30" in text
@@ -346,7 +345,7 @@ def test_of_who_believes_nothing_nothing_is_said():
     console = Screen(file=io.StringIO(), width=100)
     nothing, refused = believed(1).iloc[:0], believed(1).assign(mean=np.nan)
     for stats in (nothing, refused):
-        assert consistency.said("cart/slow", stats, console) == []
+        assert results.print_consistency("cart/slow", stats, console) == []
     assert console.file.getvalue() == ""
 
 

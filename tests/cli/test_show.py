@@ -58,7 +58,7 @@ def test_the_sheet_is_what_list_says_and_a_file_of_ones_own_has_one(tmp_path):
     assert shown.returncode == 0
     assert "signal enthalpy [J]: settled within 1000" in shown.stdout
     assert shown.stdout.strip().endswith("pcbench show csth/10s-noise --toml > mine.toml")
-    assert json.loads(call("show", "cart/white", "--json").stdout) == {"cart/white": scenario("cart/white")}
+    assert json.loads(call("show", "cart/white", "--json").stdout) == {"cart/white": scenario(SCENARIOS["cart/white"])}
     own = tmp_path / "mine.toml"
     own.write_text("[scenario]\nbase = 'cart/white'\nnoise_std = 0.125\n")
     assert "noise std: 0.125" in call("show", own).stdout

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
-from pcbench.cli.render import comparison, folder, gains, results, timing
+from pcbench.cli.render import folder, gains, results
 from pcbench.cli.render.tables import Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.timing import Cost
@@ -65,7 +65,7 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
     one |= {"p_holm": 0.002, "same_draws": False, "changed": True, "identical": False}
     one |= {"certified_a": None, "certified_b": True}
     rows = pd.DataFrame([one, one | {"observer": "still", "changed": False}])
-    text = printed(comparison.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
+    text = printed(folder.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
     assert "1 ± 0.4 m" in text
     assert "1.5 ± 0.1 m" in text
     assert "+0.5" in text
@@ -164,7 +164,7 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
     about = {"wall_seconds": 3.0, "runs_added": 8} | spent
 
     def said(cost):
-        return timing.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
+        return results.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
 
     assert said(Cost()) == []
     exact = said(Cost(exact_seconds=1.25))

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from rich.console import Console
 
 import pcbench
-from pcbench.cli.render import comparison, folder, results
+from pcbench.cli.render import folder, results
+from pcbench.cli.render.tables import Screen
 from pcbench.dataset import close, verify
 from pcbench.dataset.compare import compare
 from pcbench.report import headline
@@ -31,7 +31,7 @@ def out(tmp_path_factory):
 
 def shown(show, *what):
     """What a person reads."""
-    console = Console(record=True, width=140)
+    console = Screen(record=True, width=140)
     show(*what, console)
     return console.export_text()
 
@@ -69,7 +69,7 @@ def test_every_table_for_a_person_marks_what_nothing_proves(out):
     state = shown(folder.status, verify.status(out), "out")
     found = compare(out, out)
     rows = found.rows[found.rows.observer != "model-only"].assign(changed=True)  # few enough to be all shown
-    changed = shown(comparison.comparison, found._replace(rows=rows), "there", "here")
+    changed = shown(folder.comparison, found._replace(rows=rows), "there", "here")
     for text in (closing, "\n".join(row["cells"][0] + " " for row in table.rows), state, changed):
         assert "nudge * " in text
         assert "kfbo *" not in text

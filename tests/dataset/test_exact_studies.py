@@ -9,10 +9,10 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from commands import call
-from rich.console import Console
 
 import pcbench
-from pcbench.cli.render import folder, results, timing
+from pcbench.cli.render import folder, results
+from pcbench.cli.render.tables import Screen
 from pcbench.dataset import columns, compare, moments_tables, parquet_io, storage, verify
 from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
@@ -121,7 +121,7 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
         storage.target(copy), moments_tables.NAME, parquet_io.sealed(table.set_column(i, table.schema.field(i), column))
     )
     found, said = verify.verify(copy, None, 0), io.StringIO()
-    folder.verdict(found, "copy", Console(file=said, width=200))
+    folder.verdict(found, "copy", Screen(file=said, width=200))
     assert found.unlike == ["exact.parquet: lti, cell 0: other numbers come out now."]
     assert said.getvalue().splitlines()[-1] == "copy: exact numbers of 1 of 2 cells came out again, to rounding."
 
@@ -154,13 +154,13 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
     (tmp_path / "mine.py").write_text(SIGNED)
     study = STUDY | {"observers": ["kf", "signed"], "custom_observers": {"signed": f"{tmp_path}/mine.py:OBSERVER"}}
     done, shown = pcbench.run(study | {"axes": {}}, evaluation="exact", out=tmp_path / "out"), io.StringIO()
-    results.closing(done, Console(file=shown, width=200), "rmse")
+    results.closing(done, Screen(file=shown, width=200), "rmse")
     html = re.sub(r"<(script|style|svg).*?</\1>", "", page.page(done), flags=re.DOTALL)
     for text in (shown.getvalue(), html):
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
     assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of kf, and of signed"
-    assert timing.sentence(done, "there") == "Exact numbers of one cell are in there."
+    assert results.sentence(done, "there") == "Exact numbers of one cell are in there."
 
 
 @pytest.mark.ci
@@ -169,7 +169,7 @@ def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
     assert moments_tables.whole(storage.target(tmp_path / "out")) is not None
-    said = timing.sentence(result, "out")
+    said = results.sentence(result, "out")
     assert said.startswith("The tables in out are of its runs")
     assert "pcbench verify out --exact" in said
 

@@ -5,11 +5,11 @@ import io
 import jax
 import numpy as np
 import pytest
-from rich.console import Console
 
 import pcbench
 from pcbench import planning
 from pcbench.cli.render import results
+from pcbench.cli.render.tables import Screen
 from pcbench.engine import runner
 from pcbench.papers import arm, arm_table
 from pcbench.planning import run_local
@@ -56,7 +56,7 @@ def test_every_table_says_whether_a_prediction_carries_the_input(done):
 
 @pytest.mark.ci
 def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
-    console = Console(file=io.StringIO(), width=160)
+    console = Screen(file=io.StringIO(), width=160)
     results.closing(done, console, "mae")
     text = console.file.getvalue()
     assert "error of link_velocity [rad/s], 3 seeds" in text

@@ -16,7 +16,7 @@ TEXT = (ROOT / "SECURITY.md").read_text()
 PAGE = PAGES["your_own_observer.md"]
 RUNS = {  # calls that run code of others, and where they may stand
     "exec": ("study/plugins/user_code",),
-    "import_module": ("study/plugins/user_code", "__init__.py", "cli/prefetch.py"),  # of the package's own names
+    "import_module": ("study/plugins/user_code", "__init__.py", "cli/runs.py"),  # of the package's own names
     "loads of pickle": ("dataset/serialize.py",),
     "load of pickle": (),
     "eval": (),

@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 from commands import call
-from rich.console import Console
 
 import pcbench
 from pcbench.cli.render import limits
+from pcbench.cli.render.tables import Screen
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
 from pcbench.limits import seed_growth
@@ -159,7 +159,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
     assert list(ranges.answer[:1]) == ["every value"]
     second = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
     assert second.attrs["between"] == [(0.5, 1.0), (0.05, 0.4)]
-    screen = Console(file=io.StringIO(), width=100)
+    screen = Screen(file=io.StringIO(), width=100)
     limits.frontier(table, screen)
     assert re.search(r"0\.5 +0\.59\b.*\n +1 +0\.29\b", screen.file.getvalue()), screen.file.getvalue()
 

@@ -1,123 +1,129 @@
-"""What stands in a study's folder, and what came of checking it.
+"""What a study's folder holds, what came of checking it and of comparing it with another, and claims with their verdicts."""
 
-What a closing table says besides its numbers, in a sentence each.
-
-What a person reads of a reproduction: claims with their verdicts, paper by paper, and how many of each.
-"""
-
+import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.text import Text
 
-from pcbench.cli.render.tables import titled
+from pcbench.cli.render.tables import Screen
+from pcbench.dataset.compare import Comparison
 from pcbench.dataset.validate_exact import KEY, Checked
 from pcbench.dataset.verify import Status, Verdict
 from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
-from pcbench.plants import settles_alone
-from pcbench.scenarios import Scenario
-from pcbench.statistics.number_format import UNPROVEN, marked
+from pcbench.statistics.number_format import marked
 
 MOST = 8  # lines of a kind
-
-
-def status(found: Status, folder: str, console: Console) -> None:
-    """Print how far a study is."""
-    table = titled(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
-    for head in ("scenario", "observer", "cells", "blocks", "runs", "of", "done"):
-        table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")
-    for s in found.shares:
-        share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
-        name = marked(s.observer, [s.certified])
-        table.add_row(s.scenario, name, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share)
-    console.print(table)
-    if any(s.certified is False for s in found.shares):
-        console.print(f"{UNPROVEN} its gains.", highlight=False)
-    for what, names in (("damaged", found.damaged), ("doubled", found.doubled)):
-        for name in names:
-            console.print(f"{what}: {name}", highlight=False, markup=False, soft_wrap=True)
-    if many := len(found.unfinished):
-        said = "1 unfinished file" if many == 1 else f"{many} unfinished files"
-        console.print(f"{said} of a run that was killed; the next run clears that away.", highlight=False)
-    behind = any(s.seeds < s.wanted for s in found.shares) or found.damaged or found.doubled
-    end = "Every run is there, with its statistics." if found.closed and not behind else "Run the study again to go on."
-    console.print(end, highlight=False)
-
-
-def verdict(found: Verdict, folder: str, console: Console) -> None:
-    """Print what a verification found."""
-    for sentence in [*found.wrong, *found.differing, *found.unlike]:
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    wrong = f"{len(found.wrong)} complaint" + ("s" if len(found.wrong) > 1 else "")
-    files = f"{found.files} blocks, {wrong}" if found.wrong else f"all {found.files} blocks are whole"
-    many = len(found.recomputed)
-    again = (
-        f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
-    )
-    if found.files or found.wrong or not found.exact:
-        console.print(f"{folder}: {files}; {again}.", highlight=False)
-    if many := len(found.exact):
-        said = f"exact numbers of {many - len(found.unlike)} of {many} cells came out again, to rounding"
-        console.print(f"{folder}: {said}.", highlight=False)
-
-
-def against_exact(found: Checked, console: Console) -> None:
-    """Print the verdict on simulated means, those that are off, and why others could not be compared."""
-    worst = found.wrong.assign(size=found.wrong.z.abs()).sort_values("size", ascending=False)
-    for row in worst.head(MOST).to_dict("records"):
-        where = ", ".join(str(row[name]) for name in KEY)
-        line = f"{where}: {row['mean']:.6g} ± {row['se']:.2g}, exact {row['exact']:.6g}, z = {row['z']:.3g}"
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    for sentence in found.refused[:MOST]:
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    if len(found.refused) > MOST:
-        console.print(f"... and {len(found.refused) - MOST:,} more that have no exact value.", highlight=False)
-    console.print(found.verdict, highlight=False, markup=False, soft_wrap=True)
-
-
-def carried(stats: pd.DataFrame, console: Console) -> None:
-    """Say which predictions to the present carry the unknown input that was found."""
-    said = stats[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
-    for carries, text in ((True, "carries"), (False, "does not carry")):
-        names = ", ".join(dict.fromkeys(said.observer[said.predicts_unknown_input == carries]))
-        if names:
-            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
-
-
-def settles(scenario: Scenario, axes: list[str], console: Console) -> None:
-    """Say where no observer is needed: on a plant that is known exactly and forgets its start."""
-    pushed = any(axis in ("parameter_drift", "process_std") or axis.startswith("plant.") for axis in axes)
-    if not pushed and settles_alone(scenario):
-        console.print(
-            f"{scenario.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
-            "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std).",
-            highlight=False,
-        )
-
-
+LONGEST = 40  # rows of a comparison; the rest is counted
 STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
 
 
-def claims(title: str, rows: list[Claim], console: Console) -> None:
+def status(found: Status, folder: str, screen: Screen) -> None:
+    """Print how far a study is."""
+    numbers = ("cells", "blocks", "runs", "of", "done")
+    rows = []
+    for s in found.shares:
+        share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
+        name = marked(s.observer, [s.certified])
+        rows.append((s.scenario, name, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share))
+    title = f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB"
+    screen.fold(title, ("scenario", "observer", *numbers), rows, right=numbers)
+    screen.say_unproven(s.certified for s in found.shares)
+    screen.say(*(f"damaged: {name}" for name in found.damaged), *(f"doubled: {name}" for name in found.doubled))
+    if many := len(found.unfinished):
+        files = "1 unfinished file" if many == 1 else f"{many} unfinished files"
+        screen.print(f"{files} of a run that was killed; the next run clears that away.")
+    behind = any(s.seeds < s.wanted for s in found.shares) or found.damaged or found.doubled
+    screen.print(
+        "Every run is there, with its statistics." if found.closed and not behind else "Run the study again to go on."
+    )
+
+
+def verdict(found: Verdict, folder: str, screen: Screen) -> None:
+    """Print what a verification found."""
+    screen.say(*found.wrong, *found.differing, *found.unlike)
+    wrong = f"{len(found.wrong)} complaint" + ("s" if len(found.wrong) > 1 else "")
+    files = f"{found.files} blocks, {wrong}" if found.wrong else f"all {found.files} blocks are whole"
+    many, exact = len(found.recomputed), len(found.exact)
+    equal = (
+        f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
+    )
+    if found.files or found.wrong or not exact:
+        screen.print(f"{folder}: {files}; {equal}.")
+    if exact:
+        equal = f"{exact - len(found.unlike)} of {exact}"
+        screen.print(f"{folder}: exact numbers of {equal} cells came out again, to rounding.")
+
+
+def against_exact(found: Checked, screen: Screen) -> None:
+    """Print the verdict on simulated means, those that are off, and why others could not be compared."""
+    worst = found.wrong.assign(size=found.wrong.z.abs()).sort_values("size", ascending=False)
+    for row in worst.head(MOST).to_dict("records"):
+        at = ", ".join(str(row[name]) for name in KEY)
+        screen.say(f"{at}: {row['mean']:.6g} ± {row['se']:.2g}, exact {row['exact']:.6g}, z = {row['z']:.3g}")
+    screen.say(*found.refused[:MOST])
+    if len(found.refused) > MOST:
+        screen.print(f"... and {len(found.refused) - MOST:,} more that have no exact value.")
+    screen.say(found.verdict)
+
+
+def comparison(found: Comparison, a: str, b: str, screen: Screen) -> None:
+    """Print what differs in how two results were made, what changed beyond its interval, and what to make of the rest."""
+    for phrase in found.made_by:
+        screen.print(phrase)
+    changed = found.rows[found.rows.changed]
+    if len(changed):
+        _changes(changed.head(LONGEST), f"changed beyond its interval: {a} there, {b} here", screen)
+    if len(changed) > LONGEST:
+        screen.print(f"... and {len(changed) - LONGEST:,} rows more that changed.")
+    for side, many in zip((a, b), found.only, strict=True):
+        if many:
+            screen.print(f"{many:,} rows stand in {side} alone.")
+    every, same = len(found.rows), int(found.rows.same_draws.sum())
+    if same:
+        equal = "bit for bit equal" if found.identical else f"apart by at most {found.largest:.1e} of themselves"
+        narrowed = int(found.rows.narrowed.sum()) if found.rows.narrowed.any() else 0
+        equal += f", {narrowed:,} of them over the seeds that both hold" if narrowed else ""
+        rest = f"; {every - same:,} on other draws, compared by Welch's t" if same < every else ""
+        screen.print(f"{same:,} rows stand on the same draws: {equal}{rest}.")
+    else:
+        screen.print(f"All {every:,} rows stand on other draws: compared by Welch's t, Holm over all of them, 5 %.")
+    screen.print(f"{found.changed:,} of {every:,} rows changed beyond their interval.")
+
+
+def _changes(rows: pd.DataFrame, title: str, screen: Screen) -> None:
+    def mean(value: float, se: float, unit: str) -> str:
+        if np.isnan(value):
+            return "-"
+        return f"{value:.5g}" + (f" ± {2 * se:.1g}" if se > 0 else "") + (f" {unit}" if unit else "")
+
+    texts = []
+    for r in rows.to_dict("records"):
+        sides = [mean(r[f"mean_{side}"], r[f"se_{side}"], r["unit"]) for side in "ab"]
+        p = "no spread" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}"
+        observer = marked(r["observer"], [r["certified_a"], r["certified_b"]])
+        names = (r["scenario"], r["where"], observer, r["signal"], r["metric"])
+        texts.append((*names, *sides, f"{r['difference']:+.3g}", p))
+    numbers = ("there", "here", "difference", "p (Holm)")
+    screen.fold(title, ("scenario", "cell", "observer", "signal", "metric", *numbers), texts, right=numbers)
+    screen.say_unproven(rows[["certified_a", "certified_b"]].to_numpy().ravel())
+
+
+def claims(title: str, rows: list[Claim], screen: Screen) -> None:
     """Print printed against reproduced, line by line."""
-    table = titled(title)
-    for head in ("claim", "printed", "reproduced", "verdict"):
-        table.add_column(head, overflow="fold")
-    for row in rows:
-        table.add_row(row.claim, row.printed, row.reproduced, Text(row.verdict, STYLES[row.verdict]))
-    console.print(table)
-    console.print(summary(rows), highlight=False)
+    texts = [(row.claim, row.printed, row.reproduced, Text(row.verdict, STYLES[row.verdict])) for row in rows]
+    screen.fold(title, ("claim", "printed", "reproduced", "verdict"), texts)
+    screen.print(summary(rows))
 
 
-def every(found: dict[str, list[Claim]], titles: dict[str, str], console: Console) -> None:
+def every(found: dict[str, list[Claim]], titles: dict[str, str], screen: Screen) -> None:
     """Print the claims of all papers, and how many of each verdict over all."""
     for name, rows in found.items():
-        claims(titles[name], rows, console)
-    whole = [row for rows in found.values() for row in rows]
-    console.print(f"All {len(found)} papers: {summary(whole)}", style="bold", highlight=False)
+        claims(titles[name], rows, screen)
+    total = summary([row for rows in found.values() for row in rows])
+    screen.print(f"All {len(found)} papers: {total}", style="bold")
 
 
 def summary(rows: list[Claim]) -> str:
     """Return how many of each verdict, in a sentence."""
     many = counts(rows)
-    said = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
-    return f"{sum(many[name] for name in VERDICTS)} claims: {said}; {many[FINDING]} findings that stand in no paper."
+    each = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
+    return f"{sum(many[name] for name in VERDICTS)} claims: {each}; {many[FINDING]} findings that stand in no paper."

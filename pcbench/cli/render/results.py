@@ -1,22 +1,26 @@
-"""A study's results in the terminal: who is better, by how much, and how surely. Heads are the names that the tables use."""
+"""A study's results in the terminal: who is better, by how much, and how surely. Heads are the names that the tables use.
+
+Then which observers know how wrong they are, and what the run took.
+"""
 
 from collections import Counter
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
-from pcbench.cli.render import consistency, folder
-from pcbench.cli.render.tables import Column, fits, printed
+from pcbench.cli.render.tables import Column, Screen, plain
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
+from pcbench.limits.search import settles_sentence
 from pcbench.scenarios import Scenario
+from pcbench.statistics.consistency import BANDS, Band, exact_band, verdict
 from pcbench.statistics.number_format import as_good, difference, fraction, interval, marked
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
 from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
+LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
 # least first, where there are such
 BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency")
 COST = ("sample", "tick", "memory")  # what observers cost
@@ -25,6 +29,12 @@ PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Hol
 EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
 COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
+SQUARE = "signal_nees"  # of the closing table
+SQUARES = ("nees", "nis")  # of the table below it
+MEANS = (
+    "nees is the squared error over what the observer believes, nis the same of samples beyond what it expected; beside them "
+    "where they lie in 95 of 100 studies if it is right."
+)
 
 
 class View(NamedTuple):
@@ -52,11 +62,7 @@ class View(NamedTuple):
 
 
 def closing(
-    result: Result,
-    console: Console,
-    metric: str,
-    signals: list[str] | None = None,
-    costs: pd.DataFrame | None = None,
+    result: Result, screen: Screen, metric: str, signals: list[str] | None = None, costs: pd.DataFrame | None = None
 ) -> None:
     """Print who was better and how surely, the least mean `metric` first; with `costs`, what observers cost.
 
@@ -65,162 +71,231 @@ def closing(
     stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
     metric = result.ranks(metric)
     notes: dict[str, None] = {}
-    for name, whole in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
-        there = list(dict.fromkeys(whole.signal))
-        chosen = (known[name].scoring.headline or there[:1]) if signals is None else signals or there
-        for signal in [s for s in chosen if s in there]:
-            part = whole[whole.signal == signal]
+    for name, rows in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
+        existing = list(dict.fromkeys(rows.signal))
+        chosen = (known[name].scoring.headline or existing[:1]) if signals is None else signals or existing
+        for signal in [s for s in chosen if s in existing]:
+            part = rows[rows.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            shown = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
+            view = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
-                console.print(f"{name}: has no {metric} of {signal}.", highlight=False)
-            elif part.cell.nunique() * part.observer.nunique() > LONGEST:
-                notes |= dict.fromkeys(_counted(shown, console))
+                screen.print(f"{name}: has no {metric} of {signal}.")
             else:
-                notes |= dict.fromkeys(_tables(shown, console))
-        folder.carried(whole, console)
-        notes |= dict.fromkeys(consistency.said(name, whole, console))
-        if said := result.unproven(name):
-            console.print(said, highlight=False, markup=False, soft_wrap=True)
-        folder.settles(known[name], list(result.study.axes), console)
+                many = part.cell.nunique() * part.observer.nunique() > LONGEST
+                notes |= dict.fromkeys((_count_wins if many else _print_cells)(view, screen))
+        carries = rows[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
+        for yes, text in ((True, "carries"), (False, "does not carry")):
+            if names := ", ".join(dict.fromkeys(carries.observer[carries.predicts_unknown_input == yes])):
+                screen.print(f"The prediction to now {text} the unknown input found: {names}.")
+        notes |= dict.fromkeys(print_consistency(name, rows, screen))
+        screen.say(*filter(None, [result.unproven(name)]))
+        if sentence := settles_sentence(known[name], result.study.axes):
+            screen.print(sentence)
     for note in [*notes, *([COSTS] if costs is not None else [])]:
-        console.print(note, highlight=False, markup=False)
+        screen.print(note)
 
 
-def _varying(part: pd.DataFrame) -> list[str]:
-    first = list(part.columns).index("cell") + 1
-    axes = list(part.columns)[first : list(part.columns).index("signal")]
-    return [a for a in axes if part[a].astype(str).nunique() > 1]
-
-
-def _tables(shown: View, console: Console) -> list[str]:
+def _print_cells(view: View, screen: Screen) -> list[str]:
     """Print the cells in one table, or where that is too wide each in its own; return what a reader has to know of them."""
-    axes = _varying(shown.stats)
-    cells = [cell for _, cell in shown.stats.groupby("cell", sort=True)]
-    columns = _columns(shown, cells, axes)
-    groups = [(shown.title, cells, columns)]
-    if axes and not fits(columns, console):
-        at = [", ".join(f"{a} = {_axis(cell[a].iloc[0])}" for a in axes) for cell in cells]
+    names = list(view.stats.columns)
+    varied = names[names.index("cell") + 1 : names.index("signal")]
+    axes = [a for a in varied if view.stats[a].astype(str).nunique() > 1]
+    cells = [cell for _, cell in view.stats.groupby("cell", sort=True)]
+    groups = [(view.title, cells, _columns(view, cells, axes))]
+    if axes and not screen.fits(groups[0][2]):
+        at = [", ".join(f"{a} = {_axis_value(cell[a].iloc[0])}" for a in axes) for cell in cells]
         groups = [
-            (f"{shown.title}, {where}", [cell], _columns(shown, [cell], []))
-            for where, cell in zip(at, cells, strict=True)
+            (f"{view.title}, {place}", [cell], _columns(view, [cell], []))
+            for place, cell in zip(at, cells, strict=True)
         ]
     left_out: dict[str, None] = {}
-    for title, mine, each in groups:
-        left_out |= dict.fromkeys(printed(title, each, console, [cell.observer.nunique() for cell in mine]))
-    paired = [PAIRED] if any(cell.observer.nunique() > 1 for cell in cells) else []
-    exact = shown.stats.method.eq("exact").any()
-    half = [EXACT] if exact else []
-    if not exact or shown.stats.method.eq("runs").any():
-        half.append(HALF)
-    return [
-        *half,
-        *(paired if not exact else []),
-        *([f"Left out for want of room: {', '.join(left_out)}."] if left_out else []),
-    ]
+    for title, group, columns in groups:
+        left_out |= dict.fromkeys(screen.fit(title, columns, [cell.observer.nunique() for cell in group]))
+    methods = set(view.stats.method)
+    notes = [EXACT] if "exact" in methods else []
+    notes += [HALF] if methods != {"exact"} else []
+    if "exact" not in methods and any(cell.observer.nunique() > 1 for cell in cells):
+        notes.append(PAIRED)
+    return notes + ([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])
 
 
-def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
+def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
     """The columns of some cells, best observers first: what ranks them, by how much, and what else there is."""
-    metric, there = shown.metric, set(shown.stats.metric)
-    filled = set(shown.stats.metric[shown.stats["mean"].notna()])
-    exact = ["pooled_rmse"] if "rmse" in there - filled else []
-    beside = [m for m in (*exact, *BESIDE, consistency.HEAD) if m in filled and m != metric]
-    values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence_rate")}
+    metric, costs = view.metric, view.costs
+    filled = set(view.stats.metric[view.stats["mean"].notna()])
+    exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - filled else []
+    beside = [m for m in (*exact, *BESIDE, SQUARE) if m in filled and m != metric]
+    cost = COST if costs is not None else ()
+    values: dict[str, list[str]] = {
+        name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence_rate", *cost)
+    }
     bold: set[int] = set()
     for cell in cells:
-        wide = cell.set_index(["observer", "metric"])
-        met = shown.pairs[shown.pairs.cell == cell.cell.iloc[0]]
+        number, wide = cell.cell.iloc[0], cell.set_index(["observer", "metric"])
+        met = view.pairs[view.pairs.cell == number]
         found = standing(cell[cell.metric == metric], met)
-        order = found.order
-        for observer in order:
-            best = observer == order[0]
-            for axis in axes:
-                values[axis].append(_axis(cell[axis].iloc[0]) if best else "")
-            name = marked(observer, [wide.loc[(observer, metric), "certified"]])
-            values["observer"].append(name)
-            bold |= {len(values["observer"]) - 1} if observer in found.leaders else set()
-            values[metric].append(interval(wide.loc[observer, metric]))
-            values[LESS].append("" if best else difference(met, observer, order[0]))
-            for name in beside:
-                values[name].append(_beside(wide, observer, name, shown.scenario.duration))
-            values["divergence_rate"].append(fraction(wide.loc[observer, "divergence_rate"]))
-            for name in COST if shown.costs is not None else ():
-                values.setdefault(name, []).append(_cost(shown.costs, cell.cell.iloc[0], observer, name))
-    lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
+        for observer in found.order:
+            best = observer == found.order[0]
+            if observer in found.leaders:
+                bold.add(len(values["observer"]))
+            row = {axis: _axis_value(cell[axis].iloc[0]) if best else "" for axis in axes}
+            row["observer"] = marked(observer, [wide.loc[(observer, metric), "certified"]])
+            row[metric] = interval(wide.loc[observer, metric])
+            row[LESS] = "" if best else difference(met, observer, found.order[0])
+            row |= {name: _beside(wide, observer, name, view.scenario.duration) for name in beside}
+            row["divergence_rate"] = fraction(wide.loc[observer, "divergence_rate"])
+            if costs is not None:
+                counts = costs[(costs.cell == number) & (costs.observer == observer)]
+                row |= {name: f"{counts[name].iloc[0]:,}" if len(counts) else "" for name in cost}
+            for name, text in row.items():
+                values[name].append(text)
+
+    def head(name: str) -> str:
+        """A metric's name, with its unit where that is not the signal's, and what it is of its runs if that is no mean."""
+        own = unit_of(name, view.unit)
+        unit = f" [{own}]" if own not in (view.unit, "1") else ""
+        return f"median\n{name}{unit}" if name == "settling_time" and name != metric else name + unit
+
     columns = [Column(axis, values[axis]) for axis in axes]
-    columns += [
-        Column("observer", values["observer"], left=True, bold=frozenset(bold)),
-        Column(_head(shown, metric), values[metric]),
-    ]
-    columns += [Column(LESS, values[LESS])] if several else []
-    columns += [Column("diverged", values["divergence_rate"])] if lost else []
-    columns += [Column(name, values[name]) for name in COST if name in values]
+    columns.append(Column("observer", values["observer"], left=True, bold=frozenset(bold)))
+    columns.append(Column(head(metric), values[metric]))
+    columns += [Column(LESS, values[LESS])] if len(set(values["observer"])) > 1 else []
+    columns += [Column("diverged", values["divergence_rate"])] if view.stats.diverged.any() else []
+    columns += [Column(name, values[name]) for name in cost]
     return columns + [
-        Column(_head(shown, name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
+        Column(head(name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
     ]
 
 
-def _cost(costs: Any, cell: int, observer: str, name: str) -> str:
-    mine = costs[(costs.cell == cell) & (costs.observer == observer)]
-    return f"{mine[name].iloc[0]:,}" if len(mine) else ""
-
-
-def _head(shown: View, metric: str) -> str:
-    """A metric's name, with its unit where that is not the signal's, and what it is of its runs where that is no mean."""
-    own = unit_of(metric, shown.unit)
-    unit = f" [{own}]" if own not in (shown.unit, "1") else ""
-    return f"median\n{metric}{unit}" if metric == "settling_time" and metric != shown.metric else metric + unit
-
-
-def _beside(wide: Any, observer: str, metric: str, horizon: float) -> str:
+def _beside(wide: pd.DataFrame, observer: str, metric: str, horizon: float) -> str:
     if (observer, metric) not in wide.index:
         return ""
-    if metric == consistency.HEAD:
-        return consistency.judged(wide, observer, metric)
+    if metric == SQUARE:
+        return _judgement(wide, observer, metric)
     row = wide.loc[observer, metric]
     return settled(row, horizon) if metric == "settling_time" else interval(row)
 
 
 def settled(row: Any, horizon: float) -> str:
-    """The median settling time; 'never' where most runs were outside their band at the end."""
-    return "-" if np.isnan(row["p50"]) else "never" if row["p50"] >= horizon else f"{row['p50']:.3g}"
+    """Return the median settling time; 'never' where most runs were outside their band at the end."""
+    return "never" if row["p50"] >= horizon else plain(row["p50"], ".3g")
 
 
-def _axis(value: Any) -> str:
+def _axis_value(value: object) -> str:
     """A value of an axis; one for each channel with commas."""
     return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
 
 
-def _counted(shown: View, console: Console) -> list[str]:
+def _count_wins(view: View, screen: Screen) -> list[str]:
     """Print how many cells each observer wins; return what a reader has to know."""
-    part, metric = shown.stats[shown.stats.metric == shown.metric], shown.metric
-    met = by_cell(shown.pairs)
+    part, metric, name = view.stats[view.stats.metric == view.metric], view.metric, view.scenario.name
+    met = by_cell(view.pairs)
     leaders = [stood(rows, met.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
     won = Counter(each[0] for each in leaders if len(each) == 1)
-    led = Counter(name for each in leaders for name in each)
-    each = part.groupby("observer", sort=False)
-    order = sorted(each, key=lambda item: (-won[str(item[0])], np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
-    unit = unit_of(metric, part.unit.iloc[0])
+    led = Counter(observer for each in leaders for observer in each)
+    rows = [(str(observer), own, own["mean"].median()) for observer, own in part.groupby("observer", sort=False)]
+    rows.sort(key=lambda row: (-won[row[0]], np.nan_to_num(row[2], nan=np.inf)))
     columns = [
-        Column("observer", [marked(str(name), mine.certified) for name, mine in order], left=True),
-        Column("cells won", [str(won[str(name)]) for name, _ in order]),
-        Column("as good as\nthe best", [str(led[str(name)]) for name, _ in order]),
-        Column(
-            f"median {metric} [{unit}]",
-            ["-" if np.isnan(m := mine["mean"].median()) else f"{m:.4g}" for _, mine in order],
-        ),
+        Column("observer", [marked(o, own.certified) for o, own, _ in rows], left=True),
+        Column("cells won", [str(won[o]) for o, _, _ in rows]),
+        Column("as good as\nthe best", [str(led[o]) for o, _, _ in rows]),
+        Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),
     ]
-    if part.diverged.any():
-        lost = [f"{100 * m.diverged.sum() / (m.n + m.diverged).sum():.3g} %" for _, m in order]
-        columns.append(Column("runs diverged", lost))
-    cells = part.cell.nunique()
-    signal, fewest = part.signal.iloc[0], " among those with fewest diverged runs" if part.diverged.any() else ""
-    title = f"{shown.scenario.name}: least {metric} of {signal}{fewest}, over {cells:,} cells"
-    printed(title, columns, console)
+    lost = part.diverged.any()
+    if lost:
+        shares = [100 * own.diverged.sum() / (own.n + own.diverged).sum() for _, own, _ in rows]
+        columns.append(Column("runs diverged", [f"{share:.3g} %" for share in shares]))
+    cells, fewest = part.cell.nunique(), " among those with fewest diverged runs" if lost else ""
+    screen.fit(f"{name}: least {metric} of {part.signal.iloc[0]}{fewest}, over {cells:,} cells", columns)
     names, most = most_often(leaders)
     return [
         f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); "
         f"{cells - won.total():,} of {cells:,} cells have no winner.",
-        *([f"{shown.scenario.name}: {as_good(names, most, cells)}."] if most and not won else []),
+        *([f"{name}: {as_good(names, most, cells)}."] if most and not won else []),
     ]
+
+
+def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[str]:
+    """Print whether errors and samples are what observers with a covariance believe; return what a reader has to know."""
+    part = stats[stats.metric.isin([*SQUARES, *(BANDS[m] for m in SQUARES)])]
+    by_observer = ["observer", "metric"]
+    cells = [
+        (str(c), r.drop_duplicates(by_observer).set_index(by_observer)) for c, r in part.groupby("cell", sort=False)
+    ]
+    rows = [(cell, o, wide) for cell, wide in cells for o in dict.fromkeys(wide.index.get_level_values("observer"))]
+    judged = {metric: [_judgement(wide, o, metric) for _, o, wide in rows] for metric in SQUARES}
+    if not any(text for texts in judged.values() for text in texts):
+        return []
+    names = [o for _, o, _ in rows]
+    columns = [Column("cell", [cell for cell, _, _ in rows])] if len(cells) > 1 else []
+    columns.append(Column("observer", names, left=True))
+    if len(rows) > LONGEST_CONSISTENCY:
+        columns = [Column("observer", list(dict.fromkeys(names)), left=True)]
+    for metric, texts in judged.items():
+        if len(rows) > LONGEST_CONSISTENCY:
+            words: dict[str, Counter[str]] = {o: Counter() for o in names}
+            for o, text in zip(names, texts, strict=True):
+                words[o].update(filter(None, [text.partition(" ")[2]]))
+            counts = [", ".join(f"{word} {n}" for word, n in each.most_common()) for each in words.values()]
+            columns.append(Column(f"{metric}: cells", counts, left=True))
+        else:
+            bands = [_band(wide, o, metric) for _, o, wide in rows]
+            around = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
+            columns.append(Column(metric, [t and t + a for t, a in zip(texts, around, strict=True)], left=True))
+    screen.fit(f"{name}: who knows how wrong it is", [c for c in columns if any(c.cells)])
+    return [MEANS]
+
+
+def _judgement(wide: Any, observer: str, metric: str) -> str:
+    """A mean normalised square with its verdict, of rows by observer and metric; empty where there is none."""
+    if (observer, metric) not in wide.index or np.isnan(found := wide.loc[(observer, metric), "mean"]):
+        return ""
+    return f"{found:.3g} {verdict(found, _band(wide, observer, metric))}"
+
+
+def _band(wide: Any, observer: str, metric: str) -> Band:
+    """Where the mean lies of a true covariance; of what is exact at 1."""
+    if (observer, BANDS[metric]) not in wide.index:
+        return exact_band()
+    row = wide.loc[(observer, BANDS[metric])]
+    return Band(row["ci_low"], row["ci_high"])
+
+
+def sentence(result: Result, folder: str) -> str:
+    """Return what a run took, in a sentence."""
+    p = result.provenance
+    if not result.cost.runs and result.exact and not p["blocks"]:
+        cells = result.stats.groupby(["scenario", "cell"]).ngroups
+        return f"Exact numbers of {'one cell' if cells == 1 else f'{cells:,} cells'} are in {folder}."
+    if result.study.evaluation == "exact" and not result.exact:
+        if p["blocks"] and result.stats.reason.isna().any():
+            return (
+                f"The tables in {folder} are of its runs, which stay; exact moments stand beside them: hold them together with "
+                f"pcbench verify {folder} --exact, or give another folder with --out for tables of exact numbers."
+            )
+        return f"No number in {folder} is exact: its tables say why, in the column reason of stats."
+    if not result.cost.runs:
+        return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
+    spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
+    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."
+
+
+def timings(result: Result, seconds: float) -> list[str]:
+    """Return where the time of a run went, a line each; `seconds` since the command began."""
+    p, cost = result.provenance, result.cost
+    if not cost.runs and not cost.exact_seconds:
+        return []
+    before = max(seconds - p["wall_seconds"], 0.0)
+    rows = [("from the command to the study", before, "imports, reading, designs that are tuned")]
+    if cost.exact_seconds:
+        rows.append(("exact numbers", cost.exact_seconds, "planning, solving and writing them"))
+    if cost.runs:
+        programs = f"on all threads, {p['compile_seconds']:.1f} s of it making programs"
+        rows += [
+            ("planning", p["planning_seconds"], "designs, schedules, bounds"),
+            ("computing", p["computing_seconds"], programs),
+            ("writing", p["writing_seconds"], "on all threads"),
+            ("closing tables, beside", p["closing_seconds"], "while others compute"),
+        ]
+    rows.append(("the study in all", p["wall_seconds"], f"{p['runs_added']:,} runs" if cost.runs else ""))
+    return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, took, how in rows]

@@ -4,8 +4,8 @@ What a program reads: arrays, complex numbers and tuples as JSON.
 """
 
 import json
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -14,6 +14,17 @@ from rich.table import Table
 from rich.text import Text
 
 from pcbench.errors import printable
+from pcbench.statistics.number_format import UNPROVEN, estimate, marked
+
+
+class Column(NamedTuple):
+    """A column of a table that fits: it goes before those of a lower `spare`; one of 0 stays."""
+
+    head: str
+    cells: Sequence[str]
+    spare: int = 0
+    left: bool = False  # text, not numbers
+    bold: frozenset[int] = frozenset()  # numbers of the rows in which it is
 
 
 class Screen(Console):
@@ -23,55 +34,71 @@ class Screen(Console):
     """
 
     def __init__(self, **given: Any):
-        super().__init__(markup=False, emoji=False, **given)
+        super().__init__(markup=False, emoji=False, highlight=False, **given)
 
     def render_str(self, text: str, **given: Any) -> Text:
         """Return a text with its own line breaks."""
         return super().render_str(printable(text, but="\n"), **given)
 
+    def say(self, *sentences: str) -> None:
+        """Print sentences, each on a line that the terminal breaks, so that it can be copied as one."""
+        for sentence in sentences:
+            self.print(sentence, soft_wrap=True)
 
-class Column(NamedTuple):
-    """A column of a table that fits: it goes before those of a lower `spare`; one of 0 stays."""
+    def say_unproven(self, certified: Iterable[object]) -> None:
+        """Say what the mark behind a name means, where one stands."""
+        if marked("", certified):
+            self.print(f"{UNPROVEN} its gains.")
 
-    head: str
-    cells: list[str]
-    spare: int = 0
-    left: bool = False  # text, not numbers
-    bold: frozenset[int] = frozenset()  # numbers of the rows in which it is
+    def fold(
+        self,
+        title: str,
+        heads: Iterable[str],
+        rows: Iterable[Sequence[str | Text]],
+        right: Iterable[str] = (),
+        no_wrap: Iterable[str] = (),
+    ) -> None:
+        """Print a table below its title, whose texts are folded where the terminal is narrow."""
+        table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        for head in heads:
+            side: Literal["right", "left"] = "right" if head in right else "left"
+            table.add_column(head, justify=side, overflow="fold", no_wrap=head in no_wrap)
+        for row in rows:
+            table.add_row(*row)
+        self.print(table)
 
+    def fit(self, title: str, columns: list[Column], sections: list[int] | None = None) -> list[str]:
+        """Print a table as wide as the terminal at most, below its title; return the heads of the columns left out for it.
 
-def titled(title: str) -> Table:
-    """Return an empty table with its title."""
-    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        `sections` are the numbers of rows between which a line stands.
+        """
+        shown, out = list(columns), []
+        while self._needs(table := _table(shown, sections)) > self.width:
+            spare = max(shown, key=lambda c: c.spare)
+            if not spare.spare:
+                break
+            shown.remove(spare)
+            out.append(spare.head.replace("\n", " "))
+        self.print(title, style="italic")
+        self.print(table)
+        return out[::-1]
 
+    def fits(self, columns: list[Column]) -> bool:
+        """Say whether the columns that stay are no wider than the terminal."""
+        return self._needs(_table([c for c in columns if not c.spare], None)) <= self.width
 
-def printed(title: str, columns: list[Column], console: Console, sections: list[int] | None = None) -> list[str]:
-    """Print a table as wide as the terminal at most, below its title; return the heads of the columns left out for it.
-
-    `sections` are the numbers of rows between which a line stands.
-    """
-    shown, out = list(columns), []
-    while width(table := _table(shown, sections), console) > console.width:
-        spare = max(shown, key=lambda c: c.spare)
-        if not spare.spare:
-            break
-        shown.remove(spare)
-        out.append(spare.head.replace("\n", " "))
-    console.print(title, style="italic", highlight=False, markup=False)
-    console.print(table)
-    return out[::-1]
-
-
-def fits(columns: list[Column], console: Console) -> bool:
-    """Say whether the columns that stay are no wider than the terminal."""
-    return width(_table([c for c in columns if not c.spare], None), console) <= console.width
+    def _needs(self, table: Table) -> int:
+        """The columns of the terminal that a table needs so that nothing of it is cut."""
+        return Measurement.get(self, self.options.update_width(10_000), table).maximum
 
 
 def _table(columns: list[Column], sections: list[int] | None) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in columns:
-        table.add_column(column.head, justify="left" if column.left else "right", overflow="fold", no_wrap=True)
-    rows = list(zip(*(_cells(c) for c in columns), strict=True))
+    table, cells = Table(box=SIMPLE_HEAD, pad_edge=False), []
+    for c in columns:
+        table.add_column(c.head, justify="left" if c.left else "right", overflow="fold", no_wrap=True)
+        texts = c.cells if c.left else aligned(c.cells)
+        cells.append([Text(printable(text), "bold") if i in c.bold else text for i, text in enumerate(texts)])
+    rows = list(zip(*cells, strict=True))
     for many in sections or [len(rows)]:
         for row in rows[:many]:
             table.add_row(*row)
@@ -80,17 +107,7 @@ def _table(columns: list[Column], sections: list[int] | None) -> Table:
     return table
 
 
-def _cells(column: Column) -> list[str | Text]:
-    cells = column.cells if column.left else aligned(column.cells)
-    return [Text(printable(cell), "bold") if i in column.bold else cell for i, cell in enumerate(cells)]
-
-
-def width(table: Table, console: Console) -> int:
-    """Return the columns of the terminal that a table needs so that nothing of it is cut."""
-    return Measurement.get(console, console.options.update_width(10_000), table).maximum
-
-
-def aligned(cells: list[str], at: str = " ± ") -> list[str]:
+def aligned(cells: Sequence[str], at: str = " ± ") -> list[str]:
     """Return numbers with their intervals aligned at the sign, so that both can be read down."""
     parts = [cell.partition(at) for cell in cells]
     left = max((len(a) for a, sign, _ in parts if sign), default=0)
@@ -102,22 +119,30 @@ def aligned(cells: list[str], at: str = " ± ") -> list[str]:
     ]
 
 
-def readable(content: Any) -> str:
+def plain(value: float | None, form: str = ".4g") -> str:
+    """Return a number; '-' where there is none."""
+    return "-" if value is None or value != value else f"{value:{form}}"
+
+
+def mean(value: float, se: float, sign: str = "") -> str:
+    """Return a mean with two standard errors."""
+    return estimate(value, value - 2 * se, value + 2 * se, sign)
+
+
+def readable(content: object) -> str:
     """Return arrays, complex numbers and tuples as readable JSON."""
 
-    def plain(value: Any) -> Any:
+    def data(value: Any) -> Any:
         if hasattr(value, "tolist"):
-            return plain(value.tolist())
+            return data(value.tolist())
         if isinstance(value, complex):
             return {"real": value.real, "imag": value.imag}
         if isinstance(value, Mapping):
-            return {str(k): plain(v) for k, v in value.items()}
+            return {str(k): data(v) for k, v in value.items()}
         if isinstance(value, tuple | list):
-            return [plain(v) for v in value]
+            return [data(v) for v in value]
         if isinstance(value, float) and value != value:
             return None
-        if value in (float("inf"), float("-inf")):
-            return str(value)
-        return value
+        return str(value) if value in (float("inf"), float("-inf")) else value
 
-    return json.dumps(plain(content), indent=2)
+    return json.dumps(data(content), indent=2)
