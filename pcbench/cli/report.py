@@ -62,12 +62,12 @@ def report(
         progress = stoppable(drawn)
         if figures is not None:
             from pcbench.dataset.result import open_result
-            from pcbench.report import export_figures
+            from pcbench.report import figures as pictures
 
-            kinds = export_figures.kinds_of("svg,pdf,png" if formats is None else formats)
+            kinds = pictures.kinds_of("svg,pdf,png" if formats is None else formats)
             given: dict[str, Any] = {"width": width, "size": size, "font": font}
             paper = PAPER._replace(**{name: value for name, value in given.items() if value is not None}).checked()
-            written = export_figures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
+            written = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
             where, said = figures, f"{len(written)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
         else:
             from pcbench.report import page

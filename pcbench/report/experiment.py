@@ -21,22 +21,13 @@ from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent
 
-TOLD = (  # fields of which is said that they are not as published
-    *(
-        "x0",
-        "sampling_period",
-        "delay",
-        "noise_std",
-        "process_std",
-        "parameter_drift",
-        "sampling_pattern",
-        "sampling_jitter",
-        "delay_jitter",
-        *("delay_values", "delay_sequence", "delay_gamma_mean", "loss", "quantization_step"),
-    ),
-    *("input", "unknown_input", "actuator_delay", "assumed_delay_error", "duration"),
+COMPARED = (  # fields of which is said that they are not as published
+    *("x0", "sampling_period", "delay", "noise_std", "process_std", "parameter_drift", "sampling_pattern"),
+    *("sampling_jitter", "delay_jitter", "delay_values", "delay_sequence", "delay_gamma_mean", "loss"),
+    *("quantization_step", "input", "unknown_input", "actuator_delay", "assumed_delay_error", "duration"),
 )
 MANY = 8  # rows or columns up to which matrices are printed
+LONG = 120  # letters of a value at most
 
 
 class Fact(NamedTuple):
@@ -58,160 +49,147 @@ class Experiment(NamedTuple):
 def experiment(result: Result, scenario: str) -> Experiment:
     """Return how a scenario was run, over all its cells."""
     every = cells(result.study, scenario)
-    s = every[0].scenario
-    facts = [fact for each in _facts(s) if (fact := _fact(each, every, result.study.axes))]
-    facts += [_parameter(name, values) for name, values in result.study.axes.items() if name.startswith("plant.")]
-    facts += [Fact("parameters", known)] if (known := _parameters(s)) else []
-    facts += [Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options))]
-    return Experiment(_published(result, s, every), facts, _matrices(s))
+    s, axes = every[0].scenario, result.study.axes
+    facts = [fact for field in _fields(s) if (fact := _fact(field, every, axes))]
+    for name, values in axes.items():
+        if name.startswith("plant."):
+            what = f"{name.removeprefix('plant.').replace('_', ' ')} of the plant"
+            facts.append(Fact(what, " | ".join(map(_plain, values)), len(values) > 1))
+    numbers, matrices = numbers_of(s), list[tuple[str, list[list[str]]]]()
+    if nonlinear(s):
+        parameters = [f"{p} {number(getattr(numbers, p))}" for p in parameters_of(entry_of(s))]
+        facts += [Fact("parameters", ", ".join(parameters))] if parameters else []
+    else:
+        model = entry_of(s).nominal(numbers)
+        named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
+        for name, m in ((name, np.asarray(m)) for name, m in named.items() if m is not None):
+            if np.any(m) and max(m.shape) <= MANY:
+                matrices.append((name, [[number(float(v)) for v in row] for row in m]))
+    facts.append(Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options)))
+    return Experiment(_published(result, s, every), facts, matrices)
 
 
 class Field(NamedTuple):
-    """A field of a scenario, how it is called, and how its value is said; `usual`: not said where it is that."""
+    """A field of a scenario, how it is called, and how its value is said.
+
+    `say` returns that of a value, or is a text with {} for a number, of each channel where they differ; `usual`: the value of
+    which nothing is said.
+    """
 
     name: str
     what: str
-    say: Callable[[Any], str]
+    say: Callable[[Any], str] | str
     usual: Any = None
 
+    def words(self, value: Any) -> str:
+        """Return a value in words."""
+        if not isinstance(self.say, str):
+            return self.say(value)
+        return ", ".join(self.say.format(number(v)) for v in (value if isinstance(value, tuple) else (value,)))
 
-def _channels(say: Callable[[float], str]) -> Callable[[Any], str]:
-    """What is said of a number, of each channel where they differ."""
-    return lambda value: ", ".join(say(v) for v in value) if isinstance(value, tuple) else say(value)
 
-
-def _facts(s: Scenario) -> list[Field]:
+def _fields(s: Scenario) -> list[Field]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
-    signals, seen = signals_of(s), frames.output_units(s)
+    signals, outputs = signals_of(s), frames.output_units(s)
 
-    def with_units(units: list[str]) -> Callable[[Any], str]:
-        return lambda values: _each(values, units)
+    def vector(values: Any) -> str:
+        named = zip(np.ravel(values), signals, strict=False)
+        return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
 
-    seconds = with_units(["s"] * len(s.sampling.delay))
+    def seconds(values: Any) -> str:
+        return _each(values, ["s"] * len(values))
+
+    def options(given: dict[str, Any]) -> str:
+        return ", ".join(f"{k} {_plain(v)}" for k, v in given.items())
+
+    def percent(values: Any) -> str:
+        return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
+
+    def numbers(values: Any) -> str:
+        return ", ".join(map(number, values))
+
+    def delays_in_turn(values: Any) -> str:
+        first = [v if isinstance(v, str) else f"{number(v)} s" for v in values[:MANY]]
+        return ", ".join(first) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
+
     return [
         Field("plant", "plant", lambda name: _plant(s, name)),
         Field("input", "input", _source),
         Field("controller", "loop", lambda name: f"closed by {name}", ""),
-        Field(
-            "control", "controller's options", lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items()), {}
-        ),
+        Field("control", "controller's options", options, {}),
         Field("unknown_input", "unknown input", _source, ""),
-        Field("x0", "start x(0)", lambda v: _vector(v, signals)),
-        Field("xhat0", "observers' start", lambda v: _vector(v, signals)),
-        Field("prior_std", "std of the start", lambda v: _vector(v, signals)),
+        Field("x0", "start x(0)", vector),
+        Field("xhat0", "observers' start", vector),
+        Field("prior_std", "std of the start", vector),
         Field("sampling_period", "a sample every", seconds),
         Field("delay", "each late by", lambda v: "one interval" if set(v) == {INTERVAL} else seconds(v)),
-        Field("noise_std", "noise of a sample (std)", lambda v: _each(v, seen) if any(v) else "none"),
-        Field(
-            "process_std",
-            "process noise a tick (std)",
-            lambda v: _plain(v) if np.ndim(v) > 1 else _vector(v, signals),
-            (),
-        ),
-        Field("parameter_drift", "parameter_drift", number, 0.0),
-        Field(
-            "sampling_pattern",
-            "sampling intervals",
-            lambda v: v if isinstance(v, str) else _each(v, ["s"] * len(v)),
-            "periodic",
-        ),
-        Field("sampling_jitter", "sampling jitter", _channels(lambda v: f"± {number(v)} s"), 0.0),
-        Field("delay_jitter", "delay jitter", _channels(lambda v: f"up to {number(v)} s more"), 0.0),
-        Field("delay_values", "delays longer by, a Markov chain", lambda v: _each(v, ["s"] * len(v)), ()),
-        Field("delay_self_transition", "chance to stay so", lambda v: ", ".join(map(number, v)), ()),
-        Field("delay_sequence", "delays longer by, in turn", _in_turn, ()),
-        Field("delay_weights", "shares of these, each by itself", lambda v: ", ".join(map(number, v)), ()),
-        Field(
-            "delay_gamma_mean",
-            "delays longer by a gamma distribution's, mean",
-            _channels(lambda v: f"{number(v)} s"),
-            0.0,
-        ),
+        Field("noise_std", "noise of a sample (std)", lambda v: _each(v, outputs) if any(v) else "none"),
+        Field("process_std", "process noise a tick (std)", lambda v: _plain(v) if np.ndim(v) > 1 else vector(v), ()),
+        Field("parameter_drift", "parameter_drift", "{}", 0.0),
+        Field("sampling_pattern", "sampling intervals", lambda v: v if isinstance(v, str) else seconds(v), "periodic"),
+        Field("sampling_jitter", "sampling jitter", "± {} s", 0.0),
+        Field("delay_jitter", "delay jitter", "up to {} s more", 0.0),
+        Field("delay_values", "delays longer by, a Markov chain", seconds, ()),
+        Field("delay_self_transition", "chance to stay so", numbers, ()),
+        Field("delay_sequence", "delays longer by, in turn", delays_in_turn, ()),
+        Field("delay_weights", "shares of these, each by itself", numbers, ()),
+        Field("delay_gamma_mean", "delays longer by a gamma distribution's, mean", "{} s", 0.0),
         Field("delay_gamma_shape", "its shape", number, 1.0),
         Field("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
-        Field("loss", "lost samples", _channels(lambda v: f"{number(100 * v)} %"), 0.0),
-        Field("mean_burst_length", "lost in a row, mean", _channels(lambda v: f"{number(v)} samples"), 0.0),
-        Field("sampling_phase", "first sample at", _channels(lambda v: f"{number(v)} s"), 0.0),
-        Field("outage_start", "no sample arrives that is taken from", _channels(lambda v: f"{number(v)} s"), 0.0),
-        Field("outage_duration", "for", _channels(lambda v: f"{number(v)} s"), 0.0),
-        Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, seen), ()),
+        Field("loss", "lost samples", percent, 0.0),
+        Field("mean_burst_length", "lost in a row, mean", "{} samples", 0.0),
+        Field("sampling_phase", "first sample at", "{} s", 0.0),
+        Field("outage_start", "no sample arrives that is taken from", "{} s", 0.0),
+        Field("outage_duration", "for", "{} s", 0.0),
+        Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, outputs), ()),
         Field("dither", "dither", lambda v: "subtractive, over one step", 0.0),
-        Field("timestamp_offset", "stamps ahead by", lambda v: f"{number(v)} s", 0.0),
-        Field("clock_skew", "clock of stamps fast by", lambda v: f"{number(v)} ppm", 0.0),
-        Field("timestamp_jitter", "stamps wrong by", lambda v: f"± {number(v)} s", 0.0),
-        Field("outlier_probability", "outliers among samples", _channels(lambda v: f"{number(100 * v)} %"), 0.0),
-        Field("outlier_scale", "noise of an outlier", _channels(lambda v: f"{number(v)} times a sample's"), 10.0),
-        Field("student_t_dof", "noise of samples", lambda v: f"Student's t, {number(v)} degrees of freedom", math.inf),
+        Field("timestamp_offset", "stamps ahead by", "{} s", 0.0),
+        Field("clock_skew", "clock of stamps fast by", "{} ppm", 0.0),
+        Field("timestamp_jitter", "stamps wrong by", "± {} s", 0.0),
+        Field("outlier_probability", "outliers among samples", percent, 0.0),
+        Field("outlier_scale", "noise of an outlier", "{} times a sample's", 10.0),
+        Field("student_t_dof", "noise of samples", "Student's t, {} degrees of freedom", math.inf),
         Field("continuous", "measured", lambda v: "continuously, without noise", False),
-        Field("actuator_delay", "commands late by", lambda v: f"{number(v)} s", None),
-        Field("assumed_delay_error", "observers believe samples older by", lambda v: f"{number(v)} s", 0.0),
-        Field("assumed_noise_scale", "observers believe noise larger by", lambda v: f"{number(v)} times", 1.0),
-        Field("initial_box", "observers' start, drawn within", lambda v: _vector(v, signals), ()),
+        Field("actuator_delay", "commands late by", "{} s", None),
+        Field("assumed_delay_error", "observers believe samples older by", "{} s", 0.0),
+        Field("assumed_noise_scale", "observers believe noise larger by", "{} times", 1.0),
+        Field("initial_box", "observers' start, drawn within", vector, ()),
         Field("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s"),
-        Field("steady_start", "tail (steady_ metrics) from", lambda v: f"{number(v)} s"),
-        Field("settle_band", "settled within", lambda v: _vector(v, signals)),
-        Field(
-            "divergence_threshold",
-            "diverged beyond",
-            lambda v: _vector(v, signals) if isinstance(v, tuple) else number(v),
-        ),
+        Field("steady_start", "tail (steady_ metrics) from", "{} s"),
+        Field("settle_band", "settled within", vector),
+        Field("divergence_threshold", "diverged beyond", lambda v: vector(v) if isinstance(v, tuple) else number(v)),
     ]
 
 
 def _fact(field: Field, every: list[Cell], axes: dict[str, Any]) -> Fact | None:
     """What is to be said of a field over all cells; nothing where it is as usual in all of them."""
     values = list({str(v): v for c in every for v in (c.scenario.value(field.name),)}.values())
-    if len(values) == 1 and (values[0] == field.usual or (isinstance(values[0], tuple) and field.usual == () and not any(
-            np.ravel(values[0])))):  # fmt: skip
+    zeros = isinstance(values[0], tuple) and field.usual == () and not any(np.ravel(values[0]))
+    if len(values) == 1 and (values[0] == field.usual or zeros):
         return None
     usual = "none" if field.usual in (0.0, (), "") else "as the samples"
-    said = [usual if v == field.usual else field.say(v) for v in values]
-    return Fact(field.what, " | ".join(said), field.name in axes and len(values) > 1)
-
-
-def _parameter(name: str, values: list[Any]) -> Fact:
-    return Fact(
-        f"{name.removeprefix('plant.').replace('_', ' ')} of the plant",
-        " | ".join(map(_plain, values)),
-        len(values) > 1,
-    )
-
-
-def _parameters(s: Scenario) -> str:
-    """The parameters of a nonlinear plant; a linear one is said by its matrices."""
-    numbers = numbers_of(s)
-    return ", ".join(f"{p} {number(getattr(numbers, p))}" for p in parameters_of(entry_of(s))) if nonlinear(s) else ""
+    words = [usual if v == field.usual else field.words(v) for v in values]
+    return Fact(field.what, " | ".join(words), field.name in axes and len(values) > 1)
 
 
 def _observer(cell: Cell, label: str) -> str:
     """An observer with the options that are not its own defaults."""
-    given = cell.options[label]
-    own = {k: v for k, v in given.model_dump(exclude_defaults=True).items() if v is not None}
-    if label in cell.own and is_absent(cell.own[label]):
+    own = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
+    if not own or (label in cell.own and is_absent(cell.own[label])):
         return label
-    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in own.items())})" if own else label
+    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in own.items())})"
 
 
 def _published(result: Result, s: Scenario, every: list[Cell]) -> str:
     """What a scenario begins from, and which of its fields this study has changed."""
-    known = SCENARIOS.get(s.name)
-    if known is None or s.own:
+    printed = SCENARIOS.get(s.name)
+    if printed is None or s.own:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
-    differ = [f.replace("_", " ") for f in TOLD if any(c.scenario.value(f) != known.value(f) for c in every)]
+    differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != printed.value(f) for c in every)]
     differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
     differ += ["start (random)"] if every[0].choices.random_initial_state else []
     but = f" Here another: {', '.join(differ)}; as below." if differ else ""
     return f"As published: {s.summary}. Source: {s.source}.{but}"
-
-
-def _matrices(s: Scenario) -> list[tuple[str, list[list[str]]]]:
-    """The matrices of the nominal model; a nonlinear plant is said by its parameters."""
-    if nonlinear(s):
-        return []
-    model = entry_of(s).nominal(numbers_of(s))
-    named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
-    found = {k: np.asarray(v) for k, v in named.items() if v is not None and np.any(np.asarray(v))}
-    return [(k, [[number(float(v)) for v in row] for row in m]) for k, m in found.items() if max(m.shape) <= MANY]
 
 
 def _plant(s: Scenario, name: str) -> str:
@@ -233,36 +211,17 @@ def _one_source(part: Any) -> str:
     return f"a table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
 
 
-def _vector(values: Any, signals: Any) -> str:
-    """Numbers with the names and units of the signals that they are of."""
-    named = zip(np.ravel(values), signals, strict=False)
-    return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
-
-
-def _in_turn(values: Any) -> str:
-    """Delays in turn: the first of them, and how many there are."""
-    said = [f"{number(v)} s" if not isinstance(v, str) else v for v in values[:MANY]]
-    return ", ".join(said) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
-
-
 def _each(values: Any, units: list[str]) -> str:
     """One number where all channels are alike, or all of them."""
-    said = [
-        f"{number(v)} {u}".strip() if not isinstance(v, str) else "one interval"
-        for v, u in zip(values, units, strict=False)
-    ]
-    return said[0] if len(set(said)) == 1 else ", ".join(said)
+    pairs = zip(values, units, strict=False)
+    words = [f"{number(v)} {unit}".strip() if not isinstance(v, str) else "one interval" for v, unit in pairs]
+    return words[0] if len(set(words)) == 1 else ", ".join(words)
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number(value)
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_plain, value)) + "]"
-    return str(value)
-
-
-LONG = 120  # letters of a value at most
+    return f"[{', '.join(map(_plain, value))}]" if isinstance(value, list | tuple) else str(value)
 
 
 class Option(NamedTuple):
@@ -281,15 +240,15 @@ def rows(result: Result) -> list[Option]:
 
     Of an observer whose code is left alone the defaults are not known: all options that were given are returned.
     """
-    study, found = result.study, list[Option]()
-    known = scenarios_of(study)
-    for name in study.scenarios:
-        for observer in observers_of(study, name):
-            found += [o for o in _of(study, known[name], observer, len(study.scenarios) > 1) if o not in found]
-    return found
+    study, found = result.study, dict[Option, None]()
+    every = scenarios_of(study)
+    for scenario in study.scenarios:
+        for observer in observers_of(study, scenario):
+            found |= dict.fromkeys(_options(study, every[scenario], observer))
+    return list(found)
 
 
-def _of(study: Study, scenario: Any, observer: str, several: bool) -> list[Option]:
+def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
     entry = entry_in(study, observer)
     fields = {} if entry.summary == ABSENT else entry.options.model_fields
     labels = [base_in(study, observer) or observer, observer]
@@ -300,17 +259,16 @@ def _of(study: Study, scenario: Any, observer: str, several: bool) -> list[Optio
         default = fields[name].get_default(call_default_factory=True) if name in fields else None
         if name in fields and value == default:
             continue
-        origin = "the study" if name in set_here else f"the scenario{f' {scenario.name}' if several else ''}"
-        was = _word(default) if name in fields and not fields[name].is_required() else "-"
+        of_scenario = f"the scenario{f' {scenario.name}' if len(study.scenarios) > 1 else ''}"
+        usual = _word(default) if name in fields and not fields[name].is_required() else "-"
         is_tuned = name in tuned and tuned[name] == value
-        if is_tuned and study.tuned and study.tuned.cells:
-            found.append(Option(observer, name, f"{_word(value)} in the first cell", was, True, origin))
-            continue
-        found.append(Option(observer, name, _word(value), was, is_tuned, origin))
+        first_cell = " in the first cell" if is_tuned and study.tuned and study.tuned.cells else ""
+        origin = "the study" if name in set_here else of_scenario
+        found.append(Option(observer, name, _word(value) + first_cell, usual, is_tuned, origin))
     return found
 
 
-def _word(value: Any) -> str:
+def _word(value: object) -> str:
     if isinstance(value, float):
         return number(value)
     if isinstance(value, list | tuple):

@@ -1,16 +1,22 @@
-"""The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files."""
+"""The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files.
+
+As files for a paper they are SVG and PDF whose text is text, and PNG.
+"""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from pcbench import plots
+from pcbench.dataset import storage
 from pcbench.dataset.result import Result
+from pcbench.errors import unknown
 from pcbench.plants import signals_of
 from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
-from pcbench.plots.labels import named, unit_of
+from pcbench.plots.labels import KINDS, named, saved, unit_of
 from pcbench.plots.layout import PAPER, Paper
 from pcbench.report import captions
 from pcbench.runtime import thread_pools
@@ -72,62 +78,69 @@ def places(result: Result, scenarios: list[str], shown: Shown, progress: Progres
         return {name: Place(result, name, cell, runs[name], costs[name].result(), shown) for name, cell in at.items()}
 
 
-def of_signal(where: Place, signal: str) -> Iterator[Picture]:
+def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
+    """Yield the pictures of each signal of a scenario, and those of all signals (None)."""
+    for signal in frames.ranked(place.result, place.scenario, place.shown.signals, place.shown.metric):
+        yield signal, of_signal(place, signal)
+    yield None, of_all_signals(place)
+
+
+def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
-    result, scenario, cell, run, costs, shown = where
+    result, scenario, cell, run, costs, shown = place
     here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
     name = f"{scenario.replace('/', '-')}-{signal}"
-    whole = frames.rows(result, scenario, signal, shown.metric)
-    mine, axes = whole[whole.cell == cell], frames.varying(whole)
-    at, units = frames.values_at(whole, cell), frames.units(result, whole)
-    words, unit, spread = named(shown.metric, signal), unit_of(whole), frames.distributed(mine)
+    every = frames.rows(result, scenario, signal, shown.metric)
+    part, axes = every[every.cell == cell], frames.varying(every)
+    at, units = frames.values_at(every, cell), frames.units(result, every)
+    words, unit = named(shown.metric, signal), unit_of(every)
+    title = words[0].upper() + words[1:]
     if run is not None:
         seed = result.study.first_seed if shown.seed is None else shown.seed
         figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
         exact = time_series.exactly(result, scenario, cell)
         text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
-    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(whole.observer):
+    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
+        alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
+        text = captions.borne(fault_tolerance.borne(alone))
         figure = plots.bearing(result, **here)
-        text = captions.borne(
-            fault_tolerance.borne(fault_tolerance.part_of_alone(result, scenario, signal, shown.metric))
-        )
         yield Picture(f"{name}-bearing", "How much of each fault is borne", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
-        x, y = frames.map_axes(whole)
+        x, y = frames.map_axes(every)
         over = f"{frames.label(x, units)} and {frames.label(y, units)}"
-        figure = plots.winners(result, **here)
         text = captions.winners(frames.standings(result, scenario, signal, shown.metric))
-        yield Picture(f"{name}-winners", f"Who wins over {over}", figure, text, captions.WINNERS)
+        yield Picture(f"{name}-winners", f"Who wins over {over}", plots.winners(result, **here), text, captions.WINNERS)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
-        text = captions.ranges(frames.fixed(whole, [x, y], rest), unit)
-        yield Picture(f"{name}-map", f"{_upper(words)} over {over}", figure, text, "Dark is worse; one scale for all.")
+        text = captions.ranges(frames.fixed(every, [x, y], rest), unit)
+        yield Picture(f"{name}-map", f"{title} over {over}", figure, text, "Dark is worse; one scale for all.")
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
-        figure = plots.curves(result, axis, at=rest, **here)
-        part = frames.fixed(whole, [axis], rest)
-        note = " ".join(
-            filter(None, [captions.said(part, axis, unit, shown.threshold), "Bars: 95 % intervals of the mean."])
+        values = frames.fixed(every, [axis], rest)
+        limit = captions.said(values, axis, unit, shown.threshold)
+        yield Picture(
+            name=f"{name}-over-{axis.replace('.', '-')}",
+            title=f"{title} over {frames.label(axis, units)}",
+            figure=plots.curves(result, axis, at=rest, **here),
+            text=captions.curve(values, axis, unit),
+            note=f"{limit} Bars: 95 % intervals of the mean.".strip(),
         )
-        title = f"{_upper(words)} over {frames.label(axis, units)}"
-        yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, captions.curve(part, axis, unit), note)
-    if spread:
-        figure = plots.distributions(result, cell=cell, **here)
-        text = captions.medians(mine, unit)
-        yield Picture(f"{name}-distribution", f"How {words} is distributed over runs", figure, text, "Left is better.")
-        figure = plots.convergence(result, cell=cell, **here)
+    if frames.distributed(part):
+        figure, heading = plots.distributions(result, cell=cell, **here), f"How {words} is distributed over runs"
+        yield Picture(f"{name}-distribution", heading, figure, captions.medians(part, unit), "Left is better.")
         text = captions.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
+        figure = plots.convergence(result, cell=cell, **here)
         yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, captions.CONVERGENCE)
     if costs is not None and (costs["sample"] > 0).sum() > 1:
         figure = plots.cost(result, costs, cell=cell, **here)
-        title = f"{_upper(words)} against cost"
-        yield Picture(f"{name}-cost", title, figure, captions.costs(costs), captions.COSTS)
+        yield Picture(f"{name}-cost", f"{title} against cost", figure, captions.costs(costs), captions.COSTS)
 
 
-def of_all_signals(where: Place) -> Iterator[Picture]:
+def of_all_signals(place: Place) -> Iterator[Picture]:
     """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
-    result, scenario, cell, run, _, shown = where
+    result, scenario, cell, run, _, shown = place
+    name = scenario.replace("/", "-")
     lost = frames.rows(result, scenario, None, "divergence_rate")
     if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
@@ -135,12 +148,10 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
         part = frames.fixed(lost, [x, y], rest)
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
-        text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
-        yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
+        yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     if run is not None and one_run.judged(run):
         figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
-        name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
-        yield Picture(name, title, figure, captions.honesty(run), captions.HONESTY)
+        yield Picture(f"{name}-nees", "Who knows how wrong it is", figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Gains as printed, by design and tuned", figure, captions.fair(result.fair))
@@ -151,5 +162,26 @@ def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
     return dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
 
 
-def _upper(text: str) -> str:
-    return text[0].upper() + text[1:]
+def write(
+    result: Result, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN, formats: tuple[str, ...] = KINDS
+) -> list[str]:
+    """Write every picture of the page, and return the names of the files, without their kind."""
+    target, names = storage.target(str(out)), []
+    storage.make(target)
+    every = places(result, result.scenarios, shown, progress)
+    progress.begin("figures", None)
+    for picture in (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures):
+        for kind in formats:
+            storage.put(target, f"{picture.name}.{kind}", saved(picture.figure, kind))
+        names.append(picture.name)
+        progress.step(1)
+    return names
+
+
+def kinds_of(text: str) -> tuple[str, ...]:
+    """Return the kinds of files that a list with commas names; raise UserError for one that is none."""
+    kinds = tuple(dict.fromkeys(kind.strip().lower() for kind in text.split(",")))
+    for kind in kinds:
+        if kind not in KINDS:
+            raise unknown("--formats", "kind of file", kind, KINDS)
+    return kinds

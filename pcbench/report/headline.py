@@ -8,6 +8,7 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout
 from pcbench.plots.palette import styles
+from pcbench.report.summary import Stood, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
 
@@ -33,88 +34,82 @@ def headlines(
     `costs` are what its observers cost, a frame of `pcbench.operation_counts` of this cell alone.
     """
     part = frames.rows(result, scenario, signal, metric)
+    found = frames.standings(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
-    if len(cells) > MOST:
-        counted = _counted(result, scenario, signal, metric, part)
-        return [counted, _cell(result, scenario, signal, metric, part, cell, costs)]
-    return [_cell(result, scenario, signal, metric, part, e, costs if e == cell else None) for e in cells]
+    counted = [_counted(result, Stood(scenario, signal, part, found), metric)] if len(cells) > MOST else []
+    leaders = dict(zip(found.cell, found.leaders, strict=True))
+    return counted + [
+        _cell(result, scenario, signal, part, metric, each, leaders[each], costs if each == cell else None)
+        for each in ([cell] if counted else cells)
+    ]
 
 
 def _cell(
     result: Result,
     scenario: str,
     signal: str,
-    metric: str,
     part: pd.DataFrame,
+    metric: str,
     cell: int,
-    costs: pd.DataFrame | None = None,
+    leaders: tuple[str, ...],
+    costs: pd.DataFrame | None,
 ) -> Headline:
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
-    mine, look = stats[stats.cell == cell], styles(part.observer)
-    met = pairs[(pairs.metric == metric) & (pairs.cell == cell)]
-    wide = mine.set_index(["observer", "metric"])
+    stats, look = stats[stats.cell == cell], styles(part.observer)
+    pairs, wide = pairs[(pairs.metric == metric) & (pairs.cell == cell)], stats.set_index(["observer", "metric"])
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
-    order, ranked = list(ranked.observer), ranked.set_index("observer")
+    ranked = ranked.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
-    found = frames.standings(result, scenario, signal, metric)
-    leaders = next(iter(found.leaders[found.cell == cell]))
     rows: list[dict[str, Any]] = []
-    for observer in order:
+    for i, observer in enumerate(ranked.index):
         row = wide.loc[observer]
-        against = "" if observer == order[0] else number_format.difference(met, observer, order[0])
-        if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
+        against = number_format.difference(pairs, observer, ranked.index[0]) if i else ""
+        if i and diverges_more(ranked.iloc[0], ranked.iloc[i]):
             against = "diverges more often"
         lost = row.loc["divergence_rate"]
-        name = number_format.marked(observer, [row.loc[metric].certified])
-        cells = [name, number_format.interval(row.loc[metric]), "not surely different" if against == "=" else against]
+        cells = [number_format.marked(observer, [row.loc[metric].certified]), number_format.interval(row.loc[metric])]
+        cells.append("not surely different" if against == "=" else against)
         cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
-        cells += ["-" if np.isnan(lost["mean"]) else "none" if lost["mean"] == 0 else number_format.fraction(lost)]
-        cells += _costs(costs, observer)
+        cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
+        if costs is None or observer not in set(costs.observer):
+            cells += ["-" for _ in COSTS]
+        else:
+            counts = costs.set_index("observer").loc[observer]
+            cells += [f"{counts[name]:,}" for name in COSTS]
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer in leaders})
-    here = part[part.cell == cell].iloc[0]
-    at = ", ".join(frames.said(a, here[a]) for a in frames.varying(part))
-    here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
-    unit, n = here.unit, int((part.n + part.diverged).max())
-    heads = ["observer", f"{metric} [{unit}]", f"less the best [{unit}]"]
-    heads += [m if m == "rms_efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged", *COSTS.values()]
-    title = f"At {at}" if at else ""
+    first = part[part.cell == cell].iloc[0]
+    at = ", ".join(frames.said(a, first[a]) for a in frames.varying(part))
+    unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
+    heads = ["observer", f"{metric} [{first.unit}]", f"less the best [{first.unit}]"]
+    heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged", *COSTS.values()]
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
-    lost = " Means are over the runs that did not diverge." if heads.index("diverged") in kept else " No run diverged."
-    runs = (
+    note = (
         f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
     )
-    if not n:
-        runs, lost = "Exact: the expected values over all noise.", ""
-    return Headline(title, [heads[i] for i in kept], rows, f"{runs}{lost} {result.unproven(scenario)}".strip())
+    some_diverge = heads.index("diverged") in kept
+    note += " Means are over the runs that did not diverge." if some_diverge else " No run diverged."
+    note = note if n else "Exact: the expected values over all noise."
+    title = f"At {at}" if at else ""
+    return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
 
 
-def _costs(costs: pd.DataFrame | None, observer: str) -> list[str]:
-    """What an observer costs, in the order of COSTS."""
-    if costs is None or observer not in set(costs.observer):
-        return ["-" for _ in COSTS]
-    mine = costs.set_index("observer").loc[observer]
-    return [f"{mine[name]:,}" for name in COSTS]
-
-
-def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
-    won, look = frames.standings(result, scenario, signal, metric), styles(part.observer)
-    wins = won[won.winner != ""].winner.value_counts()
+def _counted(result: Result, stood: Stood, metric: str) -> Headline:
+    _, _, part, found = stood
     rows: list[dict[str, Any]] = []
-    for observer, mine in part.groupby("observer", sort=False):
-        share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
-        median = layout.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
-        name = number_format.marked(str(observer), mine.certified)
-        led = sum(observer in each for each in won.leaders)
-        cells = [name, str(wins.get(observer, 0)), str(led), median, "none" if not share else f"{share:.3g} %"]
-        rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
-        rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | rank)
-    rows.sort(key=lambda row: (-row["wins"], row["median"]))
+    tallies = {t.observer: t for t in tally([stood])}
+    for observer, own in ((str(o), own) for o, own in part.groupby("observer", sort=False)):
+        t, share = tallies[observer], 100 * own.diverged.sum() / max((own.n + own.diverged).sum(), 1)
+        median = float(own["mean"].median())
+        cells = [number_format.marked(observer, own.certified), str(t.won), str(t.led)]
+        cells.append("-" if np.isnan(median) else layout.number(float(f"{median:.4g}")))
+        cells.append(f"{share:.3g} %" if share else "none")
+        rows.append({"cells": cells, "colour": t.colour, "best": False, "rank": (-t.won, median)})
+    rows.sort(key=lambda row: row["rank"])
     heads = ["observer", "cells won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
-    ties = int((won.winner == "").sum())
+    ties = int((found.winner == "").sum())
     note = (
         f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); {ties} of "
-        f"{len(won)} cells have no winner. It is as good as the best if none is significantly better."
+        f"{len(found)} cells have no winner. It is as good as the best if none is significantly better."
     )
-    title = f"Over all {len(won)} cells"
-    return Headline(title, heads, rows, f"{note} {result.unproven(scenario)}".strip())
+    return Headline(f"Over all {len(found)} cells", heads, rows, f"{note} {result.unproven(stood.scenario)}".strip())

@@ -5,9 +5,10 @@ Nothing is loaded from elsewhere, and the pictures are SVG in the page: it opens
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jinja2
+import tomli_w
 from markupsafe import Markup
 
 from pcbench.dataset import storage
@@ -19,8 +20,9 @@ from pcbench.plots.labels import inline, title_of_scenario
 from pcbench.report import captions, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
-from pcbench.report.figures import SHOWN, Picture, Shown
+from pcbench.report.figures import SHOWN, Shown
 from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study.serialize import as_dict
 
 WORDS = {
     "surely": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
@@ -31,13 +33,24 @@ WORDS = {
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
+OF_STATS = {
+    "pooled_rmse": "root of the expected square of e over ticks 0 .. N-1",
+    "steady_pooled_rmse": "the same from the scenario's tail start on",
+    "pooled_tracking_rmse": "root of the expected square of set point less state, in a closed loop",
+    "steady_pooled_tracking_rmse": "the same from the tail start on",
+    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
+    "divergence_rate": "the share of runs whose error became non-finite or left the scenario's divergence threshold; none of "
+    "them is averaged",
+}
+
+
 class Part(NamedTuple):
     """What the page says of one signal of a scenario."""
 
     title: str
     headlines: list[headline.Headline]
     at: str  # the values of the axes at which pictures stand
-    pictures: list[dict[str, Any]]
+    pictures: list[dict[str, str]]
 
 
 class Section(NamedTuple):
@@ -68,63 +81,58 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
     stood = summary.stood(result, shown.metric, shown.signals)
     rows, won = summary.rows(result, stood), summary.tally(stood)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
+    anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
     places = figures.places(result, names, shown, progress)
     progress.begin("scenarios", len(names))
     sections = []
-    for number, name in enumerate(names):
-        sections.append(_section(places[name], f"scenario-{number}"))
+    for name, anchor in anchors.items():
+        sections.append(_section(places[name], anchor))
         progress.step(1)
-    explained = [shown.metric, *(m for m in ALWAYS if m in set(result.stats.metric))]
+    meaning = {m: MEANING.get(m, OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
+    present = {shown.metric, *result.stats.metric}
+    commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
+    made = f"# made with pcbench {release.get('pcbench', '')}"
+    made += f", commit {commit['commit']}" if commit.get("commit") else ""
+    run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
+    text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_shown).from_string(text)
     return str(
-        _template().render(
+        template.render(
             title=f"Study {result.study.name}",
             what=_what(result),
             metric=shown.metric,
-            metric_means=MEANING.get(shown.metric, _OF_STATS.get(shown.metric, "")),
-            sure=_sure(result),
+            metric_means=meaning[shown.metric],
+            sure=_how_sure(result),
             tally=won,
             summary=rows,
             several=any(t.of > len(rows) for t in won),
-            anchors={name: f"scenario-{i}" for i, name in enumerate(names)},
+            anchors=anchors,
             sections=sections,
             options=of_scenario.rows(result),
             tuned=result.study.tuning_sentence,
-            command=_command(result),
-            study=_said(result),
+            command="\n".join([made, run, "pcbench report again"]),
+            study=tomli_w.dumps(as_dict(result.study)).strip(),
             provenance=_provenance(result),
-            meaning=[*((m, MEANING.get(m, _OF_STATS.get(m, ""))) for m in dict.fromkeys(explained)), *WORDS.items()],
+            meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
         )
     )
 
 
-_OF_STATS = {
-    "pooled_rmse": "root of the expected square of e over ticks 0 .. N-1",
-    "steady_pooled_rmse": "the same from the scenario's tail start on",
-    "pooled_tracking_rmse": "root of the expected square of set point less state, in a closed loop",
-    "steady_pooled_tracking_rmse": "the same from the tail start on",
-    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
-    "divergence_rate": "the share of runs whose error became non-finite or left the scenario's divergence threshold; none of "
-    "them is averaged",
-}
-
-
-def _section(here: figures.Place, anchor: str) -> Section:
-    (result, scenario, _, _, _, shown), parts = here, []
-    for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
-        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell, here.costs)
-        whole = frames.rows(result, scenario, signal, shown.metric)
-        at = captions.where(whole, here.cell)
-        drawn = [_drawn(p) for p in figures.of_signal(here, signal)]
+def _section(place: figures.Place, anchor: str) -> Section:
+    result, scenario, shown, parts = place.result, place.scenario, place.shown, []
+    for signal, pictures in figures.of_scenario(place):
+        drawn = [
+            {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
+            for p in pictures
+        ]
+        if signal is None:
+            parts += [Part("All signals", [], "", drawn)] if drawn else []
+            continue
+        tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, place.costs)
+        at = captions.where(frames.rows(result, scenario, signal, shown.metric), place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
-        title = f"Error of {signal.replace('_', ' ')} [{unit}]"
-        parts.append(Part(title, tables, at, drawn))
-    besides = [_drawn(p) for p in figures.of_all_signals(here)]
-    parts += [Part("All signals", [], "", besides)] if besides else []
+        parts.append(Part(f"Error of {signal.replace('_', ' ')} [{unit}]", tables, at, drawn))
     return Section(anchor, title_of_scenario(result, scenario), of_scenario.experiment(result, scenario), parts)
-
-
-def _drawn(p: Picture) -> dict[str, Any]:
-    return {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
 
 
 def _what(result: Result) -> str:
@@ -137,8 +145,7 @@ def _what(result: Result) -> str:
     return f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, {seeds}."
 
 
-def _sure(result: Result) -> str:
-    """How to read sureness, where there is any."""
+def _how_sure(result: Result) -> str:
     if result.exact:
         return "What has no interval is exact, and a difference between two such numbers is sure."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
@@ -146,44 +153,18 @@ def _sure(result: Result) -> str:
     return "Scenarios with noise stand first, then those in which the best is farthest ahead."
 
 
-def _command(result: Result) -> str:
-    commit = (result.provenance.get("git") or {}).get("commit")
-    made = f"# made with pcbench {result.provenance.get('versions', {}).get('pcbench', '')}" + (
-        f", commit {commit}" if commit else ""
-    )
-    run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
-    return "\n".join([made, run, "pcbench report again"])
-
-
-def _said(result: Result) -> str:
-    import tomli_w
-
-    from pcbench.study.serialize import as_dict
-
-    return tomli_w.dumps(as_dict(result.study)).strip()
-
-
 def _provenance(result: Result) -> list[tuple[str, str]]:
     p = result.provenance
-    flat = {"versions": ", ".join(f"{k} {v}" for k, v in p.get("versions", {}).items())}
-    device = p.get("device", {})
-    flat |= {"device": ", ".join(f"{k} {v}" for k, v in device.items()), "system": p.get("system", "")}
-    flat |= {
-        k: str(p[k])
-        for k in ("precision", "root_seed", "study_sha256", "started", "wall_seconds", "compile_seconds")
-        if k in p
-    }
+    rows = {key: ", ".join(f"{k} {v}" for k, v in p.get(key, {}).items()) for key in ("versions", "device")}
+    rows["system"] = p.get("system", "")
+    keys = ("precision", "root_seed", "study_sha256", "started", "wall_seconds", "compile_seconds")
+    rows |= {key: str(p[key]) for key in keys if key in p}
     git = p.get("git") or {}
-    flat |= {"commit": f"{git['commit']}{' (changed)' if git.get('changed') else ''}"} if git.get("commit") else {}
+    rows["commit"] = f"{git.get('commit') or ''}{' (changed)' if git.get('changed') and git.get('commit') else ''}"
     excluded = [(f"left out: {label}", reason) for label, reason in (result.study.excluded or {}).items()]
-    return [*((k.replace("_", " "), v) for k, v in flat.items() if v), *excluded]
+    return [*((k.replace("_", " "), v) for k, v in rows.items() if v), *excluded]
 
 
-def _template() -> jinja2.Template:
-    text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
-    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_text).from_string(text)
-
-
-def _text(value: Any) -> Any:
+def _shown(value: object) -> object:
     """What the page shows: a text that cannot be printed has escapes; pictures are made of such text already."""
     return value if isinstance(value, Markup) or not isinstance(value, str) else printable(value, but="\n")

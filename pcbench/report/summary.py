@@ -1,6 +1,7 @@
 """Who wins where and how surely: the page's first table, a row for each scenario and signal, those that tell most first."""
 
-from typing import Any, NamedTuple
+from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -76,54 +77,60 @@ def rows(result: Result, found: list[Stood]) -> list[Row]:
 
 def tally(every: list[Stood]) -> list[Tally]:
     """Return how many cells, of all signals shown, each observer surely wins and leads, the most first."""
-    won: dict[str, int] = {}
-    led: dict[str, int] = {}
-    of: dict[str, int] = {}
+    won, led, of = Counter[str](), Counter[str](), Counter[str]()
     for _, _, part, found in every:
-        for observer in dict.fromkeys(part.observer):
-            of[observer] = of.get(observer, 0) + len(found)
-            won[observer] = won.get(observer, 0) + int((found.winner == observer).sum())
-            led[observer] = led.get(observer, 0) + sum(observer in each for each in found.leaders)
+        of.update(dict.fromkeys(part.observer, len(found)))
+        won.update(found.winner[found.winner != ""])
+        led.update(observer for each in found.leaders for observer in each)
     look = styles(of)
     return sorted((Tally(o, look[o].colour, won[o], led[o], of[o]) for o in of), key=lambda t: (-t.won, -t.led))
 
 
 def _row(result: Result, stood: Stood) -> Row:
     scenario, signal, part, found = stood
-    look = styles(part.observer)
-    counted = found.winner[found.winner != ""].value_counts()
-    several = len(found) > 1
-    middle = _multiples(part)
-    ahead_most = [
-        o for o, _ in middle if counted.get(o, 0) == counted.max()
-    ]  # of equally many cells the least error decides
-    best = ahead_most[0] if several and len(counted) else str(found.best.iloc[0]) if not several else ""
+    look, several = styles(part.observer), len(found) > 1
+    won = found.winner[found.winner != ""].value_counts()
+    multiples = _multiples(part)
+    best = str(found.best.iloc[0])
+    if several:  # of equally many cells the least error decides
+        best = next((o for o, _ in multiples if won.get(o, 0) == won.max()), "") if len(won) else ""
     deterministic = not frames.distributed(part) and not result.exact
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     leaders = [best] if several and best else most_often(found.leaders)[0]
-    told = (
-        (0 if deterministic else 100) + (50 if len(counted) else 0) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
-    )
+    unit, own = part.unit.iloc[0], part[part.observer == best]
+    value = "-"
+    if len(own) and not several:
+        value = f"{number_format.interval(own.iloc[0])} {unit}"
+    elif len(own) and np.isfinite(own["mean"].min()):
+        value = f"{number(own['mean'].min())} to {number(own['mean'].max())} {unit}"
     return Row(
         scenario=scenario,
         title=title_of_scenario(result, scenario),
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),
-        won=_said(found, counted, best, deterministic, int((part.n + part.diverged).max())),
-        value=_value(part, best, several),
-        others=[(o, look[o].colour, times(m)) for o, m in middle if several or o != best][:MOST],
-        tells=told,
+        won=_how_surely(found, won, best, deterministic, int((part.n + part.diverged).max())),
+        value=value,
+        others=[(o, look[o].colour, times(m)) for o, m in multiples if several or o != best][:MOST],
+        tells=(0 if deterministic else 100)
+        + (50 if len(won) else 0)
+        + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0),
     )
 
 
-def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: bool, runs: int) -> str:
-    """How surely, in words."""
+def _how_surely(found: pd.DataFrame, won: pd.Series, best: str, deterministic: bool, runs: int) -> str:
     if len(found) > 1:
+        if not best:  # then no cell has a winner
+            names, most = most_often(found.leaders)
+            if most:
+                return number_format.as_good(names, most, len(found))
+            if not any(found.best):
+                return "all diverge"
+            return "one run: nothing is sure" if runs == 1 else "not compared"
         ties = int((found.winner == "").sum())
-        share = f"{int(counted.get(best, 0))} of {len(found)} cells" if best else _as_good(found, runs)
-        rest = [f"{o} {n}" for o, n in counted.items() if o != best]
-        return "; ".join(filter(None, [share, ", ".join(rest), f"ties {ties}" if ties and best else ""]))
+        share = f"{int(won.get(best, 0))} of {len(found)} cells"
+        rest = ", ".join(f"{o} {n}" for o, n in won.items() if o != best)
+        return "; ".join(filter(None, [share, rest, f"ties {ties}" if ties else ""]))
     row = found.iloc[0]
     if not best:
         return "all diverge"
@@ -138,32 +145,13 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
     return number_format.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 
-def _as_good(found: pd.DataFrame, runs: int) -> str:
-    """Which observers are as good as the best in the most cells, where none is surely the best."""
-    names, most = most_often(found.leaders)
-    if most:
-        return number_format.as_good(names, most, len(found))
-    return "all diverge" if not any(found.best) else "one run: nothing is sure" if runs == 1 else "not compared"
-
-
 def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
     """Every observer with its mean over that of the cell's best, the median over cells, the least first."""
     wide = part.pivot(index="cell", columns="observer", values="mean")
     least, out = wide.min(axis=1), []
     for observer in dict.fromkeys(part.observer):
-        mine = wide[observer].fillna(np.inf)
+        own = wide[observer].fillna(np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(least > 0, mine / least, np.where(mine > 0, np.inf, 1.0))
+            ratio = np.where(least > 0, own / least, np.where(own > 0, np.inf, 1.0))
         out.append((observer, float(np.median(ratio[least.notna()])) if least.notna().any() else np.inf))
     return sorted(out, key=lambda pair: pair[1])
-
-
-def _value(part: pd.DataFrame, best: str, several: bool) -> str:
-    mine: Any = part[part.observer == best]
-    unit = part.unit.iloc[0]
-    if not len(mine):
-        return "-"
-    if several:
-        low, high = mine["mean"].min(), mine["mean"].max()
-        return f"{number(low)} to {number(high)} {unit}" if np.isfinite(low) else "-"
-    return f"{number_format.interval(mine.iloc[0])} {unit}"

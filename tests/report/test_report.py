@@ -13,7 +13,7 @@ import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import frames, labels, layout
-from pcbench.report import captions, experiment, export_figures, figures, page
+from pcbench.report import captions, experiment, figures, page
 from pcbench.statistics import number_format
 from pcbench.study import parse
 
@@ -213,12 +213,12 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
 
 @pytest.mark.ci
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
-    names = export_figures.write(
+    names = figures.write(
         pcbench.open_result(folder), tmp_path, shown=figures.Shown(paper=plots.Paper(3.3, 8.0))
     )
     assert names == re.findall(r'<figure id="([^"]+)">', text)
     for name in names:
-        svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in export_figures.KINDS)
+        svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in figures.KINDS)
         assert re.findall(rb"<text[^>]*>([^<]+)<", svg)
         assert re.search(rb'width="(237.6|475.2|\d+(\.\d+)?)pt"', svg)
         assert pdf.startswith(b"%PDF")
