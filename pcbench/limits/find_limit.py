@@ -70,30 +70,35 @@ def find_limit(
     range of the first axis, or a list of two ranges, of which None is the default one. Each value has a folder of its own in
     `out`.
     """
-    if not isinstance(axis, str):
-        each = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "seeds": seeds}
-        each |= {"max_seeds": max_seeds, "overwrite": overwrite, "progress": progress, "say": say}
-        return frontier(study, list(axis), between, observers, out, overrides or [], each)
-    ends = _range(between)
+    named = [axis] if isinstance(axis, str) else list(axis)
+    if len(named) not in (1, 2):
+        raise UserError(f"--axis: got {len(named)} axes, expected one or two; ask about two at a time.")
     observers = [observers] if isinstance(observers, str) else observers
+    given = {"seeds": seeds, "observers": observers}
     raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
-    raw |= {key: plain(value) for key, value in {"seeds": seeds, "observers": observers}.items() if value is not None}
+    raw |= {key: plain(value) for key, value in given.items() if value is not None}
     raw = all_observers.resolved(raw, where)
     for sentence in all_observers.sentences(raw.get("excluded")):
         say(sentence)
+    if len(named) == 2:
+        each = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "max_seeds": max_seeds}
+        return _frontier(
+            raw, where, named, between, out, each | {"overwrite": overwrite, "progress": progress, "say": say}
+        )
+    ends = _range(between)
     with config.float64(), ExitStack() as stack:
-        q = question(described(raw, where, FROM_HERE), where, axis, metric, signal, threshold)
+        q = question(described(raw, where, FROM_HERE), where, named[0], metric, signal, threshold)
         scale = scale_of(q.axis, q.scenario, ends, tol)
-        most = _budget(max_seeds, q.study.seeds)
-        temporary = None if out is not None else stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-"))
-        folder = str(out) if temporary is None else temporary
-        q = _with_gains(q, scale.also or (scale.low,), folder, overwrite, progress)
+        if max_seeds is not None and max_seeds < 1:
+            raise UserError(f"--max-seeds: got {max_seeds}, expected a number of seeds, 1 or more; leave it out.")
+        most = BUDGET * q.study.seeds if max_seeds is None else max(max_seeds, q.study.seeds)
+        folder = str(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-")) if out is None else out)
+        q = _with_gains(q, (scale.also or (scale.low,))[0], folder, overwrite, progress)
         earlier = [] if overwrite else seed_growth.stands(folder, q)
         scale = scale._replace(also=(*scale.also, *earlier))
-        found = search(
-            seed_growth.looking(q, folder, How(overwrite=overwrite, progress=progress, say=say)), scale, threshold, most
-        )
+        look = seed_growth.looking(q, folder, How(overwrite=overwrite, progress=progress, say=say))
+        found = search(look, scale, threshold, most)
     answers = {o: limit_search.answer(found[o]) for o in observers_of(q.study, q.scenario.name)}
     table = limit_search.table(answers, q.axis.called)
     table.attrs |= {
@@ -112,47 +117,30 @@ def find_limit(
     return table
 
 
-def frontier(
-    study: Described,
-    axes: list[str],
-    between: Any,
-    observers: str | list[str] | None,
-    out: str | Path | None,
-    overrides: list[str],
-    how: dict[str, Any],
+def _frontier(
+    raw: dict[str, Any], where: str, named: list[str], between: Any, out: str | Path | None, how: dict[str, Any]
 ) -> pd.DataFrame:
-    """Return the largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
-    if len(axes) == 1:
-        return find_limit(
-            study, axis=axes[0], between=between, observers=observers, out=out, overrides=overrides, **how
-        )
-    if len(axes) != 2:
-        raise UserError(f"--axis: got {len(axes)} axes, expected one or two; ask about two at a time.")
-    raw = raw_of(study, overrides, FROM_HERE)
-    where = where_of(study, raw)
-    raw |= {} if observers is None else {"observers": [observers] if isinstance(observers, str) else observers}
-    raw = all_observers.resolved(raw, where)
-    for sentence in all_observers.sentences(raw.get("excluded")):
-        how["say"](sentence)
+    """The largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
     ends = list(between) if np.iterable(between) else []
     several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
     first, second = (_range(each) for each in (ends if several else (between, None)))
     s = scenario_in(described(raw, where, FROM_HERE), where)
-    axis = axis_of(axes[0], s, raw.get("axes", {}).get(axes[0].partition("[")[0].strip().replace("-", "_")), where)
-    if axis.name == axes[1].partition("[")[0].strip().replace("-", "_"):
+    names = [each.partition("[")[0].strip().replace("-", "_") for each in named]
+    axis = axis_of(named[0], s, raw.get("axes", {}).get(names[0]), where)
+    if axis.name == names[1]:
         raise UserError(f"--axis: got {axis.name} twice, expected two axes; name another one.")
     listed = first is None and len(set(axis.own)) > 1
     values = sorted(set(axis.own)) if listed else scale_of(axis, s, first, None).start()
     tables = {}
     for value in values:
-        here = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.put(value)]}}
+        at = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.put(value)]}}
         into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.called}={value:g}')}"
-        tables[value] = find_limit(here, axis=axes[1], between=second, out=into, **how)
+        tables[value] = find_limit(at, axis=named[1], between=second, out=into, **how)
     found = pd.concat([table.assign(**{axis.called: value}) for value, table in tables.items()], ignore_index=True)
     found.insert(0, axis.called, found.pop(axis.called))
     last = tables[values[-1]].attrs
-    unit = AXIS_UNITS.get(axis.name, "").replace("1", "")
-    found.attrs |= last | {"over": [axis.called, last["over"]], "over_unit": [unit, last["over_unit"]]}
+    units = [AXIS_UNITS.get(axis.name, "").replace("1", ""), last["over_unit"]]
+    found.attrs |= last | {"over": [axis.called, last["over"]], "over_unit": units}
     found.attrs |= {"between": [(values[0], values[-1]), last["between"]], "out": None if out is None else str(out)}
     return found
 
@@ -167,13 +155,7 @@ def _range(between: Any) -> tuple[float, float] | None:
     return ends[0], ends[1]
 
 
-def _budget(most: int | None, seeds: int) -> int:
-    if most is not None and most < 1:
-        raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
-    return BUDGET * seeds if most is None else max(most, seeds)
-
-
-def _with_gains(q: Question, at: tuple[float, ...], folder: str, overwrite: bool, progress: Progress) -> Question:
+def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: Progress) -> Question:
     """The question of a study whose gains are found: designed or tuned where it asks for that, at the first value."""
     if q.study.tunings == ["published"]:
         return q
@@ -182,6 +164,6 @@ def _with_gains(q: Question, at: tuple[float, ...], folder: str, overwrite: bool
             f"{q.study.name}: tune.cells: got 'all', expected 'first': the search decides as it goes which values are tried, "
             "and all have the gains of the first; leave it out."
         )
-    here = q.study.model_copy(update={"axes": q.study.axes | {q.axis.name: [q.axis.put(at[0])]}})
-    made = gain_variants.prepare(Grid(here, grid.cells(here, q.scenario.name)), folder, overwrite, progress)
+    first = q.over([at])
+    made = gain_variants.prepare(Grid(first, grid.cells(first, q.scenario.name)), folder, overwrite, progress)
     return q._replace(study=made.study)

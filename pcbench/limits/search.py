@@ -82,9 +82,8 @@ def _middle(a: float, b: float) -> float:
 
 
 LEAST = 1.1  # times as many seeds a round at least
-Look = Callable[
-    [list[float], Mapping[float, int]], dict[str, list[Point]]
-]  # values, seeds of some -> points by observer
+# values, seeds of some -> points by observer
+Look = Callable[[list[float], Mapping[float, int]], dict[str, list[Point]]]
 
 
 def search(look: Look, scale: Scale, limit: float, most: int) -> dict[str, list[Point]]:
@@ -148,9 +147,7 @@ class Axis(NamedTuple):
     name: str  # as a study knows it
     at: int | None  # of the channels or states, the one that varies; None: all, or there are none
     others: tuple[Any, ...]  # what every channel has; of the one that varies, what it has in the scenario
-    own: tuple[
-        float, ...
-    ]  # what the study itself says of the number that varies, its scenario's own where it says nothing
+    own: tuple[float, ...]  # what the study says of the number that varies; its scenario's own where it says nothing
 
     @property
     def called(self) -> str:
@@ -223,7 +220,7 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
     if tol is not None and not (0 < tol < float("inf") and tol >= tick * (1 - 1e-9)):
         least = f"at least a tick, {tick:g} s" if tick else "a number above 0"
         raise UserError(f"--tol: got {tol:g}, expected {least}; leave it out for a twentieth of the value.")
-    low, high = ends or (_between(axis) if len(set(axis.own)) > 1 else _usual(axis, s))
+    low, high = ends or ((min(axis.own), max(axis.own)) if len(set(axis.own)) > 1 else _usual(axis, s))
     for end in (low, high):
         axes.point(axis.name, axis.put(end), s, "--range")
     if not low < high:
@@ -232,51 +229,39 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
     return scale._replace(also=tuple(v for v in axis.own if low <= v <= high))
 
 
-def _between(axis: Axis) -> tuple[float, float]:
-    return min(axis.own), max(axis.own)
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.1g}")
-
-
 def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
     """The range in which a scenario's number is looked for where nobody says one."""
     own = axis.own[0] if axis.own else 0.0
     long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
+    half = max((round(period / s.dt) - 1) // 2, 0) * s.dt
     usual = {
         "sampling_period": (s.dt, long),
-        "delay": (0.0, long),
-        "actuator_delay": (0.0, long),
-        "delay_jitter": (0.0, long),
-        "command_jitter": (0.0, long),
-        "sampling_jitter": (0.0, max((round(period / s.dt) - 1) // 2, 0) * s.dt),
+        **dict.fromkeys(("delay", "actuator_delay", "delay_jitter", "command_jitter", "delay_gamma_mean"), (0.0, long)),
+        **dict.fromkeys(("sampling_jitter", "timestamp_jitter"), (0.0, half)),
+        **dict.fromkeys(("loss", "command_loss"), (0.0, 0.9)),
         "assumed_delay_error": (0.0, max(period, s.dt)),
-        "loss": (0.0, 0.9),
         "delay_self_transition": (0.0, 0.95),
-        "command_loss": (0.0, 0.9),
         "outlier_probability": (0.0, 0.5),
         "student_t_dof": (2.1, 30.0),
         "dither": (0.0, 1.0),
         "mean_burst_length": (2.0, 20.0),
         "outage_duration": (0.0, long),
-        "delay_gamma_mean": (0.0, long),
         "delay_gamma_shape": (0.5, 10.0),
         "timestamp_offset": (-period, period),
         "clock_skew": (0.0, 1000.0),
-        "timestamp_jitter": (0.0, max((round(period / s.dt) - 1) // 2, 0) * s.dt),
         "assumed_noise_scale": (0.1, 10.0),
         "parameter_drift": (0.0, 2.0),
     }.get(axis.name)
     if usual is None and own:
-        usual = (own, 2 * own) if axis.name.startswith("plant.") else (_round(own / DECADE), _round(own * DECADE))
+        decades = float(f"{own / DECADE:.1g}"), float(f"{own * DECADE:.1g}")
+        usual = (own, 2 * own) if axis.name.startswith("plant.") else decades
     if usual is None or not usual[0] != usual[1]:
         raise UserError(
             f"--range: {s.name} suggests none for {axis.called}, expected the two ends of a range; write --range LOW HIGH."
         )
-    rounded = tuple(float(f"{end:.12g}") for end in sorted(usual))
-    return rounded[0], rounded[1]
+    low, high = (float(f"{end:.12g}") for end in sorted(usual))
+    return low, high
 
 
 SMALLER_IS_BETTER = tuple(m for m in METRICS if m not in SIGNED)
@@ -298,6 +283,12 @@ class Question(NamedTuple):
     def unit(self) -> str:
         """Return the metric's unit."""
         return "1" if self.metric in UNITLESS else unit_of(self.metric, dict(signals_of(self.scenario))[self.signal])
+
+    def over(self, values: list[float]) -> Study:
+        """Return the study with these values of the axis."""
+        return self.study.model_copy(
+            update={"axes": self.study.axes | {self.axis.name: list(map(self.axis.put, values))}}
+        )
 
     @property
     def axis_unit(self) -> str:

@@ -17,7 +17,7 @@ from pcbench.errors import DesignError, UserError
 from pcbench.limits.search import Look, Question
 from pcbench.statistics import limit_search
 from pcbench.statistics.limit_search import NULL, REFUSED, Point
-from pcbench.study import Study, fits, grid, observers_of
+from pcbench.study import fits, grid, observers_of
 from pcbench.study.grid import Cell, Grid
 
 
@@ -42,8 +42,7 @@ def looking(q: Question, folder: str | Path, how: run_study.How) -> Look:
     why, started = Refusals({}, {}, {}), list[bool]()
 
     def look(values: list[float], seeds: Mapping[float, int]) -> dict[str, list[Point]]:
-        now = how._replace(overwrite=how.overwrite and not started)
-        result = _run(q, values, seeds, why, folder, now)
+        result = _run(q, values, seeds, why, folder, how._replace(overwrite=how.overwrite and not started))
         started.append(True)
         return points(q, values, why, result)
 
@@ -56,19 +55,15 @@ def _run(
     """Run what can be run; what has no gains is found where a design fails, and left out."""
     while True:
         grid = _grid(q, values, why)
-        more = {cell.digest: seeds[v] for v, cell in _by_value(q, grid.cells).items() if v in seeds}
+        cells = _by_value(q, grid.cells)
+        more = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
         try:
             return run_study.execute(grid, folder, how._replace(more=more))
         except DesignError:
-            found = {
-                (o, v): said
-                for v, cell in _by_value(q, grid.cells).items()
-                for o in cell.options
-                if (said := _without_gains(cell, o))
-            }
-            if not found:
+            failures = {(o, v): _without_gains(cell, o) for v, cell in cells.items() for o in cell.options}
+            if not any(failures.values()):
                 raise
-            why.gains.update(found)
+            why.gains.update({key: sentence for key, sentence in failures.items() if sentence})
 
 
 def _without_gains(cell: Cell, observer: str) -> str:
@@ -82,65 +77,55 @@ def _without_gains(cell: Cell, observer: str) -> str:
 
 def _grid(q: Question, values: list[float], why: Refusals) -> Grid:
     """Return the study over all values that can be run, each cell with the observers that can; raise UserError where none."""
-    name, study = q.scenario.name, q.study
-    found: dict[float, Cell] = {}
+    name, possible = q.scenario.name, list[float]()
     for value in values:
         if value in why.values:
             continue
         try:
-            (found[value],) = grid.cells(_over(q, [value]), name)
+            (cell,) = grid.cells(q.over([value]), name)
         except UserError as error:
             why.values[value] = str(error)
-    for cell in found.values():
+            continue
+        possible.append(value)
         for o in cell.options:
             try:
-                fits.works_on(o, cell.entry(o), cell.scenario, study.name)
+                fits.works_on(o, cell.entry(o), cell.scenario, q.study.name)
             except UserError as error:
                 why.observers.setdefault(o, str(error))
-    able = [o for o in observers_of(study, name) if o not in why.observers]
-    kept = {v: [o for o in able if (o, v) not in why.gains] for v in found}
-    kept = {v: each for v, each in kept.items() if each}
+    able = [o for o in observers_of(q.study, name) if o not in why.observers]
+    kept = {v: each for v in possible if (each := [o for o in able if (o, v) not in why.gains])}
     if not kept:
         raise UserError(next(iter([*why.observers.values(), *why.values.values(), *why.gains.values()])))
     run = [o for o in able if any(o in each for each in kept.values())]
-    grown = _over(q, list(kept)).model_copy(update={"observers": run})
-    every = grid.cells(grown, name)
+    study = q.over(list(kept)).model_copy(update={"observers": run})
+    cells = _by_value(q, grid.cells(study, name))
     return Grid(
-        grown,
-        [
-            cell._replace(options={o: given for o, given in cell.options.items() if o in kept[v]})
-            for v, cell in _by_value(q, every).items()
-        ],
+        study, [c._replace(options={o: c.options[o] for o in c.options if o in kept[v]}) for v, c in cells.items()]
     )
 
 
-def _over(q: Question, values: list[float]) -> Study:
-    """The study with these values of the axis."""
-    return q.study.model_copy(update={"axes": q.study.axes | {q.axis.name: [q.axis.put(v) for v in values]}})
-
-
-def _by_value(q: Question, every: list[Cell]) -> dict[float, Cell]:
-    """Cells by their value of the axis."""
-    return {q.axis.number(cell.values[q.axis.name]): cell for cell in every}
+def _by_value(q: Question, cells: list[Cell]) -> dict[float, Cell]:
+    return {q.axis.number(cell.values[q.axis.name]): cell for cell in cells}
 
 
 def points(q: Question, values: list[float], why: Refusals, result: Result) -> dict[str, list[Point]]:
     """Return by observer what came out at every value, or why nothing did."""
-    stats = result.stats
+    stats, axis = result.stats, q.axis
     rows: pd.DataFrame = stats[(stats.metric == q.metric) & (stats.signal == q.signal)].copy()
     if rows.empty:
         raise UserError(
             f"--metric: got {q.metric} of {q.signal}, which {q.scenario.name} does not have, expected one that it has; "
             "take another."
         )
-    rows[q.axis.called] = [q.axis.number(held) for held in rows[q.axis.name]]
-    refused = [(o, Point(v, REFUSED, why=said)) for o, said in why.observers.items() for v in values]
+    rows[axis.called] = [axis.number(held) for held in rows[axis.name]]
     able = [o for o in observers_of(q.study, q.scenario.name) if o not in why.observers]
-    refused += [(o, Point(v, REFUSED, why=said)) for v, said in why.values.items() for o in able]
-    refused += [(o, Point(v, REFUSED, why=said)) for (o, v), said in why.gains.items() if v not in why.values]
-    found = limit_search.points(rows, q.axis.called, q.threshold, refused)
-    there = {o: {p.value for p in each} for o, each in found.items()}
-    silent = [
-        (o, Point(v, NULL)) for o in able for v in values if v not in there.get(o, set())
+    besides = [(o, Point(v, REFUSED, why=sentence)) for o, sentence in why.observers.items() for v in values]
+    besides += [(o, Point(v, REFUSED, why=sentence)) for v, sentence in why.values.items() for o in able]
+    besides += [(o, Point(v, REFUSED, why=sentence)) for (o, v), sentence in why.gains.items() if v not in why.values]
+    answered = {(o, v) for o, v in zip(rows.observer, rows[axis.called], strict=True)} | {
+        (o, p.value) for o, p in besides
+    }
+    besides += [
+        (o, Point(v, NULL)) for o in able for v in values if (o, v) not in answered
     ]  # it does not estimate that
-    return limit_search.points(rows, q.axis.called, q.threshold, [*refused, *silent])
+    return limit_search.points(rows, axis.called, q.threshold, besides)

@@ -103,26 +103,22 @@ def honesty(run: pd.DataFrame) -> str:
 
 def costs(found: pd.DataFrame) -> str:
     """Return what each observer costs."""
-    said = [
-        f"{row['observer']} {row['sample']:,} a sample, {row['tick']:,} a tick, {row['memory']:,} bytes"
-        for row in found.to_dict("records")
-    ]
-    return f"Multiplications of one run, and memory: {'; '.join(said)}."
+    text = "{observer} {sample:,} a sample, {tick:,} a tick, {memory:,} bytes"
+    each = "; ".join(text.format_map(row) for row in found.to_dict("records"))
+    return f"Multiplications of one run, and memory: {each}."
 
 
 def borne(found: pd.DataFrame) -> str:
     """Return how much of each fault observers bear before the model alone is better."""
+
+    def most(value: float) -> str:
+        return "never" if np.isnan(value) else "everywhere" if np.isinf(value) else f"to {number(value)}"
+
     said = []
     for axis, mine in found.groupby("axis", sort=False):
-        each = [f"{row['observer']} {_most(row['most'])}" for row in mine.to_dict("records")]
+        each = [f"{row['observer']} {most(row['most'])}" for row in mine.to_dict("records")]
         said.append(f"{frames.label(str(axis))}: {', '.join(each)}")
     return f"Better than the model alone: {'; '.join(said)}."
-
-
-def _most(value: float) -> str:
-    if np.isnan(value):
-        return "never"
-    return "everywhere" if np.isinf(value) else f"to {number(value)}"
 
 
 def fair(table: pd.DataFrame) -> str:
@@ -165,11 +161,8 @@ def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> s
 def _words(a: Answer) -> str:
     """An answer in a few words."""
     if a.largest is None or a.kind != "up to":
-        return {
-            "every value": "everywhere",
-            "no value": "nowhere",
-            "undecided": "not sure anywhere",
-        }.get(a.kind, "has no number")
+        words = {"every value": "everywhere", "no value": "nowhere", "undecided": "not sure anywhere"}
+        return words.get(a.kind, "has no number")
     end = f"up to {layout.word(a.largest.value)}"
     beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", beyond not sure"
     odd = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""

@@ -31,7 +31,6 @@ class Made:
     """A program, or the place of one that is being made by the thread that holds its lock."""
 
     def __init__(self) -> None:
-        """Begin without one."""
         self.lock = Lock()
         self.program: Any = None
         self.mappings = 0  # of memory, as far as it was made within `ask`
@@ -41,20 +40,18 @@ class Programs:
     """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`.
 
     Threads that ask for different ones make `AT_ONCE` of them side by side; who asks for one that is being made waits for it.
+    It iterates over what programs are compiled for, the one that was asked for last at the end.
     """
 
     def __init__(self) -> None:
-        """Begin with none."""
         self.made = 0  # so far
         self._kept: dict[Hashable, Made] = {}
         self._lock, self._room = Lock(), Semaphore(AT_ONCE)
 
     def __iter__(self) -> Iterator[Hashable]:
-        """Iterate over what programs are compiled for, the one that was asked for last at the end."""
         return iter(self._kept)
 
     def __len__(self) -> int:
-        """Return how many there are."""
         return len(self._kept)
 
     def ask(self, key: Hashable, new: Callable[[], Any]) -> Any:
@@ -67,16 +64,14 @@ class Programs:
                     before = _mappings()
                     one.program = new()
                     one.mappings = _mappings() - before
-                self._keep(key, one)
+                with self._lock:
+                    self._kept[key], self.made = one, self.made + 1  # it may have been dropped while it was made
+                    while len(self) > MOST or (
+                        len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS
+                    ):
+                        del self._kept[next(iter(self))]  # the oldest
                 _release()
             return one.program
-
-    def _keep(self, key: Hashable, one: Made) -> None:
-        """Keep a program that was made, and drop the oldest ones for it."""
-        with self._lock:
-            self._kept[key], self.made = one, self.made + 1  # it may have been dropped while it was made
-            while len(self) > MOST or (len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS):
-                del self._kept[next(iter(self))]
 
 
 def _release() -> None:

@@ -113,7 +113,7 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
         left_out |= dict.fromkeys(screen.fit(title, columns, [cell.observer.nunique() for cell in group]))
     methods = set(view.stats.method)
     notes = [EXACT] if "exact" in methods else []
-    notes += [HALF] if methods != {"exact"} else []
+    notes += [HALF] if "exact" not in methods or "runs" in methods else []
     if "exact" not in methods and any(cell.observer.nunique() > 1 for cell in cells):
         notes.append(PAIRED)
     return notes + ([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])
