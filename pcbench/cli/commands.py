@@ -5,20 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import (
-    check,
-    export,
-    external,
-    find_limit,
-    lists,
-    new,
-    observers,
-    recordings,
-    report,
-    reproduce,
-    runs,
-    tuning,
-)
+from pcbench.cli import export, find_limit, lists, new, observers, recordings, report, runs, tuning
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
@@ -39,12 +26,12 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
     "export": (export.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
-    "external prepare": (external.prepare, "what every run measures and when, for a program in any language"),
-    "external score": (external.score, "estimates made elsewhere, as one more observer"),
-    "external run": (external.run, "an observer in Python, one run at a time, on the same draws"),
-    "check": (check.check, "check what is your own: observer, plant, controller, study"),
+    "external prepare": (export.prepare, "what every run measures and when, for a program in any language"),
+    "external score": (export.score, "estimates made elsewhere, as one more observer"),
+    "external run": (export.run, "an observer in Python, one run at a time, on the same draws"),
+    "check": (new.check, "check what is your own: observer, plant, controller, study"),
     "cite": (report.cite, "BibTeX of what a study used"),
-    "reproduce": (reproduce.reproduce, "what five papers print, against what comes out"),
+    "reproduce": (report.reproduce, "what five papers print, against what comes out"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}
 

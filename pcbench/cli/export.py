@@ -1,12 +1,15 @@
-"""The command that takes an observer out of pcbench: as C, with its gains and a run to test it by."""
+"""Observers outside of pcbench: one taken out as C, and those that live elsewhere, on the same draws."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pcbench.cli.interrupts import stop_if_asked
-from pcbench.cli.shared import Late, Quiet, Set, Start, console, out, say, setup
+from pcbench.cli.options import RANKS, Folder, Late, Metric, Quiet, Set, Signals, Start, Study, chosen, names, out
+from pcbench.cli.shared import console, say, setup, working
 from pcbench.errors import UserError
+
+Name = Annotated[str, typer.Option(help="what the tables call it")]
 
 
 def export(
@@ -57,3 +60,77 @@ def export(
         print(double.splitlines()[-1] + ", in double precision")
     label = found.about.label
     print(f"{len(made)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")
+
+
+def prepare(
+    study: Study,
+    folder: Annotated[str, out("folder, which becomes the study's")],
+    seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
+    observers: Annotated[
+        str | None, typer.Option(help="comma-separated names, or all that can run, to compare with")
+    ] = None,
+    changes: Set = None,
+    csv: Annotated[bool, typer.Option("--csv", help="the tables as CSV files too")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write what every run measures and when it arrives, for a program in any language.
+
+    Example: pcbench external prepare cart/white --seeds 16 --out cart
+    """
+    setup()
+    from pcbench.external import export_draws
+    from pcbench.planning import all_observers
+
+    asked: dict[str, Any] = {"seeds": seeds, "observers": names(observers) if observers else None}
+    with working(quiet) as progress:
+        export_draws.write(all_observers.grid_of(study, asked, changes or []), folder, csv, progress)
+    print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
+
+
+def score(
+    folder: Folder,
+    estimates: Annotated[str, typer.Argument(help="a .parquet or .csv file with a row for each tick of each run")],
+    name: Name,
+    metric: Metric = RANKS,
+    signal: Signals = None,
+    quiet: Quiet = False,
+) -> None:
+    """Add estimates made elsewhere to a study's tables, as one more observer.
+
+    Example: pcbench external score cart estimates.parquet --name matlab-ekf
+    """
+    setup()
+    from pcbench.external import score
+
+    with working(quiet) as progress:
+        result = score.score(folder, estimates, name, progress, say)
+    _shown(result, folder, metric, signal, quiet)
+
+
+def run(
+    folder: Folder,
+    reference: Annotated[str, typer.Argument(metavar="MODULE:NAME", help="make(cell, xhat0), such as mine.py:make")],
+    name: Name,
+    metric: Metric = RANKS,
+    signal: Signals = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run an object in Python on a study's draws, one run at a time, and add it to the tables as one more observer.
+
+    Example: pcbench external run cart mine.py:make --name filterpy-kf
+    """
+    setup()
+    from pcbench.external import score
+
+    with working(quiet) as progress:
+        result = score.run(folder, reference, name, progress, say)
+    _shown(result, folder, metric, signal, quiet)
+
+
+def _shown(result: Any, folder: str, metric: str, signal: str | None, quiet: bool) -> None:
+    if quiet:
+        print(folder)
+        return
+    from pcbench.cli.render import results
+
+    results.closing(result, console(), metric, chosen(signal))

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import RANKS, AsJson, Observers, Quiet, Set, Signal, console, names, out, say, setup
+from pcbench.cli.options import RANKS, AsJson, Observers, Quiet, Set, Signal, names, out
+from pcbench.cli.shared import console, say, setup, working
 
 
 def find_limit(
@@ -53,7 +53,6 @@ def find_limit(
     """
     setup()
     from pcbench.cli.render import limits
-    from pcbench.cli.render.progress import bar
     from pcbench.cli.render.tables import readable
     from pcbench.limits import find_limit
     from pcbench.study import parse
@@ -62,7 +61,7 @@ def find_limit(
     if into is None:
         name = f"{parse.outline(study, changes or []).name}-{'-'.join(axis)}"
         into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", name).strip("-"))
-    with bar(quiet or as_json, "designing gains") as progress:
+    with working(quiet or as_json, "designing gains") as progress:
         table = find_limit.find_limit(
             study,
             axis=axis[0] if len(axis) == 1 else axis,
@@ -77,7 +76,7 @@ def find_limit(
             out=into,
             overrides=changes,
             overwrite=overwrite,
-            progress=stoppable(progress),
+            progress=progress,
             say=say,
         )
     if as_json:
@@ -85,10 +84,8 @@ def find_limit(
     elif quiet:
         print(into)
     elif len(axis) > 1:
-        screen = console()
-        limits.frontier(table, screen)
-        screen.say(f"Each value has its own study in {into}")
+        limits.frontier(table, console())
+        console().say(f"Each value has its own study in {into}")
     else:
-        screen = console()
-        limits.answers(table, screen)
-        screen.say(f"Now look at it: pcbench report {into}")
+        limits.answers(table, console())
+        console().say(f"Now look at it: pcbench report {into}")

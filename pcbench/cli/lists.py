@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console, require_effect, say, write
+from pcbench.cli.options import AsJson, Set, require_effect
+from pcbench.cli.shared import console, say, write
 from pcbench.errors import UserError, printable
 
 if TYPE_CHECKING:

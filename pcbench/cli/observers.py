@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from pcbench import toml_text
-from pcbench.cli.shared import AsJson, Observer, Scenario, Set, console, out, setup
+from pcbench.cli.options import AsJson, Observer, Scenario, Set, out
+from pcbench.cli.shared import console, setup
 from pcbench.errors import UserError
 
 

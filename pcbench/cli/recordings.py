@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import AsJson, Late, Quiet, Set, Start, console, names, out, say, setup
+from pcbench.cli.options import AsJson, Late, Quiet, Set, Start, names, out
+from pcbench.cli.shared import console, say, setup, working
 
 File = Annotated[
     str, typer.Argument(metavar="LOG", help="a folder or file of tables, or a TOML that says what a bag holds")
@@ -57,11 +57,10 @@ def replay(
     """
     setup()
     from pcbench.cli.render import recordings
-    from pcbench.cli.render.progress import bar
     from pcbench.cli.render.tables import readable
     from pcbench.playback import replay
 
-    with bar(quiet or as_json, "reading the log") as progress:
+    with working(quiet or as_json, "reading the log") as progress:
         found = replay.replay(
             file,
             plant,
@@ -71,7 +70,7 @@ def replay(
             start=start,
             seed=seed,
             overrides=changes,
-            progress=stoppable(progress),
+            progress=progress,
         )
     if as_json:
         print(readable(found.summary | {"out": folder}))

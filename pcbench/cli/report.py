@@ -1,16 +1,19 @@
-"""The command that makes results something to look at.
+"""The commands that make something to look at of results, and of papers: what they print and claim against what comes out."""
 
-The commands for a paper: tables of a result, and what to cite.
-"""
-
+import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, require_effect, setup, write
-from pcbench.errors import UserError, printable
+from pcbench.cli.options import RANKS, AsJson, Folder, Metric, Quiet, Signals, chosen, out, require_effect
+from pcbench.cli.shared import console, setup, working, write
+from pcbench.errors import UserError, printable, unknown
+
+if TYPE_CHECKING:
+    from pcbench.papers.claim import Claim
+
+ALL_PAPERS = "all"
 
 
 def report(
@@ -43,7 +46,6 @@ def report(
         require_effect(of_figures, "without --figures", "both; add --figures, or leave it out")
     setup()
     from pcbench import statistics
-    from pcbench.cli.render.progress import bar
     from pcbench.plots.layout import PAPER
     from pcbench.report.figures import Shown
     from pcbench.runtime import config
@@ -58,8 +60,7 @@ def report(
             f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
         )
     shown = Shown(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
-    with config.float64(), bar(quiet) as drawn:
-        progress = stoppable(drawn)
+    with config.float64(), working(quiet) as progress:
         if figures is not None:
             from pcbench.dataset.result import open_result
             from pcbench.report import figures as pictures
@@ -147,3 +148,57 @@ def cite(
     from pcbench import citing
 
     _put(citing.bibtex(what), file)
+
+
+def reproduce(
+    paper: Annotated[str, typer.Argument(help="a paper's short name, or all")] = ALL_PAPERS,
+    page: Annotated[
+        Path | None, typer.Option(help="Markdown file to write, of all papers; the same wherever it is made")
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare what papers print and claim with what comes out: every claim with a verdict and its evidence.
+
+    Example: pcbench reproduce all --page REPRODUCTION.md
+    """
+    from pcbench.papers import PAPERS
+
+    if paper != ALL_PAPERS and paper not in PAPERS:
+        raise unknown("reproduce", "paper", paper, [*PAPERS, ALL_PAPERS])
+    if page is not None and paper != ALL_PAPERS:
+        raise UserError(f"--page: got the paper '{paper}' alone, expected all of them; write pcbench reproduce all.")
+    setup()
+    from pcbench.cli.render import folder
+    from pcbench.dataset import storage
+    from pcbench.papers import every
+    from pcbench.papers.claim import counts
+    from pcbench.papers.page import page as text_of
+
+    if paper != ALL_PAPERS:
+        title, claims = PAPERS[paper]
+        rows = claims()
+        if as_json:
+            print(json.dumps(_data(paper, title, rows), indent=2))
+        elif not quiet:
+            folder.claims(title, rows, console())
+        return
+    if page is not None:
+        storage.make(storage.target(page.parent))  # a folder that cannot be written is said before the work
+    with working(quiet or as_json) as progress:
+        found = every.claims(progress)
+    if page is not None:
+        storage.put(storage.target(page.parent), page.name, text_of(found).encode())
+    if as_json:
+        papers = [_data(name, PAPERS[name][0], rows) for name, rows in found.items()]
+        print(json.dumps({"papers": papers, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
+    elif not quiet:
+        screen = console()
+        folder.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
+        if page is not None:
+            screen.print(f"The page: {page}")
+
+
+def _data(paper: str, title: str, rows: "list[Claim]") -> dict[str, object]:
+    keys = ("claim", "printed", "reproduced", "verdict")
+    return {"paper": paper, "source": title, "claims": [{k: getattr(row, k) for k in keys} for row in rows]}

@@ -13,8 +13,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import (
+from pcbench.cli.options import (
     RANKS,
     AsJson,
     Folder,
@@ -26,13 +25,11 @@ from pcbench.cli.shared import (
     Signals,
     Study,
     chosen,
-    console,
     names,
     out,
     require_effect,
-    say,
-    setup,
 )
+from pcbench.cli.shared import console, say, setup, working
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
@@ -90,7 +87,6 @@ def run(
         require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench import api, statistics
-    from pcbench.cli.render.progress import bar
     from pcbench.study import parse
 
     statistics.compared(metric, "--metric")
@@ -100,7 +96,7 @@ def run(
         require_effect(simulated[0], 'with a study of evaluation "exact"', simulated[1])
         _require_exact(metric)
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-    with bar(quiet or as_json, "designing gains") as progress:
+    with working(quiet or as_json, "designing gains") as progress:
         result = api.run(
             study,
             overrides=changes,
@@ -116,7 +112,7 @@ def run(
             workers=workers,
             block_size=block_size,
             memory=memory,
-            progress=stoppable(_importing_ahead(progress, quiet)),
+            progress=_importing_ahead(progress, quiet),
             say=say,
         )
     if result.study.custom_observers and find_spec("matplotlib"):
@@ -229,10 +225,9 @@ def merge(
 
     Example: pcbench merge monday tuesday --out both
     """
-    from pcbench.cli.render.progress import bar
     from pcbench.dataset import merge
 
-    with bar(quiet) as progress:
+    with working(quiet) as progress:
         made = merge.merge(folders, into, progress)
     again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
     fills = f"pcbench run {into}/study.toml --out {into} fills them"
@@ -274,10 +269,9 @@ def verify(
     if exact:
         return _against_exact(folder, figure, quiet, as_json)
     from pcbench.cli.render import folder as screen
-    from pcbench.cli.render.progress import bar
     from pcbench.dataset import verify
 
-    with bar(quiet or as_json) as progress:
+    with working(quiet or as_json) as progress:
         found = verify.verify(folder, None if every else SAMPLE if sample is None else sample, seed or 0, progress)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))

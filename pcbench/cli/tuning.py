@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli.interrupts import stoppable
-from pcbench.cli.shared import AsJson, Late, Observer, Quiet, Scenario, Set, Signal, console, names, out, setup
+from pcbench.cli.options import AsJson, Late, Observer, Quiet, Scenario, Set, Signal, names, out
+from pcbench.cli.shared import console, setup, working
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 
@@ -51,7 +51,6 @@ def tune(
     """
     setup()
     from pcbench.cli.render import gains
-    from pcbench.cli.render.progress import bar
     from pcbench.cli.render.tables import readable
     from pcbench.gains import history, tune
 
@@ -72,8 +71,7 @@ def tune(
         raise UserError("--delay: got one without --log, expected it with a log alone; leave it out, or give --log.")
     options: dict[str, Any] = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
-    with bar(quiet or as_json, "designing gains") as progress:
-        options["progress"] = stoppable(progress)
+    with working(quiet or as_json, "designing gains") as options["progress"]:
         if log is not None:
             from pcbench.playback.tuning import tune_log
 
