@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import export, find_limit, lists, new, observers, recordings, report, runs, tuning
+from pcbench.cli import export, lists, new, recordings, report, runs, tuning
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
@@ -15,7 +15,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (report.report, "one HTML page of the results, or figures"),
     "tables": (report.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
-    "find-limit": (find_limit.find_limit, "the largest period, delay, noise that keeps an error small"),
+    "find-limit": (runs.find_limit, "the largest period, delay, noise that keeps an error small"),
     "simulate": (runs.simulate, "one run tick by tick, as a file"),
     "info": (recordings.info, "what is in a recorded log: rates, gaps, delays"),
     "replay": (recordings.replay, "observers on recorded data, as it arrived"),
@@ -23,7 +23,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "verify": (runs.verify, "check every file, compute some runs again"),
     "merge": (runs.merge, "one dataset of several"),
     "compare": (runs.compare, "what changed between two results of a study"),
-    "design": (observers.design, "find gains and prove them"),
+    "design": (tuning.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
     "export": (export.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
     "external prepare": (export.prepare, "what every run measures and when, for a program in any language"),

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 import typer
 
 from pcbench.cli.interrupts import stop_if_asked
-from pcbench.cli.options import RANKS, Folder, Late, Metric, Quiet, Set, Signals, Start, Study, chosen, names, out
-from pcbench.cli.shared import console, say, setup, working
+from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study, out
+from pcbench.cli.shared import chosen, console, names, say, setup, working
 from pcbench.errors import UserError
 
 Name = Annotated[str, typer.Option(help="what the tables call it")]
@@ -91,7 +91,7 @@ def score(
     folder: Folder,
     estimates: Annotated[str, typer.Argument(help="a .parquet or .csv file with a row for each tick of each run")],
     name: Name,
-    metric: Metric = RANKS,
+    metric: Metric = RANK,
     signal: Signals = None,
     quiet: Quiet = False,
 ) -> None:
@@ -111,7 +111,7 @@ def run(
     folder: Folder,
     reference: Annotated[str, typer.Argument(metavar="MODULE:NAME", help="make(cell, xhat0), such as mine.py:make")],
     name: Name,
-    metric: Metric = RANKS,
+    metric: Metric = RANK,
     signal: Signals = None,
     quiet: Quiet = False,
 ) -> None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pcbench.cli.options import AsJson, Set, require_effect
-from pcbench.cli.shared import console, say, write
+from pcbench.cli.options import Json, Set
+from pcbench.cli.shared import console, require_effect, say, write
 from pcbench.errors import UserError, printable
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def list_(
     name: Annotated[
         str | None, typer.Argument(help="one of them, or MODULE:NAME of your own, in full: with options and ranges")
     ] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """List what there is, or one thing in full.
 
@@ -63,7 +63,7 @@ def show(
         ),
     ] = False,
     changes: Set = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Say all that a scenario is, or print it as a study of your own.
 

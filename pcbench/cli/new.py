@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from pcbench import toml_text
-from pcbench.cli.options import AsJson
+from pcbench.cli.options import Json
 from pcbench.cli.shared import console, setup
 from pcbench.errors import UserError, short, unknown
 
@@ -137,7 +137,7 @@ def check(
             help="an option of the observer or controller, a number of the plant (repeatable)",
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Check what is your own: does it keep to the protocol, does the loop settle? Exit code 1 where a check fails.
 

@@ -1,13 +1,12 @@
 """The options that several commands take, and what they mean."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
 
 from pcbench.errors import UserError
 
-RANKS = "steady_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
+RANK = "steady_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
 
 
 def _require_name(out: str | None) -> str | None:
@@ -24,7 +23,7 @@ def out(text: str) -> Any:
     return typer.Option("--out", "-o", help=text, callback=_require_name)
 
 
-AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
+Json = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no progress, no table: only where the result is")]
 Set = Annotated[
     list[str] | None,
@@ -43,20 +42,3 @@ Signal = Annotated[str | None, typer.Option(help="of which signal [default: the 
 Metric = Annotated[str, typer.Option(help="metric that ranks observers: pcbench list metrics")]
 Late = Annotated[float | None, typer.Option(help="how late every sample is [s], where the log does not say")]
 Start = Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")]
-
-
-def require_effect(given: Mapping[str, object], beside: str, expected: str) -> None:
-    """Raise UserError for an option that is given `beside` another, with which it has no effect."""
-    for name, value in given.items():
-        if value is not None and value is not False:
-            raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
-
-
-def names(text: str) -> list[str]:
-    """Return the names of a comma-separated list."""
-    return [name.strip() for name in text.split(",")]
-
-
-def chosen(signals: str | None) -> list[str] | None:
-    """Return the signals that are asked for: None where nothing is said, an empty list for all."""
-    return None if signals is None else [] if signals.strip() == "all" else names(signals)

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.options import AsJson, Late, Quiet, Set, Start, names, out
-from pcbench.cli.shared import console, say, setup, working
+from pcbench.cli.options import Json, Late, Quiet, Set, Start, out
+from pcbench.cli.shared import console, names, say, setup, working
 
 File = Annotated[
     str, typer.Argument(metavar="LOG", help="a folder or file of tables, or a TOML that says what a bag holds")
@@ -16,7 +16,7 @@ def info(
     file: File,
     delay: Late = None,
     picture: Annotated[str | None, out("picture of the delays to write: .svg, .pdf, .png")] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Say what is in a log: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
 
@@ -49,7 +49,7 @@ def replay(
     seed: Annotated[int, typer.Option(help="of observers that draw numbers themselves")] = 0,
     changes: Set = None,
     quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Run observers on what was measured, when it arrived, and say what can be known of them.
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pcbench.cli.options import RANKS, AsJson, Folder, Metric, Quiet, Signals, chosen, out, require_effect
-from pcbench.cli.shared import console, setup, working, write
+from pcbench.cli.options import RANK, Folder, Json, Metric, Quiet, Signals, out
+from pcbench.cli.shared import chosen, console, require_effect, setup, working, write
 from pcbench.errors import UserError, printable, unknown
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def report(
     width: Annotated[float | None, typer.Option(help="of --figures: inches of a column [default: 3.75]")] = None,
     size: Annotated[float | None, typer.Option(help="of --figures: points of text [default: 9]")] = None,
     font: Annotated[str | None, typer.Option(help="of --figures: its family [default: DejaVu Sans]")] = None,
-    metric: Metric = RANKS,
+    metric: Metric = RANK,
     signal: Signals = None,
     grid_point: Annotated[
         int | None,
@@ -89,7 +89,7 @@ def tables(
     markdown: Annotated[bool, typer.Option("--markdown", help="Markdown [default, or what --out ends in]")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="a row an estimate, its numbers in full")] = False,
     plain: Annotated[bool, typer.Option("--plain", help="LaTeX without any package")] = False,
-    metric: Metric = RANKS,
+    metric: Metric = RANK,
     signal: Signals = None,
     file: Annotated[str | None, out("file to write, .tex, .md or .csv [default: the terminal]")] = None,
 ) -> None:
@@ -156,7 +156,7 @@ def reproduce(
         Path | None, typer.Option(help="Markdown file to write, of all papers; the same wherever it is made")
     ] = None,
     quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Compare what papers print and claim with what comes out: every claim with a verdict and its evidence.
 

@@ -4,6 +4,7 @@ Commands that look after a study's folder: how far it is, several made one, comp
 """
 
 import json
+import re
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,23 +14,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.options import (
-    RANKS,
-    AsJson,
-    Folder,
-    Metric,
-    Observers,
-    Quiet,
-    Scenario,
-    Set,
-    Signals,
-    Study,
-    chosen,
-    names,
-    out,
-    require_effect,
-)
-from pcbench.cli.shared import console, say, setup, working
+from pcbench.cli.options import RANK, Folder, Json, Metric, Observers, Quiet, Scenario, Set, Signal, Signals, Study, out
+from pcbench.cli.shared import chosen, console, names, require_effect, say, setup, working
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
@@ -64,14 +50,14 @@ def run(
         str | None, typer.Option(help="what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
     ] = None,
     block_size: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
-    metric: Metric = RANKS,
+    metric: Metric = RANK,
     signal: Signals = None,
     costs: Annotated[
         bool, typer.Option("--operations", help="say in the tables what observers cost: multiplications and bytes")
     ] = False,
     timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
     quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Run a study and leave its tables in a folder.
 
@@ -169,6 +155,87 @@ def _require_exact(metric: str) -> None:
         )
 
 
+def find_limit(
+    study: Annotated[str, typer.Argument(help="a study of one scenario, a scenario or a TOML file")],
+    threshold: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
+    axis: Annotated[
+        list[str],
+        typer.Option(
+            metavar="AXIS",
+            help="sampling_period, delay[0], plant.lam ...: pcbench list axes; given twice: for each value of the first axis "
+            "the largest of the second",
+        ),
+    ],
+    metric: Annotated[str, typer.Option(help="what is to stay below: pcbench list metrics")] = RANK,
+    signal: Signal = None,
+    between: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            "--range",
+            metavar="LOW HIGH",
+            help="where to search, of two axes the first [default: as the study or the scenario suggests]",
+        ),
+    ] = None,
+    tol: Annotated[
+        float | None, typer.Option(help="how precisely, in the axis' unit [default: 5 % of the value]")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(help="noise seeds for each value")] = None,
+    max_seeds: Annotated[
+        int | None, typer.Option(help="of a value whose interval holds the limit [default: 16 times the study's]")
+    ] = None,
+    observers: Observers = None,
+    changes: Set = None,
+    folder: Annotated[
+        str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="remove what stands there, and start over")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Find the largest period, delay, loss ... at which an error surely stays below a limit, for each observer.
+
+    Example: pcbench find-limit cart/white --threshold 0.1 --axis sampling_period
+    """
+    setup()
+    from pcbench.cli.render import limits
+    from pcbench.cli.render.tables import readable
+    from pcbench.limits import find_limit
+    from pcbench.study import parse
+
+    into = folder
+    if into is None:
+        name = f"{parse.outline(study, changes or []).name}-{'-'.join(axis)}"
+        into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", name).strip("-"))
+    with working(quiet or as_json, "designing gains") as progress:
+        table = find_limit.find_limit(
+            study,
+            axis=axis[0] if len(axis) == 1 else axis,
+            threshold=threshold,
+            metric=metric,
+            signal=signal,
+            between=between,
+            tol=tol,
+            seeds=seeds,
+            max_seeds=max_seeds,
+            observers=None if observers is None else names(observers),
+            out=into,
+            overrides=changes,
+            overwrite=overwrite,
+            progress=progress,
+            say=say,
+        )
+    if as_json:
+        print(readable(table.attrs | {"answers": table.to_dict("records")}))
+    elif quiet:
+        print(into)
+    elif len(axis) > 1:
+        limits.frontier(table, console())
+        console().say(f"Each value has its own study in {into}")
+    else:
+        limits.answers(table, console())
+        console().say(f"Now look at it: pcbench report {into}")
+
+
 def simulate(
     scenario: Scenario,
     observer: Annotated[str, typer.Option(help="an observer's name, several with commas, or all that can run")],
@@ -197,7 +264,7 @@ def simulate(
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
 
 
-def status(folder: Folder, as_json: AsJson = False) -> None:
+def status(folder: Folder, as_json: Json = False) -> None:
     """Show how far a study is, and which files cannot be read. Exit code 1 where one is damaged; `verify` reads every number.
 
     Example: pcbench status results/quick
@@ -247,7 +314,7 @@ def verify(
     ] = False,
     figure: Annotated[str | None, typer.Option(help="with --exact: a quantile plot, .svg, .pdf or .png")] = None,
     quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
 
@@ -305,7 +372,7 @@ def compare(
     there: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
     here: Annotated[str, typer.Argument(help="another, of the same study: another release, another machine")],
     quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Say what changed beyond its interval between two results of one study. Exit code 1 where something did.
 

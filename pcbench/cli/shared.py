@@ -4,12 +4,12 @@ import codecs
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pcbench.cli.interrupts import stoppable
-from pcbench.errors import printable
+from pcbench.errors import UserError, printable
 from pcbench.runtime.progress import Progress
 
 if TYPE_CHECKING:
@@ -66,3 +66,20 @@ def setup() -> None:
     from pcbench.runtime import config
 
     config.setup()
+
+
+def require_effect(given: Mapping[str, object], beside: str, expected: str) -> None:
+    """Raise UserError for an option that is given `beside` another, with which it has no effect."""
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
+
+
+def names(text: str) -> list[str]:
+    """Return the names of a comma-separated list."""
+    return [name.strip() for name in text.split(",")]
+
+
+def chosen(signals: str | None) -> list[str] | None:
+    """Return the signals that are asked for: None where nothing is said, an empty list for all."""
+    return None if signals is None else [] if signals.strip() == "all" else names(signals)

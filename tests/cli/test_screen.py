@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from small_study import STUDY
 
 import pcbench
-from pcbench.cli import lists, options, shared
+from pcbench.cli import lists, shared
 from pcbench.cli.render import recordings, results
 from pcbench.cli.render.tables import Column, Screen, aligned
 from pcbench.controllers import CONTROLLERS
@@ -237,9 +237,9 @@ def test_a_table_in_a_file_is_as_wide_as_columns_says(said, width, monkeypatch):
 
 
 def test_signals_are_a_list_with_commas_or_all():
-    assert options.chosen("position, velocity") == ["position", "velocity"]
-    assert options.chosen(" all ") == []
-    assert options.chosen(None) is None
+    assert shared.chosen("position, velocity") == ["position", "velocity"]
+    assert shared.chosen(" all ") == []
+    assert shared.chosen(None) is None
 
 
 @pytest.mark.nightly
