@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from pcbench.cli import export, lists, new, recordings, report, runs, tuning
+from pcbench.cli.shared import option
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
@@ -53,7 +54,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def whole(
     asked: Annotated[
-        bool, typer.Option("--version", "-V", callback=_version, is_eager=True, help="say which release this is")
+        bool, option("say which release this is", "--version", "-V", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?

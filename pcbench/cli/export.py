@@ -2,26 +2,21 @@
 
 from typing import Annotated, Any
 
-import typer
-
 from pcbench.cli.interrupts import stop_if_asked
-from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study, out
-from pcbench.cli.shared import chosen, console, names, say, setup, working
+from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study
+from pcbench.cli.shared import argument, chosen, console, names, option, out, say, setup, working
 from pcbench.errors import UserError
 
-Name = Annotated[str, typer.Option(help="what the tables call it")]
+Name = Annotated[str, option("what the tables call it")]
 
 
 def export(
-    study: Annotated[str, typer.Argument(help="a scenario, or a study of one cell")],
-    observer: Annotated[str, typer.Argument(help="an observer's name, or its label in the study")],
+    study: Annotated[str, argument("a scenario, or a study of one cell")],
+    observer: Annotated[str, argument("an observer's name, or its label in the study")],
     folder: Annotated[str, out("folder for the files")],
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="run that becomes the test vector, without --log")
-    ] = 0,
+    seed: Annotated[int, option("run that becomes the test vector, without --log", min=0, max=2**32 - 1)] = 0,
     log: Annotated[
-        str | None,
-        typer.Option(help="recording that the C has room for, and is tested on [default: none, a simulated run]"),
+        str | None, option("recording that the C has room for, and is tested on [default: none, a simulated run]")
     ] = None,
     delay: Late = None,
     start: Start = None,
@@ -65,12 +60,10 @@ def export(
 def prepare(
     study: Study,
     folder: Annotated[str, out("folder, which becomes the study's")],
-    seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
-    observers: Annotated[
-        str | None, typer.Option(help="comma-separated names, or all that can run, to compare with")
-    ] = None,
+    seeds: Annotated[int | None, option("noise seeds for each cell")] = None,
+    observers: Annotated[str | None, option("comma-separated names, or all that can run, to compare with")] = None,
     changes: Set = None,
-    csv: Annotated[bool, typer.Option("--csv", help="the tables as CSV files too")] = False,
+    csv: Annotated[bool, option("the tables as CSV files too", "--csv")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Write what every run measures and when it arrives, for a program in any language.
@@ -89,7 +82,7 @@ def prepare(
 
 def score(
     folder: Folder,
-    estimates: Annotated[str, typer.Argument(help="a .parquet or .csv file with a row for each tick of each run")],
+    estimates: Annotated[str, argument("a .parquet or .csv file with a row for each tick of each run")],
     name: Name,
     metric: Metric = RANK,
     signal: Signals = None,
@@ -109,7 +102,7 @@ def score(
 
 def run(
     folder: Folder,
-    reference: Annotated[str, typer.Argument(metavar="MODULE:NAME", help="make(cell, xhat0), such as mine.py:make")],
+    reference: Annotated[str, argument("make(cell, xhat0), such as mine.py:make", metavar="MODULE:NAME")],
     name: Name,
     metric: Metric = RANK,
     signal: Signals = None,

@@ -4,10 +4,8 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pcbench.cli.options import Json, Set
-from pcbench.cli.shared import console, require_effect, say, write
+from pcbench.cli.shared import argument, console, option, require_effect, say, write
 from pcbench.errors import UserError, printable
 
 if TYPE_CHECKING:
@@ -19,12 +17,12 @@ IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  #
 def list_(
     what: Annotated[
         str | None,
-        typer.Argument(
-            help="observers, scenarios, plants, controllers, studies, axes, metrics or choices [default: the first five]"
+        argument(
+            "observers, scenarios, plants, controllers, studies, axes, metrics or choices [default: the first five]"
         ),
     ] = None,
     name: Annotated[
-        str | None, typer.Argument(help="one of them, or MODULE:NAME of your own, in full: with options and ranges")
+        str | None, argument("one of them, or MODULE:NAME of your own, in full: with options and ranges")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -52,15 +50,12 @@ def list_(
 
 
 def show(
-    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
+    scenario: Annotated[str, argument("a scenario's name, or a TOML file")],
     as_toml: Annotated[
-        bool, typer.Option("--toml", help="print it as a study file to start from, every field with its unit")
+        bool, option("print it as a study file to start from, every field with its unit", "--toml")
     ] = False,
     with_costs: Annotated[
-        bool,
-        typer.Option(
-            "--operations", help="what its observers cost: multiplications a sample and a tick, bytes of memory"
-        ),
+        bool, option("what its observers cost: multiplications a sample and a tick, bytes of memory", "--operations")
     ] = False,
     changes: Set = None,
     as_json: Json = False,

@@ -14,7 +14,7 @@ import typer
 
 from pcbench import toml_text
 from pcbench.cli.options import Json
-from pcbench.cli.shared import console, setup
+from pcbench.cli.shared import argument, console, option, setup
 from pcbench.errors import UserError, short, unknown
 
 Kind = Literal["observer", "plant", "controller", "scenario"]
@@ -34,8 +34,8 @@ NEXT = {
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="what to write")],
-    name: Annotated[str, typer.Argument(help="its name, and the file's")],
+    kind: Annotated[Kind, argument("what to write")],
+    name: Annotated[str, argument("its name, and the file's")],
 ) -> None:
     """Write a file that runs, commented as a lesson, to start from; for a plant also the study that runs it.
 
@@ -94,7 +94,7 @@ def title(page: str) -> str:
 
 
 def guide(
-    topic: Annotated[str | None, typer.Argument(help="a page's name; left out: the list of pages")] = None,
+    topic: Annotated[str | None, argument("a page's name; left out: the list of pages")] = None,
 ) -> None:
     """Show a page of the guide, or which there are.
 
@@ -118,23 +118,21 @@ def guide(
 def check(
     target: Annotated[
         str,
-        typer.Argument(
+        argument(
+            "a module's name or a .py file and an observer, a plant, a controller or a scenario in it; or a study file",
             metavar="MODULE:NAME|FILE.toml",
-            help="a module's name or a .py file and an observer, a plant, a controller or a scenario in it; or a study file",
         ),
     ],
     scenario: Annotated[
         str | None,
-        typer.Option(
-            help="what it is tried on: a scenario, a study file or MODULE:NAME with one; default: cart/white, a plant alone"
+        option(
+            "what it is tried on: a scenario, a study file or MODULE:NAME with one; default: cart/white, a plant alone"
         ),
     ] = None,
     options: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="an option of the observer or controller, a number of the plant (repeatable)",
+        option(
+            "an option of the observer or controller, a number of the plant (repeatable)", "--set", metavar="KEY=VALUE"
         ),
     ] = None,
     as_json: Json = False,

@@ -2,14 +2,10 @@
 
 from typing import Annotated
 
-import typer
+from pcbench.cli.options import Json, Late, Quiet, Set, Start
+from pcbench.cli.shared import argument, console, names, option, out, say, setup, working
 
-from pcbench.cli.options import Json, Late, Quiet, Set, Start, out
-from pcbench.cli.shared import console, names, say, setup, working
-
-File = Annotated[
-    str, typer.Argument(metavar="LOG", help="a folder or file of tables, or a TOML that says what a bag holds")
-]
+File = Annotated[str, argument("a folder or file of tables, or a TOML that says what a bag holds", metavar="LOG")]
 
 
 def info(
@@ -41,12 +37,12 @@ def info(
 
 def replay(
     file: File,
-    plant: Annotated[str, typer.Option(help="a study of one scenario: its outputs are the log's channels")],
-    observers: Annotated[str, typer.Option(help="comma-separated names, or all that can run")],
+    plant: Annotated[str, option("a study of one scenario: its outputs are the log's channels")],
+    observers: Annotated[str, option("comma-separated names, or all that can run")],
     folder: Annotated[str, out("folder for the estimates and what is known of them")],
     delay: Late = None,
     start: Start = None,
-    seed: Annotated[int, typer.Option(help="of observers that draw numbers themselves")] = 0,
+    seed: Annotated[int, option("of observers that draw numbers themselves")] = 0,
     changes: Set = None,
     quiet: Quiet = False,
     as_json: Json = False,

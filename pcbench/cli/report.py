@@ -4,10 +4,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from pcbench.cli.options import RANK, Folder, Json, Metric, Quiet, Signals, out
-from pcbench.cli.shared import chosen, console, require_effect, setup, working, write
+from pcbench.cli.options import RANK, Folder, Json, Metric, Quiet, Signals
+from pcbench.cli.shared import argument, chosen, console, option, out, require_effect, setup, working, write
 from pcbench.errors import UserError, printable, unknown
 
 if TYPE_CHECKING:
@@ -19,21 +17,19 @@ ALL_PAPERS = "all"
 def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
-    figures: Annotated[str | None, typer.Option(help="folder for the pictures as files, in place of the page")] = None,
-    formats: Annotated[str | None, typer.Option(help="of --figures, with commas [default: svg,pdf,png]")] = None,
-    width: Annotated[float | None, typer.Option(help="of --figures: inches of a column [default: 3.75]")] = None,
-    size: Annotated[float | None, typer.Option(help="of --figures: points of text [default: 9]")] = None,
-    font: Annotated[str | None, typer.Option(help="of --figures: its family [default: DejaVu Sans]")] = None,
+    figures: Annotated[str | None, option("folder for the pictures as files, in place of the page")] = None,
+    formats: Annotated[str | None, option("of --figures, with commas [default: svg,pdf,png]")] = None,
+    width: Annotated[float | None, option("of --figures: inches of a column [default: 3.75]")] = None,
+    size: Annotated[float | None, option("of --figures: points of text [default: 9]")] = None,
+    font: Annotated[str | None, option("of --figures: its family [default: DejaVu Sans]")] = None,
     metric: Metric = RANK,
     signal: Signals = None,
     grid_point: Annotated[
-        int | None,
-        typer.Option(help="at which pictures stand: number in stats.parquet [default: the one that tells most]"),
+        int | None, option("at which pictures stand: number in stats.parquet [default: the one that tells most]")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="of the run shown in time [default: the study's first]")] = None,
+    seed: Annotated[int | None, option("of the run shown in time [default: the study's first]")] = None,
     threshold: Annotated[
-        float | None,
-        typer.Option(help="limit of --metric, to say what suffices over each axis [default: twice the least]"),
+        float | None, option("limit of --metric, to say what suffices over each axis [default: twice the least]")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -85,10 +81,10 @@ SUFFIXES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
 
 def tables(
     folder: Folder,
-    latex: Annotated[bool, typer.Option("--latex", help="LaTeX, for booktabs and siunitx")] = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Markdown [default, or what --out ends in]")] = False,
-    csv: Annotated[bool, typer.Option("--csv", help="a row an estimate, its numbers in full")] = False,
-    plain: Annotated[bool, typer.Option("--plain", help="LaTeX without any package")] = False,
+    latex: Annotated[bool, option("LaTeX, for booktabs and siunitx", "--latex")] = False,
+    markdown: Annotated[bool, option("Markdown [default, or what --out ends in]", "--markdown")] = False,
+    csv: Annotated[bool, option("a row an estimate, its numbers in full", "--csv")] = False,
+    plain: Annotated[bool, option("LaTeX without any package", "--plain")] = False,
     metric: Metric = RANK,
     signal: Signals = None,
     file: Annotated[str | None, out("file to write, .tex, .md or .csv [default: the terminal]")] = None,
@@ -136,8 +132,7 @@ def _put(content: str, file: str | None) -> None:
 
 def cite(
     what: Annotated[
-        str | None,
-        typer.Argument(metavar="[DIR|STUDY]", help="a folder that pcbench run has made, or a study [default: all]"),
+        str | None, argument("a folder that pcbench run has made, or a study [default: all]", metavar="[DIR|STUDY]")
     ] = None,
     file: Annotated[str | None, out("file to write [default: the terminal]")] = None,
 ) -> None:
@@ -151,10 +146,8 @@ def cite(
 
 
 def reproduce(
-    paper: Annotated[str, typer.Argument(help="a paper's short name, or all")] = ALL_PAPERS,
-    page: Annotated[
-        Path | None, typer.Option(help="Markdown file to write, of all papers; the same wherever it is made")
-    ] = None,
+    paper: Annotated[str, argument("a paper's short name, or all")] = ALL_PAPERS,
+    page: Annotated[Path | None, option("Markdown file to write, of all papers; the same wherever it is made")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:

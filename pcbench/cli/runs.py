@@ -14,8 +14,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.options import RANK, Folder, Json, Metric, Observers, Quiet, Scenario, Set, Signal, Signals, Study, out
-from pcbench.cli.shared import chosen, console, names, require_effect, say, setup, working
+from pcbench.cli.options import RANK, Folder, Json, Metric, Observers, Quiet, Scenario, Set, Signal, Signals, Study
+from pcbench.cli.shared import argument, chosen, console, names, option, out, require_effect, say, setup, working
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
@@ -25,37 +25,33 @@ SAMPLE = 4  # blocks that are computed again
 
 def run(
     study: Study,
-    seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
-    first_seed: Annotated[int | None, typer.Option(help="the first of them [default: 0]")] = None,
+    seeds: Annotated[int | None, option("noise seeds for each cell")] = None,
+    first_seed: Annotated[int | None, option("the first of them [default: 0]")] = None,
     observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
     ] = None,
     evaluation: Annotated[
-        str | None, typer.Option(help="runs, exact (expected values, without a seed) or both [default: the study's]")
+        str | None, option("runs, exact (expected values, without a seed) or both [default: the study's]")
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="remove what an earlier run left there, and start over")
-    ] = False,
+    overwrite: Annotated[bool, option("remove what an earlier run left there, and start over", "--overwrite")] = False,
     until_se: Annotated[
-        str | None, typer.Option(metavar="METRIC=VALUE", help="add seeds until every standard error is so small")
+        str | None, option("add seeds until every standard error is so small", metavar="METRIC=VALUE")
     ] = None,
-    max_seeds: Annotated[
-        int | None, typer.Option(help="of a cell, with --until-se [default: 100 times the study's]")
-    ] = None,
-    dask: Annotated[str | None, typer.Option(help="a Dask scheduler's address, or local")] = None,
-    workers: Annotated[int | None, typer.Option(help="processes of --dask local [default: one a core]")] = None,
+    max_seeds: Annotated[int | None, option("of a cell, with --until-se [default: 100 times the study's]")] = None,
+    dask: Annotated[str | None, option("a Dask scheduler's address, or local")] = None,
+    workers: Annotated[int | None, option("processes of --dask local [default: one a core]")] = None,
     memory: Annotated[
-        str | None, typer.Option(help="what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
+        str | None, option("what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
     ] = None,
-    block_size: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
+    block_size: Annotated[int | None, option("seeds a file; of no influence on any number")] = None,
     metric: Metric = RANK,
     signal: Signals = None,
     costs: Annotated[
-        bool, typer.Option("--operations", help="say in the tables what observers cost: multiplications and bytes")
+        bool, option("say in the tables what observers cost: multiplications and bytes", "--operations")
     ] = False,
-    timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
+    timings: Annotated[bool, option("say where the time went", "--timings")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -156,39 +152,37 @@ def _require_exact(metric: str) -> None:
 
 
 def find_limit(
-    study: Annotated[str, typer.Argument(help="a study of one scenario, a scenario or a TOML file")],
-    threshold: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
+    study: Annotated[str, argument("a study of one scenario, a scenario or a TOML file")],
+    threshold: Annotated[float, option("the limit, in the unit of the metric")],
     axis: Annotated[
         list[str],
-        typer.Option(
-            metavar="AXIS",
-            help="sampling_period, delay[0], plant.lam ...: pcbench list axes; given twice: for each value of the first axis "
+        option(
+            "sampling_period, delay[0], plant.lam ...: pcbench list axes; given twice: for each value of the first axis "
             "the largest of the second",
+            metavar="AXIS",
         ),
     ],
-    metric: Annotated[str, typer.Option(help="what is to stay below: pcbench list metrics")] = RANK,
+    metric: Annotated[str, option("what is to stay below: pcbench list metrics")] = RANK,
     signal: Signal = None,
     between: Annotated[
         tuple[float, float] | None,
-        typer.Option(
+        option(
+            "where to search, of two axes the first [default: as the study or the scenario suggests]",
             "--range",
             metavar="LOW HIGH",
-            help="where to search, of two axes the first [default: as the study or the scenario suggests]",
         ),
     ] = None,
-    tol: Annotated[
-        float | None, typer.Option(help="how precisely, in the axis' unit [default: 5 % of the value]")
-    ] = None,
-    seeds: Annotated[int | None, typer.Option(help="noise seeds for each value")] = None,
+    tol: Annotated[float | None, option("how precisely, in the axis' unit [default: 5 % of the value]")] = None,
+    seeds: Annotated[int | None, option("noise seeds for each value")] = None,
     max_seeds: Annotated[
-        int | None, typer.Option(help="of a value whose interval holds the limit [default: 16 times the study's]")
+        int | None, option("of a value whose interval holds the limit [default: 16 times the study's]")
     ] = None,
     observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="remove what stands there, and start over")] = False,
+    overwrite: Annotated[bool, option("remove what stands there, and start over", "--overwrite")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -238,11 +232,11 @@ def find_limit(
 
 def simulate(
     scenario: Scenario,
-    observer: Annotated[str, typer.Option(help="an observer's name, several with commas, or all that can run")],
+    observer: Annotated[str, option("an observer's name, several with commas, or all that can run")],
     file: Annotated[str, out("file to write, .parquet or .csv")],
-    seed: Annotated[int, typer.Option(help="seed index")] = 0,
+    seed: Annotated[int, option("seed index")] = 0,
     log: Annotated[
-        str | None, typer.Option(help="folder for what was measured, put in and true, as pcbench replay reads it")
+        str | None, option("folder for what was measured, put in and true, as pcbench replay reads it")
     ] = None,
     changes: Set = None,
 ) -> None:
@@ -282,9 +276,7 @@ def status(folder: Folder, as_json: Json = False) -> None:
 
 
 def merge(
-    folders: Annotated[
-        list[str], typer.Argument(help="folders or URIs of one study, with other seeds or from other machines")
-    ],
+    folders: Annotated[list[str], argument("folders or URIs of one study, with other seeds or from other machines")],
     into: Annotated[str, out("new folder or URI")],
     quiet: Quiet = False,
 ) -> None:
@@ -305,14 +297,14 @@ def merge(
 def verify(
     folder: Folder,
     sample: Annotated[
-        int | None, typer.Option(min=0, help="blocks to compute again, and cells with exact numbers [default: 4]")
+        int | None, option("blocks to compute again, and cells with exact numbers [default: 4]", min=0)
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="draws the blocks [default: 0]")] = None,
+    every: Annotated[bool, option("compute every block again", "--all")] = False,
+    seed: Annotated[int | None, option("draws the blocks [default: 0]", min=0)] = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="compare simulated means with their exact values, in standard errors")
+        bool, option("compare simulated means with their exact values, in standard errors", "--exact")
     ] = False,
-    figure: Annotated[str | None, typer.Option(help="with --exact: a quantile plot, .svg, .pdf or .png")] = None,
+    figure: Annotated[str | None, option("with --exact: a quantile plot, .svg, .pdf or .png")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -369,8 +361,8 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
 
 
 def compare(
-    there: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
-    here: Annotated[str, typer.Argument(help="another, of the same study: another release, another machine")],
+    there: Annotated[str, argument("a folder or URI that pcbench run has made")],
+    here: Annotated[str, argument("another, of the same study: another release, another machine")],
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:

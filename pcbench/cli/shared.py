@@ -6,7 +6,9 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import typer
 
 from pcbench.cli.interrupts import stoppable
 from pcbench.errors import UserError, printable
@@ -83,3 +85,27 @@ def names(text: str) -> list[str]:
 def chosen(signals: str | None) -> list[str] | None:
     """Return the signals that are asked for: None where nothing is said, an empty list for all."""
     return None if signals is None else [] if signals.strip() == "all" else names(signals)
+
+
+def _require_name(out: str | None) -> str | None:
+    """Raise UserError for an empty name, before any work."""
+    if out is not None and not out.strip():
+        raise UserError(
+            "--out: got an empty name, expected a file, a folder or a URI; give one, or leave the option out."
+        )
+    return out
+
+
+def option(text: str, *names: str, **given: Any) -> Any:
+    """Return an option by what its help says of it."""
+    return typer.Option(*names, help=text, **given)
+
+
+def argument(text: str, **given: Any) -> Any:
+    """Return an argument by what its help says of it."""
+    return typer.Argument(help=text, **given)
+
+
+def out(text: str) -> Any:
+    """Return the option that says where a result goes."""
+    return option(text, "--out", "-o", callback=_require_name)

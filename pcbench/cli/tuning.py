@@ -4,23 +4,21 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from pcbench import toml_text
-from pcbench.cli.options import Json, Late, Observer, Quiet, Scenario, Set, Signal, out
-from pcbench.cli.shared import console, names, setup, working
+from pcbench.cli.options import Json, Late, Observer, Quiet, Scenario, Set, Signal
+from pcbench.cli.shared import console, names, option, out, setup, working
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 
-SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
+SeedRange = Annotated[str | None, option("seeds, the end left out", metavar="FIRST:END")]
 
 
 def design(
     scenario: Scenario,
     observer: Observer,
-    gain: Annotated[str | None, typer.Option(help="a way to find gains, e.g. h2 of pccebo [default: its own]")] = None,
+    gain: Annotated[str | None, option("a way to find gains, e.g. h2 of pccebo [default: its own]")] = None,
     sweep: Annotated[
-        str | None, typer.Option(metavar="OPTION=A,B,...", help="the trade-off: what is promised for each of these")
+        str | None, option("the trade-off: what is promised for each of these", metavar="OPTION=A,B,...")
     ] = None,
     file: Annotated[
         str | None, out("TOML file to write, which can be run; of a trade-off a .parquet or .csv file")
@@ -98,25 +96,20 @@ def _values(text: str) -> tuple[str, list[Any]]:
 def tune(
     scenario: Scenario,
     observer: Observer,
-    budget: Annotated[int | None, typer.Option(help="times that all training runs are simulated [default: 60]")] = None,
+    budget: Annotated[int | None, option("times that all training runs are simulated [default: 60]")] = None,
     objective: Annotated[
-        str | None, typer.Option(help="metric of the tables to make small [default: rmse; exact: pooled_rmse]")
+        str | None, option("metric of the tables to make small [default: rmse; exact: pooled_rmse]")
     ] = None,
     signal: Signal = None,
-    optimizer: Annotated[
-        str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")
-    ] = None,
+    optimizer: Annotated[str | None, option("descent (with gradients) or search [default: as can be]")] = None,
     exact_objective: Annotated[
-        bool,
-        typer.Option(
-            "--exact-objective", help="its expected value over all noise: no training seeds, no judging seeds"
-        ),
+        bool, option("its expected value over all noise: no training seeds, no judging seeds", "--exact-objective")
     ] = False,
-    only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
+    only: Annotated[str | None, option("comma-separated options to tune [default: all that can be]")] = None,
     training_seeds: SeedRange = None,
     validation_seeds: SeedRange = None,
     log: Annotated[
-        str | None, typer.Option(help="tune noise intensities by the likelihood of this log, judged on its last part")
+        str | None, option("tune noise intensities by the likelihood of this log, judged on its last part")
     ] = None,
     delay: Late = None,
     changes: Set = None,
