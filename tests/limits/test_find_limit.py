@@ -12,7 +12,7 @@ from pcbench.cli.render import limits
 from pcbench.cli.render.tables import Screen
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
-from pcbench.limits import seed_growth
+from pcbench.limits import find_limit
 from pcbench.limits.search import axis_of, notes, question, scale_of
 from pcbench.planning import memo
 from pcbench.scenarios import SCENARIOS
@@ -39,7 +39,7 @@ observers = ["kf"]
 
 
 def refusals():
-    return seed_growth.Refusals({}, {}, {})
+    return find_limit.Refusals({}, {}, {})
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, mo
     assert "no gains there" in row.said
     assert table.set_index("observer").answer["model-only"] == "every value"
     assert verify.verify(tmp_path / "out", None, 0).differing == []
-    monkeypatch.setattr(seed_growth, "_without_gains", lambda cell, o: "nothing works.")
+    monkeypatch.setattr(find_limit, "_without_gains", lambda cell, o: "nothing works.")
     with pytest.raises(UserError, match="nothing works"):
         pcbench.find_limit("cart/slow", observers=["kf"], **how | {"between": (1.5, 2.0)})
 
@@ -143,7 +143,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
 
         return lambda values, seeds: {"kf": [point(v) for v in sorted(values)]}
 
-    monkeypatch.setattr(seed_growth, "looking", looking)
+    monkeypatch.setattr(find_limit, "looking", looking)
     how = {"threshold": 0.3, "tol": 0.01, "observers": ["kf"], "out": tmp_path / "out"}
     study = {"name": "f", "scenarios": ["cart/slow"], "axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 1.7]}}
     table = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], **how)
@@ -193,7 +193,7 @@ def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
         asked_of({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "kf"]}, "delay_jitter"),
         refusals(),
     )
-    grid = seed_growth._grid(q, [0.0, 0.2], why)
+    grid = find_limit._grid(q, [0.0, 0.2], why)
     assert [list(cell.options) for cell in grid.cells] == [["kf"], ["kf"]]
     assert grid.study.observers == ["kf"]
     assert "expected one constant delay" in why.observers["kfbo"]
@@ -201,19 +201,19 @@ def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
 
 def test_a_value_at_which_the_scenario_does_not_fit_together_is_left_out():
     q, why = asked_of("cart/slow", "sampling_jitter"), refusals()
-    assert [cell.scenario.sampling.sampling_jitter for cell in seed_growth._grid(q, [0.1, 0.6], why).cells] == [0.1]
+    assert [cell.scenario.sampling.sampling_jitter for cell in find_limit._grid(q, [0.1, 0.6], why).cells] == [0.1]
     assert "half the shortest interval" in why.values[0.6]
     with pytest.raises(UserError, match="half the shortest interval"):
-        seed_growth._grid(q, [0.6], why)
+        find_limit._grid(q, [0.6], why)
 
 
 def test_one_of_several_channels_is_varied_and_the_others_stay(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(TWO_CLOCKS)
     q = asked_of(path, "delay[0]")
-    cells = seed_growth._grid(q, [0.02, 0.06], refusals()).cells
+    cells = find_limit._grid(q, [0.02, 0.06], refusals()).cells
     assert [cell.scenario.sampling.delay for cell in cells] == [(0.02, 0.02), (0.06, 0.02)]
-    assert list(seed_growth._by_value(q, cells)) == [0.02, 0.06]
+    assert list(find_limit._by_value(q, cells)) == [0.02, 0.06]
     with pytest.raises(UserError, match=r"whose 2 numbers differ in lti .*write delay\[0\]"):
         asked_of(path, "delay")
 
