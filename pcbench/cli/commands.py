@@ -1,14 +1,15 @@
 """The commands, in the order of work, and what all of them have."""
 
+from collections.abc import Callable
 from importlib.metadata import version
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from pcbench.cli import export, lists, new, recordings, report, runs, tuning
 from pcbench.cli.shared import option
 
-ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
+ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
     "guide": (new.guide, "a page of the guide, or which there are"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),

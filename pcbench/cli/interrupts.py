@@ -8,7 +8,7 @@ from contextlib import suppress
 from importlib.machinery import ExtensionFileLoader
 from threading import Thread
 from time import sleep
-from typing import Any
+from types import FrameType
 
 from pcbench.runtime import ending
 from pcbench.runtime.progress import Progress
@@ -21,7 +21,7 @@ CURSOR = "\r\x1b[K\x1b[?25h"  # of a terminal: clear the line of a progress bar,
 _ASKED: list[int] = []
 
 
-def interrupt(number: int, frame: Any) -> None:
+def interrupt(number: int, frame: FrameType | None) -> None:
     """Stop: the handler of SIGINT and SIGTERM; a second SIGTERM ends the process at once.
 
     While an extension module is being loaded it waits: some crash, or raise an error of their own, where Python is interrupted.
@@ -61,7 +61,7 @@ def _watch(reader: int) -> None:
         ending.end(128 + number)
 
 
-def _loads_an_extension(frame: Any) -> bool:
+def _loads_an_extension(frame: FrameType | None) -> bool:
     while frame is not None:
         loading = frame.f_code.co_name in ("create_module", "exec_module")
         if loading and isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
@@ -70,7 +70,7 @@ def _loads_an_extension(frame: Any) -> bool:
     return False
 
 
-def unraisable(found: Any) -> None:
+def unraisable(found: "sys.UnraisableHookArgs") -> None:
     """Report what Python could not raise, as Python does, except a Ctrl-C: that is noted and raised later."""
     if not issubclass(found.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(found)
@@ -96,7 +96,7 @@ def stoppable(progress: Progress) -> Progress:
     """Return a Progress that hears the same, and stops where Ctrl-C was pressed."""
 
     def stopping(hear: Callable[..., None]) -> Callable[..., None]:
-        def heard(*said: Any) -> None:
+        def heard(*said: object) -> None:
             stop_if_asked()
             hear(*said)
 

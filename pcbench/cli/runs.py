@@ -1,6 +1,7 @@
-"""Commands that simulate: a study into a folder, or one run tick by tick.
+"""Commands that simulate, and that look after a study's folder.
 
-Commands that look after a study's folder: how far it is, several made one, computed again, two compared.
+A study into a folder, a search for what suffices, one run tick by tick; how far a folder is, several made one, computed again,
+two compared.
 """
 
 import json

@@ -1,6 +1,6 @@
 """What a person reads of an answer to what suffices: a row an observer, and in words what a row cannot say."""
 
-from typing import Any
+from collections.abc import Hashable, Mapping
 
 import pandas as pd
 
@@ -50,6 +50,6 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
     screen.say(*(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}" for row in odd), *about["notes"])
 
 
-def _largest(row: Any) -> str:
+def _largest(row: Mapping[Hashable, object]) -> str:
     value = f"{row['largest']:g}"
-    return {"no value": "none", "every value": f"{value} (all)", PLAIN: value}.get(row["answer"], "?")
+    return {"no value": "none", "every value": f"{value} (all)", PLAIN: value}.get(str(row["answer"]), "?")

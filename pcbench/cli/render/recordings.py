@@ -1,7 +1,7 @@
 """What a person reads of recorded data: a row a channel, what observers made of it, and how far an export in C is from it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -13,7 +13,7 @@ from pcbench.statistics.number_format import estimate
 
 MILLI = 1e3
 NOTHING = 1e-9  # what is less is rounding
-Rows = list[dict[Any, Any]]  # of a frame, by column
+Rows = Sequence[Mapping[Hashable, Any]]  # of a frame, by column
 
 
 def channels(table: pd.DataFrame, screen: Screen) -> None:
@@ -40,7 +40,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
 
 
-def odd(row: Mapping[Any, Any]) -> list[str]:
+def odd(row: Mapping[Hashable, Any]) -> list[str]:
     """Return what is odd about a channel, in words."""
 
     def many(what: str, word: str) -> str:
