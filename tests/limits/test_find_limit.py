@@ -240,7 +240,7 @@ def test_a_scenario_suggests_where_to_search(name, ends):
 
 
 BAD = {
-    "axis": ({"axis": "sampling"}, "'sampling' is no axis of cart/slow; did you mean 'sampling_period'"),
+    "axis": ({"axis": "sampling_perod"}, "'sampling_perod' is no axis of cart/slow; did you mean 'sampling_period'"),
     "words": ({"axis": "sampling_pattern"}, "whose values are words"),
     "no channel": ({"axis": "loss[0]"}, "where loss is one number"),
     "channel": ({"axis": "delay[1]"}, "expected delay[0] to delay[0]"),
