@@ -1,134 +1,157 @@
-"""The observers, one file each, and the dict that names them."""
+"""The observers, one file each, and the dicts that name them."""
 
-from pcbench.observers import chain, ekf, equal_delay, high_gain, kf, kfbo, model_only, no_delay, pccebo, pco, pio, smo
-from pcbench.observers.delay_family import DELAYS
-from pcbench.observers.entry import ObserverSpec
-from pcbench.observers.late_family import LATE
-from pcbench.observers.nonlinear_family import NONLINEAR
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any, Literal, NamedTuple
 
-__all__ = ["DELAYS", "LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "ObserverSpec", "base_of", "entry_of"]
+from pydantic import BaseModel
+
+from pcbench.observers import (
+    chain,
+    ekf,
+    ekf_delay,
+    ekf_iterated,
+    equal_delay,
+    high_gain,
+    kf,
+    kf_alexander,
+    kf_cloning,
+    kf_delayed_horizon,
+    kf_drop_delayed,
+    kf_ignore_delay,
+    kf_larsen,
+    kf_reprocess,
+    kf_shifted_innovation,
+    kfbo,
+    mhe,
+    mmae_delay,
+    model_only,
+    no_delay,
+    oosm_a1,
+    oosm_b1,
+    oosm_lag,
+    particle,
+    pccebo,
+    pco,
+    pio,
+    smo,
+    ukf,
+)
+from pcbench.protocols import Observer
+from pcbench.synthesis.certificate import Design, DesignContext
 
 LONGEST = 80  # characters of a label, which names a folder
+Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
+
+
+class ObserverSpec(NamedTuple):
+    """An observer, the options a study may give it, and how its gains are found.
+
+    `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together;
+    samples of one constant age only; or sampled regularly, all channels together, each of a constant age of its own.
+    """
+
+    observer: Observer
+    options: type[BaseModel]
+    design: Callable[[DesignContext, Any], Design]
+    knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
+    summary: str
+    takes: Takes = "one constant delay"
+    lanes: int | None = None  # runs a call, if the last bits depend on how many run together; None: they do not
+    expensive: bool = (
+        False  # its runs may take much longer than others': it has its own program, and its turn comes last
+    )
+    nonlinear: bool = False  # it is designed for plants without a linear model
+    smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
+    loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs
+    elsewhere: bool = False  # its estimates are made elsewhere, and scored: it is never simulated
+    # options of gains for the noise and delays as they are; None: it has none such
+    designed: Mapping[str, Any] | None = None
+
+
+def _of(module: ModuleType, summary: str, takes: Takes = "any schedule", knows_schedule: bool = True) -> ObserverSpec:
+    return ObserverSpec(module.OBSERVER, module.Options, module.design, knows_schedule, summary, takes)
+
+
+def _late(module: ModuleType, summary: str, knows_schedule: bool = True) -> ObserverSpec:
+    return _of(module, summary, knows_schedule=knows_schedule)._replace(smooth=False)
+
+
+_PCO = ObserverSpec(
+    pco.OBSERVER,
+    pco.Proportional,
+    pco.design,
+    True,
+    "piecewise continuous, reduced order; given or by LMI",
+    "one clock",
+)
+# Shortcuts for late samples: Kalman filters as `kf`, which differ in what they do with what is late.
+LATE = {
+    "kf-ignore-delay": _late(kf_ignore_delay, "takes a late sample for one of now", knows_schedule=False),
+    "kf-drop-delayed": _late(kf_drop_delayed, "drops what is older than a limit"),
+    "kf-reprocess": _late(kf_reprocess, "keeps past samples, goes back and filters again"),
+    "kf-cloning": _late(kf_cloning, "a copy of the state for each sample on its way"),
+    "kf-larsen": _late(kf_larsen, "extrapolates the delayed measurement to the present"),
+    "kf-alexander": _late(kf_alexander, "updates P at sampling, the estimate at arrival"),
+    "kf-delayed-horizon": _late(kf_delayed_horizon, "runs a fixed time behind, and predicts to now"),
+    "kf-shifted-innovation": _late(
+        kf_shifted_innovation, "a late innovation, shifted by the input's integral", knows_schedule=False
+    ),
+    "oosm-a1": _late(oosm_a1, "retrodicts one step, exactly"),
+    "oosm-b1": _late(oosm_b1, "retrodicts one step, the noise between taken for 0"),
+    "oosm-lag": _late(oosm_lag, "retrodicts several steps as one"),
+}
+# Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it.
+NONLINEAR = {
+    "ekf-iterated": _late(ekf_iterated, "EKF that iterates the linearisation of the sensor")._replace(nonlinear=True),
+    "ukf": _late(ukf, "unscented (or cubature) Kalman filter")._replace(nonlinear=True, lanes=particle.LANES),
+    "mhe": _late(mhe, "moving horizon over a window of samples, within bounds")._replace(
+        nonlinear=True, expensive=True, loops=False
+    ),
+    "particle": _late(particle, "bootstrap particle filter with systematic resampling", knows_schedule=False)._replace(
+        nonlinear=True, expensive=True, lanes=particle.LANES
+    ),
+}
+# Observers that do not know how late their samples are, and find it out.
+DELAYS = {
+    "ekf-delay": _late(ekf_delay, "EKF with the delay as an additional state", knows_schedule=False)._replace(
+        loops=False
+    ),
+    "mmae-delay": _late(
+        mmae_delay, "a Kalman filter for each of several delays, weighted", knows_schedule=False
+    )._replace(loops=False),
+}
 OBSERVERS = {
-    "pccebo": ObserverSpec(
-        observer=pccebo.OBSERVER,
-        options=pccebo.Options,
-        design=pccebo.design,
-        knows_schedule=True,
-        summary="current estimator, predictor; gain by LMI or Riccati",
-        takes="one clock",
-        designed={"gain": "riccati"},
+    "pccebo": _of(pccebo, "current estimator, predictor; gain by LMI or Riccati", "one clock")._replace(
+        designed={"gain": "riccati"}
     ),
-    "kfbo": ObserverSpec(
-        observer=kfbo.OBSERVER,
-        options=kfbo.Options,
-        design=kfbo.design,
-        knows_schedule=False,
-        summary="Kalman filter of the held, late measurement",
-        takes="one constant delay",
-        designed={"R": "noise"},
+    "kfbo": _of(kfbo, "Kalman filter of the held, late measurement", "one constant delay", False)._replace(
+        designed={"R": "noise"}
     ),
-    "pco": ObserverSpec(
-        observer=pco.OBSERVER,
-        options=pco.Proportional,
-        design=pco.design,
-        knows_schedule=True,
-        summary="piecewise continuous, reduced order; given or by LMI",
-        takes="one clock",
-        designed={"Kp": "lmi"},
-    ),
-    "pi-pco": ObserverSpec(
-        observer=pco.OBSERVER,
+    "pco": _PCO._replace(designed={"Kp": "lmi"}),
+    "pi-pco": _PCO._replace(
         options=pco.ProportionalIntegral,
-        design=pco.design,
-        knows_schedule=True,
         summary="PCO with an integral; gains given or by LMI",
-        takes="one clock",
         designed={"Kp": "lmi", "Ki": "lmi"},
     ),
-    "chain": ObserverSpec(
-        observer=chain.OBSERVER,
-        options=chain.Options,
-        design=chain.design,
-        knows_schedule=True,
-        summary="one link per delay; gains by poles or Riccati",
-        takes="constant delays",
-        designed={"gain": "riccati"},
+    "chain": _of(chain, "one link per delay; gains by poles or Riccati", "constant delays")._replace(
+        designed={"gain": "riccati"}
     ),
-    "equal-delay": ObserverSpec(
-        observer=equal_delay.OBSERVER,
-        options=equal_delay.Options,
-        design=equal_delay.design,
-        knows_schedule=False,
-        summary="pretends one delay for all channels",
-        takes="constant delays",
+    "equal-delay": _of(equal_delay, "pretends one delay for all channels", "constant delays", False),
+    "no-delay": _of(no_delay, "classical observer, designed without the delay", "constant delays", False),
+    "smo": _of(smo, "sliding mode with unknown input; printed or by LMI", "one constant delay")._replace(
+        smooth=False, designed={"gains": "design"}
     ),
-    "no-delay": ObserverSpec(
-        observer=no_delay.OBSERVER,
-        options=no_delay.Options,
-        design=no_delay.design,
-        knows_schedule=False,
-        summary="classical observer, designed without the delay",
-        takes="constant delays",
+    "pio": _of(pio, "PI and sign with unknown input; printed or by LMI", "one constant delay")._replace(
+        smooth=False, designed={"gains": "design"}
     ),
-    "smo": ObserverSpec(
-        observer=smo.OBSERVER,
-        options=smo.Options,
-        design=smo.design,
-        knows_schedule=True,
-        summary="sliding mode with unknown input; printed or by LMI",
-        takes="one constant delay",
-        smooth=False,
-        designed={"gains": "design"},
-    ),
-    "pio": ObserverSpec(
-        observer=pio.OBSERVER,
-        options=pio.Options,
-        design=pio.design,
-        knows_schedule=True,
-        summary="PI and sign with unknown input; printed or by LMI",
-        takes="one constant delay",
-        smooth=False,
-        designed={"gains": "design"},
-    ),
-    "high-gain": ObserverSpec(
-        observer=high_gain.OBSERVER,
-        options=high_gain.Options,
-        design=high_gain.design,
-        knows_schedule=True,
-        summary="high gain with output predictor; printed or robust",
-        takes="any schedule",
-        nonlinear=True,
-    ),
-    "ekf": ObserverSpec(
-        observer=ekf.OBSERVER,
-        options=ekf.Options,
-        design=ekf.design,
-        knows_schedule=True,
-        summary="extended Kalman filter at each sample's own time",
-        takes="any schedule",
-        nonlinear=True,
-        smooth=False,
-    ),
-    "kf": ObserverSpec(
-        observer=kf.OBSERVER,
-        options=kf.Options,
-        design=kf.design,
-        knows_schedule=True,
-        summary="delay-compensated Kalman filter, the fair baseline",
-        takes="any schedule",
-    ),
+    "high-gain": _of(high_gain, "high gain with output predictor; printed or robust")._replace(nonlinear=True),
+    "ekf": _late(ekf, "extended Kalman filter at each sample's own time")._replace(nonlinear=True),
+    "kf": _of(kf, "delay-compensated Kalman filter, the fair baseline"),
     **NONLINEAR,
     **LATE,
     **DELAYS,
-    "model-only": ObserverSpec(
-        observer=model_only.OBSERVER,
-        options=model_only.Options,
-        design=model_only.design,
-        knows_schedule=True,
-        summary="the model alone, never corrected: the floor",
-        takes="any schedule",
-    ),
+    "model-only": _of(model_only, "the model alone, never corrected: the floor"),
 }
 
 
@@ -136,9 +159,9 @@ def base_of(label: str) -> str | None:
     """Return the observer that a label names: its own name, or name-anything (an observer run with other options)."""
     if label in OBSERVERS:
         return label
-    found = [name for name in OBSERVERS if label.startswith(name + "-")]
+    names = [name for name in OBSERVERS if label.startswith(name + "-")]
     plain = label.isprintable() and len(label) <= LONGEST
-    return max(found, key=len, default=None) if plain else None
+    return max(names, key=len, default=None) if plain else None
 
 
 def entry_of(label: str) -> ObserverSpec:
