@@ -1,65 +1,32 @@
 """The plants, one file each, and the dict that names them."""
 
 from collections.abc import Mapping
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, reactor
-from pcbench.plants.entry import PlantSpec
-from pcbench.plants.factory import make_plant
+from pcbench.plants.factory import PlantSpec, make_plant
 from pcbench.scenarios import Scenario
 
 __all__ = ["PLANTS", "PlantSpec", "make_plant"]
 
 
+def _of(module: ModuleType, summary: str) -> PlantSpec:
+    return PlantSpec(module.PLANT, module.SIGNALS, module.Numbers(), module.nominal, module.prepare, summary)
+
+
 PLANTS: dict[str, PlantSpec] = {
-    "cart": PlantSpec(
-        plant=cart.PLANT,
-        signals=cart.SIGNALS,
-        numbers=cart.Numbers(),
-        nominal=cart.nominal,
-        prepare=cart.prepare,
-        summary="mobile cart under a camera, 2 states",
-        signs=("drift_sign",),
+    "cart": _of(cart, "mobile cart under a camera, 2 states")._replace(signs=("drift_sign",)),
+    "late-cart": _of(late_cart, "the mobile cart, the delay of its samples unknown, 2 states")._replace(
+        unknowns=late_cart.UNKNOWNS, ranges=((0.0, float("inf")),), drifts=False
     ),
-    "late-cart": PlantSpec(
-        plant=late_cart.PLANT,
-        signals=late_cart.SIGNALS,
-        numbers=late_cart.Numbers(),
-        nominal=late_cart.nominal,
-        prepare=late_cart.prepare,
-        summary="the mobile cart, the delay of its samples unknown, 2 states",
-        unknowns=late_cart.UNKNOWNS,
-        ranges=((0.0, float("inf")),),
-        drifts=False,
+    "csth": _of(csth, "stirred tank heater with three slow sensors, 3 states")._replace(drifts=False),
+    "arm": _of(arm, "flexible-joint arm pushed by an unknown input, 4 states")._replace(
+        unknowns=arm.UNKNOWNS, heavy=True
     ),
-    "csth": PlantSpec(
-        plant=lti.PLANT,
-        signals=csth.SIGNALS,
-        numbers=csth.Numbers(),
-        nominal=csth.nominal,
-        prepare=csth.prepare,
-        summary="stirred tank heater with three slow sensors, 3 states",
-        drifts=False,
-    ),
-    "arm": PlantSpec(
-        plant=arm.PLANT,
-        signals=arm.SIGNALS,
-        numbers=arm.Numbers(),
-        nominal=arm.nominal,
-        prepare=arm.prepare,
-        summary="flexible-joint arm pushed by an unknown input, 4 states",
-        unknowns=arm.UNKNOWNS,
-        heavy=True,
-    ),
-    "helicopter": PlantSpec(
-        plant=helicopter.PLANT,
-        signals=helicopter.SIGNALS,
-        numbers=helicopter.Numbers(),
-        nominal=helicopter.nominal,
-        prepare=helicopter.prepare,
-        summary="helicopter with two degrees of freedom and unknown viscosities, 4 states",
+    "helicopter": _of(helicopter, "helicopter with two degrees of freedom and unknown viscosities, 4 states")._replace(
         unknowns=helicopter.UNKNOWNS,
         heavy=True,
         model=helicopter.model,
@@ -68,34 +35,16 @@ PLANTS: dict[str, PlantSpec] = {
         positive=("Jth", "Jps", "m", "l", "g", "Bth", "Bps"),
         ranges=helicopter.RANGE,
     ),
-    "reactor": PlantSpec(
-        plant=reactor.PLANT,
-        signals=reactor.SIGNALS,
-        numbers=reactor.Numbers(),
-        nominal=reactor.nominal,
-        prepare=reactor.prepare,
-        summary="gas-phase batch reactor, its total pressure measured, 2 states",
-        heavy=True,
-        model=reactor.model,
-        positive=("k1", "k2"),
-        drifts=False,
+    "reactor": _of(reactor, "gas-phase batch reactor, its total pressure measured, 2 states")._replace(
+        heavy=True, model=reactor.model, positive=("k1", "k2"), drifts=False
     ),
-    "lti": PlantSpec(
-        plant=lti.PLANT,
-        signals=(),
-        numbers=lti.Numbers(),
-        nominal=lti.nominal,
-        prepare=lti.prepare,
-        summary="any linear plant of your own: a study's table [lti]",
-        drifts=False,
-    ),
+    "lti": _of(lti, "any linear plant of your own: a study's table [lti]")._replace(drifts=False),
 }
 
 
 def entry_of(scenario: Scenario) -> PlantSpec:
     """Return a scenario's plant: the one that it carries itself, or else the one of its name."""
-    found: PlantSpec = scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
-    return found
+    return scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
 
 
 def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:

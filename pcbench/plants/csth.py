@@ -53,3 +53,6 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     gain, bias = numbers.input_gain, numbers.input_bias
     linear = lti.Numbers(A=m.A, B=m.B, C=m.C, D=m.D, discrete=m.discrete, input_gain=gain, input_bias=bias)
     return lti.prepare(linear, dt, ticks)
+
+
+PLANT = lti.PLANT

@@ -24,19 +24,47 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import nonlinear, trial
-from pcbench.plants.entry import PlantSpec
+from pcbench.dynamics.linear import Model
+from pcbench.errors import UserError, raised, shown, unknown
+from pcbench.plants import nonlinear
 from pcbench.plants.nonlinear import Equations, PlantFunction
-from pcbench.plants.trial import WHERE
 from pcbench.protocols import Now, Plant
+from pcbench.runtime import config
 from pcbench.signal_names import names_and_units, unit
 
+WHERE = "pcbench.make_plant"
 Function = Callable[[Any, Now, Array], Any]  # (numbers, now, x[n]) -> an array, or a list of its entries
 Range = str | tuple[str, float, float]  # a unit, or (unit, least, most) where observers look for the value
+
+
+class PlantSpec(NamedTuple):
+    """A plant with what the tables and the observers need to know of it."""
+
+    plant: Plant
+    signals: tuple[tuple[str, str], ...]  # (state, unit); empty: the scenario's
+    numbers: Any  # default parameters, a NamedTuple
+    nominal: Callable[[Any], Model]  # the linear model that observers know
+    prepare: Callable[[Any, float, int], Any]  # (numbers, dt [s], ticks) -> params
+    summary: str
+    unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
+    heavy: bool = False  # a tick costs so much that fewer lanes a call are as fast
+    model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
+    successor: Callable[..., Any] | None = None  # likewise -> x one tick later, of a plant that is given by its step
+    sensor: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
+    parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
+    inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
+    positive: tuple[str, ...] = ()  # parameters that must be greater than 0
+    signs: tuple[str, ...] = ()  # parameters that are 1 or -1
+    ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
+    drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
+    # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
+    residual: Callable[[Any], Any] | None = None
+    operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
+    tick: float | None = None  # s, of a plant given by its step; None: any
 
 
 class NoNumbers(NamedTuple):
@@ -95,7 +123,7 @@ def make_plant(
         u0=u0,
         y0=(),
     )
-    e = e._replace(y0=trial.tried(e, kept))
+    e = e._replace(y0=_tried(e, kept))
     units = [
         (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
         for name, each in (pushed | sought).items()
@@ -192,3 +220,53 @@ def _range(name: str, given: Range) -> tuple[float, float]:
             f"{WHERE}: {name}: got a range from {low:g} to {high:g}, expected (unit, least, most); change them."
         )
     return low, high
+
+
+def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
+    """The output at the operating point; raise UserError where a function or its slope is not as it must be."""
+    n = len(e.x0)
+    with config.float64():
+        given, x = nonlinear.own(e, numbers), jnp.array(e.x0)
+        u, dt = jnp.array(e.u0), jnp.asarray(e.tick or 0.0)
+        now = Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
+        moves = "field" if e.field is not None else "step"
+        found = {}
+        for name in (moves, "output"):
+            try:
+                found[name] = np.asarray(jnp.asarray(getattr(e, name)(given, now, x)))
+            except UserError:
+                raise
+            except Exception as error:
+                raise UserError(
+                    f"{WHERE}: {name} cannot be computed at the operating point: {raised(error)}; mend that line."
+                ) from None
+        if found[moves].shape != (n,):
+            raise UserError(
+                f"{WHERE}: {moves}: got an array of shape {found[moves].shape}, expected ({n},), a number for each state."
+            )
+        if found["output"].ndim != 1 or not found["output"].size:
+            raise UserError(
+                f"{WHERE}: output: got an array of shape {found['output'].shape}, expected (q,), a number for each output."
+            )
+        for name, value in found.items():
+            _require_finite(name, value, e)
+        y0 = tuple(map(float, found["output"]))
+        try:
+            linear = nonlinear.nominal(e._replace(y0=y0), numbers)
+        except Exception as error:
+            raise UserError(
+                f"{WHERE}: the slope of {moves} or output cannot be taken: {raised(error)}; write it in jax.numpy."
+            ) from None
+    for name, matrices in ((moves, (linear.A, linear.B, linear.E)), ("output", (linear.C, linear.D))):
+        for matrix in matrices:
+            if matrix is not None:
+                _require_finite(f"the slope of {name}", matrix, e)
+    return y0
+
+
+def _require_finite(name: str, value: Any, e: Equations) -> None:
+    if not np.isfinite(value).all():
+        raise UserError(
+            f"{WHERE}: {name}: got {shown(np.asarray(value).tolist())} at the operating point x = {shown(list(e.x0))}, "
+            f"u = {shown(list(e.u0))}, expected finite numbers; take another point, or mend the function."
+        )

@@ -10,9 +10,11 @@ from jax import Array
 from jaxtyping import Float
 
 from pcbench.dynamics.linear import Model, discretize_zoh
+from pcbench.plants import cart
+from pcbench.plants.cart import SIGNALS, output
 from pcbench.protocols import Leaf, Now, Plant
 
-SIGNALS = (("position", "m"), ("velocity", "m/s"))
+__all__ = ["PLANT", "SIGNALS", "UNKNOWNS", "Numbers", "nominal", "prepare"]
 UNKNOWNS = (("delay", "s"),)
 
 
@@ -34,7 +36,7 @@ class Params(NamedTuple):
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model that observers know."""
-    return Model(np.array([[0.0, 1.0], [0.0, -numbers.lam]]), np.array([[0.0], [numbers.b]]), np.array([[1.0, 0.0]]))
+    return cart.nominal(cart.Numbers(numbers.lam, numbers.b))
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
@@ -47,11 +49,6 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
 def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Advance x by one tick under the held now.u."""
     return params.Phi @ x + params.Gamma @ now.u
-
-
-def output(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:
-    """Return the measured position [m]."""
-    return x[:1]
 
 
 def unknown(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:

@@ -21,6 +21,7 @@ from pcbench.scenarios.scenario import NOTHING
 from pcbench.scenarios.signals import inputs
 
 MATRICES = "ABCDE"
+SIGNALS = ()  # the scenario's
 
 
 class Numbers(NamedTuple):
