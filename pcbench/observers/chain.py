@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import sample_rate
-from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.common import known_input
 from pcbench.observers.parts.options import tunable, way
 from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room

@@ -26,6 +26,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
+from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, at, carried, seen, sensed, value_of, within
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
@@ -54,11 +55,6 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     z, q = nonlinear_model.started(gains, xhat0), gains.C.shape[0]
     first = robust_update.begun(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
     return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
-
-
-def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing: the inputs are stored."""
-    return jnp.zeros(0)
 
 
 def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
@@ -159,7 +155,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     return total
 
 
-OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)
+OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

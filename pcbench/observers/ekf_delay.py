@@ -28,6 +28,7 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
+from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.unknown_delay import Gains, Moves, carried, read, spread
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
@@ -53,11 +54,6 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     n = xhat0.shape[0]
     P = jnp.zeros((n + 1, n + 1)).at[:n, :n].set(gains.P0).at[n, n].set(gains.delay_std**2)
     return Memory(jnp.append(xhat0, gains.delay), P, jnp.asarray(0), xhat0)
-
-
-def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing: the inputs are stored."""
-    return jnp.zeros(0)
 
 
 def whole(gains: Gains) -> Moves:
@@ -140,7 +136,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return P
 
 
-OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance)
+OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -11,21 +11,11 @@ states. It must be told when a sample is taken, and of a lost one keeps the copy
 Time index: the estimate is of now, after the jump.
 """
 
-from pcbench.observers.parts import linear_filter, prediction, stochastic_cloning
-from pcbench.protocols import Observer
+from pcbench.observers.parts import linear_filter, stochastic_cloning
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
-OBSERVER = Observer(
-    stochastic_cloning.init,
-    prediction.snapshot,
-    stochastic_cloning.jumping(lambda h, s, near: h / s),
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=stochastic_cloning.covariance,
-    on_sample=stochastic_cloning.on_sample,
-    innovation=stochastic_cloning.innovation,
-)
+OBSERVER = stochastic_cloning.observer(lambda h, s, near: h / s)._replace(innovation=stochastic_cloning.innovation)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

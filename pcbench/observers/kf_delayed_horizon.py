@@ -25,8 +25,8 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import linear_filter, prediction, reorder_buffer
+from pcbench.observers.parts.common import kept
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.options import kept
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -100,12 +100,9 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return kept(which, _used(gains, memory, memory.tick, sample), memory)
 
 
-def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance at the newest sample used, carried on to now."""
-    return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
-
-
-OBSERVER = Observer(init, prediction.snapshot, jump, flow, linear_filter.estimate, covariance=covariance)
+OBSERVER = Observer(
+    init, prediction.snapshot, jump, flow, linear_filter.estimate, covariance=linear_filter.covariance_of_posterior
+)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

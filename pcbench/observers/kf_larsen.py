@@ -18,8 +18,7 @@ Time index: the estimate is of now, after the jump.
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.observers.parts import linear_filter, prediction, stochastic_cloning
-from pcbench.protocols import Observer
+from pcbench.observers.parts import linear_filter, stochastic_cloning
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
@@ -30,15 +29,7 @@ def local(h: Array, s: Array, near: Array) -> Array:
     return jnp.where(near, h / s, 0.0)
 
 
-OBSERVER = Observer(
-    stochastic_cloning.init,
-    prediction.snapshot,
-    stochastic_cloning.jumping(local),
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=stochastic_cloning.covariance,
-    on_sample=stochastic_cloning.on_sample,
-)
+OBSERVER = stochastic_cloning.observer(local)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

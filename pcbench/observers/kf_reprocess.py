@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from pcbench.observers.parts import linear_filter, reorder_buffer
-from pcbench.observers.parts.options import kept
+from pcbench.observers.parts.common import kept
 from pcbench.observers.parts.prediction import Memory
 from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, DesignContext

@@ -27,7 +27,7 @@ from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_noise
 from pcbench.observers.parts.assumed_noise import Sizes, Variance, Variances
-from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.common import known_input, no_snapshot, xhat
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import riccati
@@ -86,11 +86,6 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(xhat0, jnp.zeros_like(xhat0), xhat0, jnp.zeros(gains.C.shape[0]))
 
 
-def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing."""
-    return jnp.zeros(0)
-
-
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold what arrived."""
     Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
@@ -108,12 +103,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return Memory(z, s, jnp.where(started, gains.E @ z + s, gains.Phi @ memory.xhat + pushed), memory.Y)
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return xhat of now (29)."""
-    return memory.xhat
-
-
-OBSERVER = Observer(init, snapshot, jump, flow, estimate)
+OBSERVER = Observer(init, no_snapshot, jump, flow, xhat)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -14,9 +14,8 @@ Time index: the estimate is of now, after the jump.
 
 from typing import Any
 
-from pcbench.observers.parts import linear_filter, prediction, retrodiction
+from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.observers.parts.retrodiction import Last, Memory
-from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
@@ -27,18 +26,9 @@ def last(gains: Any, memory: Memory, taken: Any) -> Last:
     return memory.last
 
 
-OBSERVER = Observer(
-    retrodiction.init,
-    prediction.snapshot,
-    retrodiction.jumping(last, zero=False),
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=retrodiction.covariance,
-    innovation=retrodiction.expecting(last, zero=False),
-)
+OBSERVER = retrodiction.observer(last, zero=False)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and the maps back in time."""
-    own, why = retrodiction.own(setting, "oosm-a1", 1), "one step back, whatever the lag"
-    return linear_filter.design(setting, options, "oosm-a1", own=own, unproven="" if not setting.overtaking else why)
+    return retrodiction.design(setting, options, "oosm-a1", 1, "one step back, whatever the lag")

@@ -9,23 +9,13 @@ Time index: the estimate is of now, after the jump.
 """
 
 from pcbench.observers.oosm_a1 import last
-from pcbench.observers.parts import linear_filter, prediction, retrodiction
-from pcbench.protocols import Observer
+from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
-OBSERVER = Observer(
-    retrodiction.init,
-    prediction.snapshot,
-    retrodiction.jumping(last, zero=True),
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=retrodiction.covariance,
-    innovation=retrodiction.expecting(last, zero=True),
-)
+OBSERVER = retrodiction.observer(last, zero=True)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and the maps back in time."""
-    own, why = retrodiction.own(setting, "oosm-b1", 1), "the noise between is taken for 0"
-    return linear_filter.design(setting, options, "oosm-b1", own=own, unproven="" if not setting.overtaking else why)
+    return retrodiction.design(setting, options, "oosm-b1", 1, "the noise between is taken for 0")

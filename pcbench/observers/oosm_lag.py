@@ -19,10 +19,9 @@ from typing import Any
 import jax.numpy as jnp
 from pydantic import Field
 
-from pcbench.observers.parts import linear_filter, prediction, retrodiction
+from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.retrodiction import Last, Memory
-from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
 
@@ -43,18 +42,9 @@ def equivalent(gains: Any, memory: Memory, taken: Any) -> Last:
     return Last(there.P, inverse @ (x - there.mean), inverse @ (there.P - P) @ inverse)
 
 
-OBSERVER = Observer(
-    retrodiction.init,
-    prediction.snapshot,
-    retrodiction.jumping(equivalent, zero=False),
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=retrodiction.covariance,
-    innovation=retrodiction.expecting(equivalent, zero=False),
-)
+OBSERVER = retrodiction.observer(equivalent, zero=False)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and the maps back in time."""
-    own, why = retrodiction.own(setting, "oosm-lag", options.keep), "several updates are taken for one"
-    return linear_filter.design(setting, options, "oosm-lag", own=own, unproven="" if not setting.overtaking else why)
+    return retrodiction.design(setting, options, "oosm-lag", options.keep, "several updates are taken for one")

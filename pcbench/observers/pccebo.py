@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import prediction
+from pcbench.observers.parts.common import xhat
 from pcbench.observers.parts.options import matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
@@ -75,13 +76,8 @@ def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     return Point(free + gains.L @ innovation, sample.taken)
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return xhat of now."""
-    return memory.xhat
-
-
 jump = prediction.jumping(correct, lambda point: point)
-OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
+OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -31,6 +31,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import prediction
+from pcbench.observers.parts.common import xhat
 from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
@@ -95,13 +96,8 @@ def reduced(gains: Gains, before: Reduced, sample: Measurement) -> Reduced:
     return Reduced(Point(xhat - sample.snapshot, sample.taken), L, jnp.asarray(True))
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return xhat of now."""
-    return memory.xhat
-
-
 jump = prediction.jumping(reduced, lambda state: state.point)
-OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
+OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
 def design(setting: DesignContext, options: Proportional) -> Design:

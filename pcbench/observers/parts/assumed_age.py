@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import sample_rate
-from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.common import known_input, no_snapshot
 from pcbench.observers.parts.sample_rate import ModelRun, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
@@ -51,11 +51,6 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from xhat(0)."""
     none = jnp.zeros_like(xhat0)
     return Memory(sample_rate.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
-
-
-def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing: the age is believed, not known."""
-    return jnp.zeros(0)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -91,7 +86,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.run.xbar + memory.run.carried @ memory.z
 
 
-OBSERVER = Observer(init, snapshot, jump, flow, estimate)
+OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
 def corrected_next(setting: DesignContext, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:

@@ -165,6 +165,11 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
 
 
+def covariance_of_posterior(gains: Gains, memory: Any, now: Now) -> Float[Array, "signals signals"]:
+    """Return the covariance at the newest sample used, carried on to now; of a memory that has this posterior."""
+    return spread(gains, memory, predicted(gains, memory.posterior, memory.tick).P)
+
+
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
     return expected(gains, memory, reorder_buffer.sample_of(now, arrival, gains.D))

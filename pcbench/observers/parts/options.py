@@ -1,7 +1,5 @@
 """What an option of an observer says of itself besides its type and bounds.
 
-A memory where something holds, another where it does not.
-
 Numbers that an observer draws itself: Threefry-2x32 in counter form, from two words that are a run's own.
 
 A draw has the address (words, kind, tick, number), and nothing else: what is filtered again draws the same, and a run has the
@@ -12,7 +10,6 @@ Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3,
 import math
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -54,12 +51,6 @@ def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str,
     if found.shape != shape:
         raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: {what}.")
     return found
-
-
-def kept(which: Any, after: Any, before: Any) -> Any:
-    """Return the memory after an event where any of `which` holds, else the one before."""
-    there = jnp.any(which)
-    return jax.tree.map(lambda a, b: jnp.where(there, a, b), after, before)
 
 
 TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))

@@ -17,7 +17,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.room import within_room
-from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.common import known_input
 from pcbench.protocols import Arrival, Leaf, Now, Room, vmap_as_unit
 
 

@@ -10,11 +10,11 @@ the newer ones are used again (`parts/reorder_buffer`). A state is a NamedTuple 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.observers.parts import reorder_buffer
+from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.nonlinear_model import Gains, at
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
@@ -62,10 +62,6 @@ def observer(way: Way) -> Observer:
         first = way.first(gains, xhat0)
         return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 0), first, way.mean(gains, first))
 
-    def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-        """Note nothing: the inputs are stored."""
-        return jnp.zeros(0)
-
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Put what arrived in its place, and go on to now."""
 
@@ -109,4 +105,4 @@ def observer(way: Way) -> Observer:
         found: InnovationStats = vmap_as_unit(judged)(memory, arrival)
         return found
 
-    return Observer(init, snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)
+    return Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)

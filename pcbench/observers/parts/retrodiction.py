@@ -22,11 +22,11 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
+from pcbench.observers.parts.common import kept
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.options import kept
 from pcbench.observers.parts.reorder_buffer import Measurement
-from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Room
-from pcbench.synthesis.certificate import DesignContext
+from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
+from pcbench.synthesis.certificate import Design, DesignContext
 
 SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
 
@@ -127,8 +127,8 @@ def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: 
     return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), total
 
 
-def jumping(retrodict: Retrodict, zero: bool) -> Any:
-    """Return the jump of an observer that goes back by `retrodict`."""
+def observer(retrodict: Retrodict, zero: bool) -> Observer:
+    """Return the observer that goes back by `retrodict`; with `zero` the noise between is taken for 0."""
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
@@ -140,17 +140,6 @@ def jumping(retrodict: Retrodict, zero: bool) -> Any:
         there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + there)
 
-    return jump
-
-
-def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance at the newest sample used, carried on to now."""
-    return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
-
-
-def expecting(retrodict: Retrodict, zero: bool) -> Any:
-    """Return how far a sample is from what is expected of it, of an observer that goes back by `retrodict`."""
-
     def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return it of all that is used: what is older than the posteriors kept is not judged."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
@@ -160,13 +149,24 @@ def expecting(retrodict: Retrodict, zero: bool) -> Any:
         new = linear_filter.surprise(gains, memory.posterior, sample)
         return kept(reached, old, new)
 
-    return innovation
+    return Observer(
+        init,
+        prediction.snapshot,
+        jump,
+        prediction.flow,
+        linear_filter.estimate,
+        covariance=linear_filter.covariance_of_posterior,
+        innovation=innovation,
+    )
 
 
-def own(setting: DesignContext, name: str, past: int) -> Callable[[linear.Model], Own]:
-    """Return what makes of a model the maps back in time; they raise UserError where there is no way back."""
+def design(setting: DesignContext, options: linear_filter.Options, name: str, past: int, why: str) -> Design:
+    """Gather what the filter assumes, and the maps back in time; raise UserError where there is no way back.
 
-    def of(model: linear.Model) -> Own:
+    `past` posteriors are kept; `why` nothing proves the filter where samples overtake each other.
+    """
+
+    def own(model: linear.Model) -> Own:
         A = model.A
         if model.discrete and np.linalg.cond(A) > SINGULAR:
             raise UserError(
@@ -178,4 +178,4 @@ def own(setting: DesignContext, name: str, past: int) -> Callable[[linear.Model]
         with np.errstate(over="ignore", invalid="ignore"):
             return Own(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
 
-    return of
+    return linear_filter.design(setting, options, name, own=own, unproven=why if setting.overtaking else "")

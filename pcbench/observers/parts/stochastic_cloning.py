@@ -22,8 +22,8 @@ from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
-from pcbench.observers.parts import kalman, linear_filter, reorder_buffer
-from pcbench.protocols import Arrival, InnovationStats, Now, Room, vmap_as_unit
+from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
+from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room, vmap_as_unit
 from pcbench.synthesis.certificate import DesignContext
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
@@ -76,25 +76,24 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
 
 def on_sample(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Make a clone of the present, in place of the oldest."""
-    found: Memory = _in_one_piece(memory, lambda memory, mask: _sampled(gains, memory, now, mask))(memory, mask)
-    return found
 
+    def cloned(memory: Memory, mask: Array) -> Memory:
+        memory = carried(gains, memory, now)
+        J, n = memory.clones.shape
+        mine = jnp.arange(J) == memory.made % J
+        row = jnp.repeat(jnp.append(False, mine), n)
+        wide = jnp.tile(memory.P[:n], (J + 1, 1))
+        P = jnp.where(row[:, None], wide, memory.P)
+        P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
+        there = jnp.any(mask)
+        return memory._replace(
+            clones=jnp.where((mine & there)[:, None], memory.xhat - memory.g, memory.clones),
+            P=jnp.where(there, P, memory.P),
+            taken=jnp.where(mine & there, now.tick, memory.taken),
+            made=memory.made + there,
+        )
 
-def _sampled(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
-    memory = carried(gains, memory, now)
-    J, n = memory.clones.shape
-    mine = jnp.arange(J) == memory.made % J
-    row = jnp.repeat(jnp.append(False, mine), n)
-    wide = jnp.tile(memory.P[:n], (J + 1, 1))
-    P = jnp.where(row[:, None], wide, memory.P)
-    P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
-    there = jnp.any(mask)
-    return memory._replace(
-        clones=jnp.where((mine & there)[:, None], memory.xhat - memory.g, memory.clones),
-        P=jnp.where(there, P, memory.P),
-        taken=jnp.where(mine & there, now.tick, memory.taken),
-        made=memory.made + there,
-    )
+    return _in_one_piece(memory, cloned)(memory, mask)
 
 
 def _in_one_piece(memory: Memory, f: Any) -> Any:
@@ -102,57 +101,59 @@ def _in_one_piece(memory: Memory, f: Any) -> Any:
     return vmap_as_unit(f) if memory.P.size >= LARGE else f
 
 
-def jumping(gain: Gain) -> Any:
-    """Return the jump of an observer with this gain."""
+def observer(gain: Gain) -> Observer:
+    """Return the observer with this gain."""
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        found: Memory = _in_one_piece(memory, lambda memory, arrival: jumped(gains, memory, now, arrival))(
-            memory, arrival
-        )
-        return found
+        def jumped(memory: Memory, arrival: Arrival) -> Memory:
+            sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+            n, P = memory.xhat.shape[0], memory.P
+            z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
+            mine = jnp.append(False, memory.taken == sample.taken)
+            near = jnp.repeat(mine.at[0].set(True), n)
+            value, known = linear_filter.value_of(gains, sample), jnp.any(mine)
+            for channel in range(gains.C.shape[0]):
+                c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+                there = (mine[:, None] * c[None, :]).reshape(-1)
+                h = P @ there
+                s = there @ h + r
+                K = jnp.where(mask, gain(h, s, near), 0.0)
+                z = z + K * (value[channel] - c @ sample.snapshot - there @ z)
+                P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
+            return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
-    def jumped(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
-        n, P = memory.xhat.shape[0], memory.P
-        z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
-        mine = jnp.append(False, memory.taken == sample.taken)
-        near = jnp.repeat(mine.at[0].set(True), n)
-        value, known = linear_filter.value_of(gains, sample), jnp.any(mine)
-        for channel in range(gains.C.shape[0]):
-            c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
-            there = (mine[:, None] * c[None, :]).reshape(-1)
-            h = P @ there
-            s = there @ h + r
-            K = jnp.where(mask, gain(h, s, near), 0.0)
-            z = z + K * (value[channel] - c @ sample.snapshot - there @ z)
-            P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
-        return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
+        return _in_one_piece(memory, jumped)(memory, arrival)
 
-    return jump
+    return Observer(
+        init,
+        prediction.snapshot,
+        jump,
+        prediction.flow,
+        linear_filter.estimate,
+        covariance=covariance,
+        on_sample=on_sample,
+    )
 
 
 def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
-    found: InnovationStats = _in_one_piece(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(
-        memory, arrival
-    )
-    return found
 
+    def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
+        sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+        z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
+        mine = jnp.append(False, memory.taken == sample.taken)
+        value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
+        for channel in range(gains.C.shape[0]):
+            c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+            there = (mine[:, None] * c[None, :]).reshape(-1)
+            h = P @ there
+            nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
+            total = kalman.judged(total, nu, s, mask)
+            K = kalman.gain(h, s, mask)
+            z, P = z + K * nu, kalman.covariance(P, K, there, r)
+        return total
 
-def _innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
-    z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
-    mine = jnp.append(False, memory.taken == sample.taken)
-    value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
-    for channel in range(gains.C.shape[0]):
-        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
-        there = (mine[:, None] * c[None, :]).reshape(-1)
-        h = P @ there
-        nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
-        total = kalman.judged(total, nu, s, mask)
-        K = kalman.gain(h, s, mask)
-        z, P = z + K * nu, kalman.covariance(P, K, there, r)
-    return total
+    return _in_one_piece(memory, judged)(memory, arrival)
 
 
 def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:

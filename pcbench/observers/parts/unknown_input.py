@@ -31,7 +31,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
-from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.common import known_input, no_snapshot
 from pcbench.observers.parts.options import way
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import DesignContext
@@ -97,10 +97,6 @@ def observer(law: Injection) -> Observer:
             pushed=jnp.zeros_like(gains.push),
         )
 
-    def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-        """Note nothing."""
-        return jnp.zeros(0)
-
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Take what arrived for y of d ago."""
         y = jnp.where(arrival.mask, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
@@ -135,7 +131,7 @@ def observer(law: Injection) -> Observer:
         xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
         return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
 
-    return Observer(init, snapshot, jump, flow, estimate, field)
+    return Observer(init, no_snapshot, jump, flow, estimate, field)
 
 
 def gains_of(
