@@ -22,12 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import sample_rate
 from pcbench.observers.parts.common import known_input
-from pcbench.observers.parts.options import tunable, way
+from pcbench.observers.parts.options import StrictOptions, tunable, way
 from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain
@@ -68,10 +68,9 @@ class Memory(NamedTuple):
     mask: Bool[Array, " q"]
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """How the links' gains and outputs are found."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gain: Literal["poles", "companion", "riccati"] = way(
         "poles",
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",

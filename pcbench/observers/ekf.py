@@ -160,6 +160,5 @@ OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covarian
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    gains, proof = nonlinear_model.told(setting, options, "ekf")
-    gains = gains._replace(guard=robust_update.of(options.gate, options.gate_opens, options.huber))
-    return Design(gains, proof, True if setting.model.E is not None else None)
+    guard = robust_update.of(options.gate, options.gate_opens, options.huber)
+    return nonlinear_model.design(setting, options, "ekf", guard=guard)

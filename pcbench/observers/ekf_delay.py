@@ -29,7 +29,7 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.common import no_snapshot
-from pcbench.observers.parts.unknown_delay import Gains, Moves, carried, read, spread
+from pcbench.observers.parts.unknown_delay import Gains, carried, read, spread
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
@@ -56,15 +56,15 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(jnp.append(xhat0, gains.delay), P, jnp.asarray(0), xhat0)
 
 
-def whole(gains: Gains) -> Moves:
-    """Return the model of state and delay, which stands still but for its walk."""
+def joint(gains: Gains) -> tuple[Array, Array, Array]:
+    """Return Phi, Gamma and Q of state and delay, which stands still but for its walk."""
     n, m = gains.Gamma.shape
 
     def beside(A: Any, last: Any) -> Array:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])
-    return Moves(beside(gains.Phi, 1.0), Gamma, beside(gains.Q, gains.own))
+    return beside(gains.Phi, 1.0), Gamma, beside(gains.Q, gains.own)
 
 
 class Seen(NamedTuple):
@@ -93,7 +93,7 @@ def predicted(gains: Gains, now: Now, x: Array, base: Array, first: Array) -> Se
 def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Carry state and delay to the base, update there by a sample between ticks, and go to now."""
     base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
-    z, P = carried(whole(gains), now, memory.z, memory.P, memory.at, base)
+    z, P = carried(*joint(gains), now, memory.z, memory.P, memory.at, base)
     place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
     first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
     part, seen = place - first, predicted(gains, now, z[:n], base, first)
@@ -111,8 +111,7 @@ def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Update state and delay by what arrives, and go to now."""
-    after: Memory = vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
-    return after
+    return vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -125,15 +124,13 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
     return read(gains, memory.xhat, memory.z[-1])
 
 
-def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return what the filter believes of its error now: P at its base, carried on."""
-    return spread(gains, carried(whole(gains), now, memory.z, memory.P, memory.at, now.tick)[1])
-
-
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return what is believed of the error now."""
-    P: Array = vmap_as_unit(lambda memory: _believed(gains, memory, now))(memory)
-    return P
+    """Return the covariance that is assumed of the error now: P at its base, carried on."""
+
+    def present(memory: Memory) -> Array:
+        return spread(gains, carried(*joint(gains), now, memory.z, memory.P, memory.at, now.tick)[1])
+
+    return vmap_as_unit(present)(memory)
 
 
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance)

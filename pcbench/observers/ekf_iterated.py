@@ -10,16 +10,13 @@ Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a 
 Time index: the estimate is of now, after the jump. Not claimed: that the iteration converges; no step is ever shortened.
 """
 
-from typing import Any
-
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import Field
 
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import Linear, Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
+from pcbench.observers.parts.kalman import Linear
+from pcbench.observers.parts.nonlinear_model import Gains, seen, within
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import State
 from pcbench.protocols import InnovationStats, Now
@@ -32,11 +29,6 @@ class Options(nonlinear_model.Options):
     iterations: int = Field(
         3, ge=1, le=100, description="corrections by a sample, each by the slope where the last led"
     )
-
-
-def first(gains: Gains, xhat0: Array) -> Posterior:
-    """Return the prior."""
-    return Posterior(started(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
 def tick(gains: Gains, now: Now, state: State) -> State:
@@ -65,21 +57,10 @@ def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> Innov
     return looked(gains, now, state, sample, state.mean)[2]
 
 
-def mean(gains: Gains, state: State) -> Array:
-    """Return z."""
-    return state.mean
-
-
-def spread(gains: Gains, state: State) -> Array:
-    """Return P."""
-    return state.P
-
-
-OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected))
 
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    gains, proof = nonlinear_model.told(setting, options, "ekf-iterated")
-    own: Any = np.zeros(options.iterations)  # its length alone is the message (`protocols.Room`)
-    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)
+    own = np.zeros(options.iterations)  # its length alone is the message (`protocols.Room`)
+    return nonlinear_model.design(setting, options, "ekf-iterated", lambda gains: own)

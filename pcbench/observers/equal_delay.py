@@ -16,11 +16,11 @@ claimed unless every delay is d.
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_age
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
@@ -30,10 +30,9 @@ from pcbench.synthesis.sampled_model import ROWS, by_poles, delayed_radius, powe
 OBSERVER = assumed_age.OBSERVER
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """Which of the two, and the delay it believes in."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
     delay: int | None = Field(None, ge=1, le=200, description="samples; default: the shortest of the channels'")
     pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: F = pole I, or distinct poles where C is not invertible")

@@ -26,11 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.errors import UserError
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import lqr
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -61,10 +61,9 @@ class Memory(NamedTuple):
     newest: Int[Array, " d"]  # the number of the sample that c is of; -1: none
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """The tuning."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     theta: float = tunable(4.0, gt=0, description="tuning [1/s]")
     robust: bool = Field(False, description="speeds and parameters clipped, a leak in S")
     rho: float = Field(0.1, gt=0, description="robust: the leak")

@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_noise
 from pcbench.observers.parts.assumed_noise import Sizes, Variance, Variances
 from pcbench.observers.parts.common import known_input, no_snapshot, xhat
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Design, DesignContext, require_certified
@@ -58,10 +58,9 @@ class Memory(NamedTuple):
     Y: Float[Array, " q"]  # what drives the filter: the arrived sample (or innovation), held
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """Weights of the Riccati equation and the two variants."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     R: Variances | Literal["noise"] = tunable(
         1.0,
         description="assumed intensity of measurement noise: of all outputs, of each, or in full; 'noise': a sample's variance "

@@ -145,9 +145,7 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
 
 
-OBSERVER = repropagation.observer(
-    repropagation.Way(first, ekf_iterated.tick, update, ekf_iterated.mean, ekf_iterated.spread, ekf_iterated.expected)
-)
+OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.expected, first))
 
 
 def bounds_of(setting: DesignContext, options: Options, where: str) -> Any:
@@ -181,7 +179,6 @@ def bounds_of(setting: DesignContext, options: Options, where: str) -> Any:
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what it assumes; raise UserError for a window that no run fills, and bounds that leave out the start."""
     where = f"mhe in {setting.scenario}"
-    gains, proof = nonlinear_model.told(setting, options, "mhe")
     most = sum(setting.ticks // period + 1 for period in setting.period)
     window = min(USUAL, most) if options.window is None else options.window
     if window > most:
@@ -190,4 +187,4 @@ def design(setting: DesignContext, options: Options) -> Design:
             f"at most {most}."
         )
     own = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(setting, options, where))
-    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)
+    return nonlinear_model.design(setting, options, "mhe", lambda gains: own)

@@ -117,18 +117,17 @@ def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filter
     return Filters(x, P, taken, jax.nn.log_softmax(before.weight + likelihood))
 
 
-def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    came = jnp.asarray(now.tick, float)[None]
-    sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
-    buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
-    present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
-    return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
-
-
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and mix what the filters make of now."""
-    after: Memory = vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
-    return after
+
+    def jumped(memory: Memory, arrival: Arrival) -> Memory:
+        came = jnp.asarray(now.tick, float)[None]
+        sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
+        buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
+        present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
+        return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
+
+    return vmap_as_unit(jumped)(memory, arrival)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -146,21 +145,19 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
     return read(gains, memory.xhat, memory.delay)
 
 
-def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
-    at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
-    x, P = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
-    share, n = jnp.exp(at.weight), gains.C.shape[1]
-    z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
-    apart = z - (share @ z)[None]
-    whole = (share[:, None] * apart).T @ apart
-    return spread(gains, whole.at[:n, :n].add(jnp.tensordot(share, P, 1)))
-
-
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return what is believed of the error now."""
-    P: Array = vmap_as_unit(lambda memory: _believed(gains, memory, now))(memory)
-    return P
+    """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
+
+    def mixed(memory: Memory) -> Array:
+        at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
+        x, P = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
+        share, n = jnp.exp(at.weight), gains.C.shape[1]
+        z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
+        apart = z - (share @ z)[None]
+        whole = (share[:, None] * apart).T @ apart
+        return spread(gains, whole.at[:n, :n].add(jnp.tensordot(share, P, 1)))
+
+    return vmap_as_unit(mixed)(memory)
 
 
 OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance)

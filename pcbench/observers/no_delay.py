@@ -14,10 +14,10 @@ exact for `aligned` until rounding has grown by its radius.
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.observers.parts import assumed_age
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate, require_certified
@@ -27,10 +27,9 @@ from pcbench.synthesis.sampled_model import by_poles, delayed_radius, sampled
 OBSERVER = assumed_age.OBSERVER
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """Which of the two, and its pole."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )

@@ -13,7 +13,7 @@ particles that never part again, and P does not know.
 Time index: the estimate is of now, after the jump. Not claimed: perfect start, which nothing that is drawn has.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -145,7 +145,7 @@ def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Innov
     return kalman.by_points(gains, *weighted(weight, both), sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))._replace(
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected, first, mean, spread))._replace(
     init_random=init_random
 )
 
@@ -158,13 +158,16 @@ def rooted(M: np.ndarray) -> np.ndarray:
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what it assumes; raise UserError where so many particles do not fit the memory."""
-    gains, proof = nonlinear_model.told(setting, options, "particle")
-    each = 8 * (len(gains.P0) + 1) * (setting.overtaking + 3) * LANES
+    N = len(setting.model.A) + len(setting.unknown_std)
+    each = 8 * (N + 1) * (setting.overtaking + 3) * LANES
     if options.particles * each > machine.usable():
         raise UserError(
             f"particle in {setting.scenario}: got {options.particles} particles, which take "
             f"{options.particles * each / 1e9:.3g} GB of memory for {LANES} runs at once, expected at most "
             f"{machine.usable() // each}; write fewer."
         )
-    own: Any = Swarm(np.zeros(options.particles), rooted(gains.P0), rooted(gains.Q), np.asarray(options.resample))
-    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)
+
+    def swarm(gains: Gains) -> Swarm:
+        return Swarm(np.zeros(options.particles), rooted(gains.P0), rooted(gains.Q), np.asarray(options.resample))
+
+    return nonlinear_model.design(setting, options, "particle", swarm)

@@ -23,12 +23,12 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.common import xhat
-from pcbench.observers.parts.options import matrix, tunable, way
+from pcbench.observers.parts.options import StrictOptions, matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
@@ -47,10 +47,9 @@ class Gains(NamedTuple):
     room: Room  # for samples that may be overtaken
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """How the gain is found, and what is to be promised of it."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = way(
         "lmi",
         description="LMI (23); a stationary Kalman filter's; the fastest decay over a range; the least noise in the estimate, "

@@ -27,12 +27,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.common import xhat
-from pcbench.observers.parts.options import matrix, tunable
+from pcbench.observers.parts.options import StrictOptions, matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
@@ -63,10 +63,9 @@ class Reduced(NamedTuple):
     started: Bool[Array, ""]  # a sample has been used
 
 
-class Proportional(BaseModel):
+class Proportional(StrictOptions):
     """PCO's gain, in the coordinates [y; w]."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     Kp: Given = tunable(None, description="gain [n-l, l] (a number where that is 1 x 1), or 'lmi'; default: by LMI")
     decay: float = Field(0.0, ge=0, description="least rate [1/s] at which errors are proven to decay")
     period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the schedule's own")

@@ -13,7 +13,7 @@ Found: on a linear plant both are `kf` to rounding. A small alpha loses digits: 
 Time index: the estimate is of now, after the jump. Not claimed: that P stays positive where the centre's weight is negative.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,6 @@ from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.ekf_iterated import first, mean, spread
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Linear, Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
@@ -110,7 +109,7 @@ def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> I
     return looked(gains, now, state, sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(first, tick, update, mean, spread, expected))
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected))
 
 
 def points_of(options: Options, N: int, where: str) -> Points:
@@ -132,6 +131,5 @@ def points_of(options: Options, N: int, where: str) -> Points:
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    gains, proof = nonlinear_model.told(setting, options, "ukf")
-    own: Any = points_of(options, len(gains.P0), f"ukf in {setting.scenario}")
-    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)
+    where = f"ukf in {setting.scenario}"
+    return nonlinear_model.design(setting, options, "ukf", lambda gains: points_of(options, len(gains.P0), where))

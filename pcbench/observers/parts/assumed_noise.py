@@ -7,11 +7,11 @@ R = L diag(r) L', L unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the va
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError, shown
-from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.synthesis.certificate import DesignContext
 
 Variance = Annotated[float, Field(gt=0)]
@@ -21,10 +21,9 @@ Sizes = list[Size] | list[list[float]]  # one for each state, or in full
 ROUNDING = 1e-12  # part of the largest entry by which a matrix may fall short of a covariance
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """What a filter assumes of noise, where that is not what the scenario has."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     R: Variances | None = tunable(
         None,
         description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",

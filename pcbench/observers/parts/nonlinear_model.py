@@ -3,12 +3,15 @@
 State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. p is
 clipped to the plant's range. Between samples mean and covariance go by slopes, tick by tick:
 
-    P <- F P F' + Q,  F the slope of a tick at z (`discrete_model`),    z <- one tick under its input
+    P <- F P F' + Q,  F the slope of a tick at z,    z <- one tick under its input
 
+A linear model moves by its exact map; a field by one Runge-Kutta step, whose slope is taken as I + h J; a plant that is given
+by its step moves by that, and its slope is the Jacobian (jax). The unknowns p stand still.
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -18,10 +21,11 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.dynamics import linear
-from pcbench.observers.parts import assumed_noise, discrete_model
+from pcbench.dynamics.integrate import rk4
+from pcbench.observers.parts import assumed_noise
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf, Now, Room
-from pcbench.synthesis.certificate import Certificate, DesignContext
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
 
 class Gains(NamedTuple):
@@ -48,6 +52,62 @@ class Options(assumed_noise.Options):
     """What a filter assumes."""
 
     walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
+
+
+def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
+    """Move a linear model by one tick."""
+    return Phi @ z + Gamma @ now.u
+
+
+def constant(Phi: Array, now: Now, z: Array) -> Array:
+    """Return the slope of a linear model."""
+    return Phi
+
+
+def rate(model: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
+    n = z.shape[0] - room.shape[0]
+    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
+
+
+def step(model: Any, room: Room, now: Now, z: Array) -> Array:
+    """Move a model by one Runge-Kutta step."""
+    return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
+
+
+def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return I + h J."""
+    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
+
+
+def moved(successor: Any, room: Room, now: Now, z: Array) -> Array:
+    """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
+    n = z.shape[0] - room.shape[0]
+    return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
+
+
+def moved_slope(successor: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return the Jacobian of that."""
+    return jax.jacfwd(lambda z: moved(successor, room, now, z))(z)
+
+
+def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
+    """Return dx/dt of a linear model pushed by f = known(x) + p."""
+    return A @ x + B @ now.u + E @ (known(x) + p)
+
+
+def motion_of(setting: DesignContext) -> tuple[Any, Any]:
+    """Return how a tick moves z, and its slope: exactly where the model is linear."""
+    model, room = setting.model, np.zeros(len(setting.unknown_std))
+    if setting.successor is not None:
+        after = setting.successor
+        return jax.tree_util.Partial(moved, after, room), jax.tree_util.Partial(moved_slope, after, room)
+    if setting.field is None and (model.E is None or model.known is None):
+        whole = linear.with_unknown_input(model) if model.E is not None else model
+        Phi, Gamma = linear.one_tick(whole, setting.dt)
+        return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
+    field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
+    return jax.tree_util.Partial(step, field, room), jax.tree_util.Partial(slope, field, room)
 
 
 def started(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
@@ -107,16 +167,22 @@ def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
     return value if gains.mix is None else gains.mix @ value
 
 
-def told(setting: DesignContext, options: Options, name: str) -> tuple[Gains, Certificate]:
-    """Gather what a filter assumes; there is no certificate for a nonlinear model."""
+def design(
+    setting: DesignContext,
+    options: Options,
+    name: str,
+    own: Callable[[Gains], Any] = lambda gains: (),
+    guard: Any = (),
+) -> Design:
+    """Gather what a filter assumes, and by `own` what it has besides; there is no certificate for a nonlinear model."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
-    motion, tangent = discrete_model.motion_of(setting)
+    motion, tangent = motion_of(setting)
     size = np.square(setting.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
     P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
     q = assumed_noise.through(options.q, setting.model.B.shape[1], setting.input_intensity, where)
-    own = assumed_noise.process(setting, options.Q, where)
-    Q[:n, :n] = own + linear.input_noise(setting.model, q, setting.dt)
+    process = assumed_noise.process(setting, options.Q, where)
+    Q[:n, :n] = process + linear.input_noise(setting.model, q, setting.dt)
     Q[n:, n:] = np.diag(options.walk * size * setting.dt)
     mix, C, R = assumed_noise.independent(setting, options.R, setting.model.C, where)
     low, high = np.array(setting.unknown_range).T.reshape(2, s)
@@ -134,8 +200,9 @@ def told(setting: DesignContext, options: Options, name: str) -> tuple[Gains, Ce
         low=low,
         high=high,
         room=setting.room,
+        guard=guard,
     )
-    numbers = {"R": R, **assumed_noise.option("Q", own)}
-    return gains, Certificate(
-        "none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers
-    )
+    numbers = {"R": R, **assumed_noise.option("Q", process)}
+    why = "none: the slope at the estimate is no proof"
+    proof = Certificate(why, float("inf"), "none", "not needed", numbers)
+    return Design(gains._replace(own=own(gains)), proof, True if setting.model.E is not None else None)

@@ -15,13 +15,19 @@ import numpy as np
 from jax import Array
 from jax.scipy.special import erfinv
 from jaxtyping import Float, UInt32
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
 TUNABLE, WAY = "tunable", "way"  # keys in a field's extra
+
+
+class StrictOptions(BaseModel):
+    """Options of an observer: no other keys, finite numbers, no conversion of types."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
 def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any) -> Any:

@@ -123,5 +123,4 @@ def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Me
         merged = jax.tree.map(one, samples, arrived)
         return merged, jax.tree.map(lambda a: a[1:], merged)
 
-    both: tuple[Measurement, Measurement] = vmap_as_unit(merge)(samples, arrived)
-    return both
+    return vmap_as_unit(merge)(samples, arrived)

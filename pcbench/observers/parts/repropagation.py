@@ -10,12 +10,14 @@ the newer ones are used again (`parts/reorder_buffer`). A state is a NamedTuple 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.common import no_snapshot
-from pcbench.observers.parts.nonlinear_model import Gains, at
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.nonlinear_model import Gains, at, started
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
 
@@ -30,17 +32,20 @@ class Memory(NamedTuple):
     z: Float[Array, " N"]  # the states and unknowns of now
 
 
+def prior(gains: Gains, xhat0: Float[Array, " n"]) -> Posterior:
+    """Return the prior: xhat(0), p at its start, P0."""
+    return Posterior(started(gains, xhat0), gains.P0, jnp.asarray(0))
+
+
 class Way(NamedTuple):
     """How a filter's state begins, moves and is corrected, and what it says."""
 
-    first: Callable[[Gains, Array], State]  # (gains, xhat0[n]) -> the state at tick 0
     tick: Callable[[Gains, Now, State], State]  # one tick on, under now.u
     update: Callable[[Gains, Now, State, Measurement], State]  # by a sample of its own tick
-    mean: Callable[[Gains, State], Array]  # -> z[N]
-    spread: Callable[[Gains, State], Array]  # -> P[N, N]
-    expected: Callable[
-        [Gains, Now, State, Measurement], InnovationStats
-    ]  # of a sample of its own tick, before it is used
+    expected: Callable[[Gains, Now, State, Measurement], InnovationStats]  # of such a sample, before it is used
+    first: Callable[[Gains, Array], State] = prior  # (gains, xhat0[n]) -> the state at tick 0
+    mean: Callable[[Gains, State], Array] = lambda gains, state: state.mean  # -> z[N]
+    spread: Callable[[Gains, State], Array] = lambda gains, state: state.P  # -> P[N, N]
 
 
 def observer(way: Way) -> Observer:
@@ -71,8 +76,7 @@ def observer(way: Way) -> Observer:
             here = carried(gains, now, newest, now.tick)
             return Memory(buffer, here, way.mean(gains, here))
 
-        found: Memory = vmap_as_unit(moved)(memory, arrival)
-        return found
+        return vmap_as_unit(moved)(memory, arrival)
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         """Move by one tick."""
@@ -90,8 +94,7 @@ def observer(way: Way) -> Observer:
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
         """Return what the filter believes of its error now."""
-        P: Array = vmap_as_unit(lambda state: way.spread(gains, state))(memory.now)
-        return P
+        return vmap_as_unit(lambda state: way.spread(gains, state))(memory.now)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
@@ -102,7 +105,6 @@ def observer(way: Way) -> Observer:
             looked = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
             return way.expected(gains, at(now, sample.taken), carried(gains, now, before, sample.taken), looked)
 
-        found: InnovationStats = vmap_as_unit(judged)(memory, arrival)
-        return found
+        return vmap_as_unit(judged)(memory, arrival)
 
     return Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)

@@ -50,14 +50,6 @@ class Gains(NamedTuple):
     own: Any = ()
 
 
-class Moves(NamedTuple):
-    """A linear model by ticks; N of its states."""
-
-    Phi: Float[Leaf, "N N"]
-    Gamma: Float[Leaf, "N m"]
-    Q: Float[Leaf, "N N"]
-
-
 class Options(assumed_noise.Options):
     """What the filter assumes of noise, and of the delay."""
 
@@ -79,12 +71,14 @@ def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
     return jnp.where(gains.stamps, stamped, now.tick)
 
 
-def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of tick `stop` from those of tick `start`, under the stored inputs."""
+def carried(
+    Phi: Array, Gamma: Array, Q: Array, now: Now, x: Array, P: Array, start: Array, stop: Array
+) -> tuple[Array, Array]:
+    """Return mean and covariance of tick `stop` from those of tick `start`, by a linear model and the stored inputs."""
 
     def tick(k: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
         x, P = xP
-        return by.Phi @ x + by.Gamma @ now.past_u(now.tick - k), by.Phi @ P @ by.Phi.T + by.Q
+        return Phi @ x + Gamma @ now.past_u(now.tick - k), Phi @ P @ Phi.T + Q
 
     return lax.fori_loop(start, stop, tick, (x, P))
 

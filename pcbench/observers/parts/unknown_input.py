@@ -25,14 +25,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 from pcbench.observers.parts.common import known_input, no_snapshot
-from pcbench.observers.parts.options import way
+from pcbench.observers.parts.options import StrictOptions, way
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import DesignContext
 from pcbench.synthesis.unknown_input import Split
@@ -71,10 +71,9 @@ class Memory(NamedTuple):
     pushed: Float[Array, "n r"]  # int_0^min(t, d) e^{A s} ds E
 
 
-class Options(BaseModel):
+class Options(StrictOptions):
     """What the two have in common."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gains: Literal["design", "paper"] = way("design", description="by LMI, or as printed (for the arm)")
     measurement: Literal["predict", "hold"] = Field("predict", description="y between samples")
     reconstruct: bool = Field(False, description="the prediction to now carries the input found")
