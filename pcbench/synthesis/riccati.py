@@ -9,7 +9,7 @@ Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depe
 """
 
 from bisect import bisect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache, partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -115,17 +115,14 @@ class Steps(NamedTuple):
     after: dict[tuple[bytes, int, int], Matrix]
     over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, a root of the covariance that noise adds
     flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
-    # (P0 to the bit, samples) -> the stages after none, one, two ... of them
-    chains: dict[tuple[bytes, tuple[Taken, ...]], list[Stage]]
 
 
 ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
-CHAINS = 16  # cells that differ in their delay alone come one after the other
 
 
 def no_steps() -> Steps:
     """Return what is known before the first recursion."""
-    return Steps({}, {}, {}, {})
+    return Steps({}, {}, {})
 
 
 def posterior_variance(
@@ -148,7 +145,7 @@ def posterior_variance(
     Roots of covariances are carried, by orthogonal transformations: with a prior 1e8 times the noise P would keep no digit.
     """
     steps = no_steps() if steps is None else steps
-    since = _newest(partial(_after, steps, doubled, noise, C, R), root(P0), samples, steps)
+    since = _newest(partial(_after, steps, doubled, noise, C, R), root(P0), samples)
     edges = [tick for tick in since if tick < ticks.stop] + [ticks.stop]
     spans: dict[tuple[int, int], tuple[int, Matrix]] = {}  # ticks after a sample -> how often, the sum of covariances
     for (taken, S), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
@@ -165,23 +162,11 @@ def posterior_variance(
     return total / len(ticks)
 
 
-def _newest(after: After, S0: Matrix, samples: list[tuple[int, int, int]], steps: Steps) -> dict[int, Stage]:
-    """From which tick on nothing newer is known than which stage: the tick of a sample and the covariance after it."""
-    in_order = sorted((taken, channel, arrival) for arrival, taken, channel in samples)
-    each = tuple((taken, channel) for taken, channel, _ in in_order)
-    if any(a > b for (*_, a), (*_, b) in pairwise(in_order)):
-        return _overtaken(after, S0, samples)
-    key = S0.tobytes(), each
-    if key not in steps.chains:
-        if len(steps.chains) >= CHAINS:
-            steps.chains.clear()
-        steps.chains[key] = _chain(after, [(0, S0)], each)
-    stages = steps.chains[key]
-    return {0: stages[0]} | {arrival: stages[i] for i, (*_, arrival) in enumerate(in_order, 1)}
+def _newest(after: After, S0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
+    """From which tick on nothing newer is known than which stage: the tick of a sample and the covariance after it.
 
-
-def _overtaken(after: After, S0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
-    """The same where a sample may arrive after a newer one: what came of newer ones is found again."""
+    A sample may arrive after a newer one: what came of newer ones is found again.
+    """
     arriving: dict[int, list[Taken]] = {}
     for arrival, taken, channel in samples:
         arriving.setdefault(arrival, []).append((taken, channel))
@@ -193,17 +178,11 @@ def _overtaken(after: After, S0: Matrix, samples: list[tuple[int, int, int]]) ->
             place = bisect(known, one)
             known.insert(place, one)
             del stages[place + 1 :]
-            _chain(after, stages, known[place:])
+            for taken, channel in known[place:]:
+                at, S = stages[-1]
+                stages.append((taken, after(S, taken - at, channel)))
         since[tick] = stages[-1]
     return since
-
-
-def _chain(after: After, stages: list[Stage], samples: Iterable[Taken]) -> list[Stage]:
-    """Add the stages after some samples, oldest first."""
-    for taken, channel in samples:
-        at, S = stages[-1]
-        stages.append((taken, after(S, taken - at, channel)))
-    return stages
 
 
 def _after(

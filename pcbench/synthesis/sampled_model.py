@@ -5,7 +5,6 @@ x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts sample
 """
 
 import warnings
-from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import rank, shown
 from pcbench.errors import DesignError, UserError, said
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
-from pcbench.synthesis.solvers import remembered
 
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
@@ -114,29 +112,18 @@ def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
                 f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
                 "are placed there; write a small one, such as 1e-4."
             )
+        from scipy.signal import place_poles  # takes a second to import
+
         wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
         try:
-            G = remembered(Placed, f"poles-{version('scipy')}", (A, M, wanted), lambda: _placed(A, M, wanted)).G
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
                 f"{where}: the poles were not placed (SciPy said '{said(error)}'), expected another pole; change it."
             ) from error
     return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
-
-
-class Placed(NamedTuple):
-    """What placing poles has found."""
-
-    G: Matrix  # [n, rank of C]
-
-
-def _placed(A: Matrix, M: Matrix, wanted: Matrix) -> Placed:
-    """G with the poles of A - G M as wanted."""
-    from scipy.signal import place_poles  # takes a second to import
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
-        return Placed(np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float))
 
 
 def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
