@@ -1,14 +1,18 @@
-"""The mobile cart: every printed gain, the claims of section 6, and what does not reproduce.
+"""The mobile cart: every printed gain, the claims of section 6, the theorem and the integral, and what does not reproduce.
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017). The paper prints gains and claims in words; its
-error values stand only in figures. All numbers below are computed anew.
+error values stand only in figures. All numbers below are computed anew. (7), (8a), (23), Remarks 1 and 3 are re-checked in
+NumPy, sampled every te with d = te.
 """
+
+from collections.abc import Iterator
+from math import exp, expm1, pi
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import solve_discrete_lyapunov
 
 from pcbench import api, planning
-from pcbench.papers import cart_theorem
 from pcbench.papers.claim import MISPRINT, OPEN, REPRODUCED, Claim, digits, found, statement
 from pcbench.planning import padding, run_local
 from pcbench.runtime import config
@@ -30,6 +34,9 @@ SECTIONS = {
     "6.3": "cart/drift",
     "6.4": "cart/slow",
 }
+LAM, B = 122.0, 355.0
+C = np.array([[1.0, 0.0]])
+SCALES = {"cart/nominal": "4.9499", "cart/slow": "4.9502"}
 
 
 def claims() -> list[Claim]:
@@ -37,7 +44,7 @@ def claims() -> list[Claim]:
     with config.float64():
         return [
             *_gains(),
-            *cart_theorem.theorem(),
+            *theorem(),
             *_two_periods(),
             *_ordering(),
             *_under_noise(),
@@ -46,46 +53,39 @@ def claims() -> list[Claim]:
         ]
 
 
-def _gains() -> list[Claim]:
-    out = []
+def _gains() -> Iterator[Claim]:
     for scenario, (P_printed, K_printed) in KFBO.items():
         numbers = api.design(scenario, "kfbo").certificate.numbers
         P, K = numbers["P"], numbers["K"]
         R = SCENARIOS[scenario].options["kfbo"]["R"]
         for name, printed, value in zip(("P11", "P12", "P22"), P_printed, (P[0, 0], P[0, 1], P[1, 1]), strict=True):
-            out.append(digits(f"KFBO {name} at R = {R:g} (27)", printed, value))
+            yield digits(f"KFBO {name} at R = {R:g} (27)", printed, value)
         for name, printed, value in zip(("K1", "K2"), K_printed, K[:, 0], strict=True):
-            out.append(digits(f"KFBO {name} at R = {R:g} (26)", printed, value))
+            yield digits(f"KFBO {name} at R = {R:g} (26)", printed, value)
     for scenario in ("cart/nominal", "cart/slow"):
         L = api.design(scenario, "pccebo").certificate.numbers["L"]
         te = SCENARIOS[scenario].sampling.sampling_period[0]
         for i, printed in enumerate(("1.0000", "0.0000")):
-            out.append(digits(f"PCCEBO L{i + 1} at te = {te:g} s (23)", printed, L[i, 0]))
-    return out
+            yield digits(f"PCCEBO L{i + 1} at te = {te:g} s (23)", printed, L[i, 0])
 
 
-def _two_periods() -> list[Claim]:
-    out = []
+def _two_periods() -> Iterator[Claim]:
     for scenario in ("cart/nominal", "cart/slow"):
         d = api.simulate(scenario, "pccebo")
         te = SCENARIOS[scenario].sampling.sampling_period[0]
         e = (d["position"] - d["pccebo.position"]).abs()[d["t"] >= 2 * te - 1e-9].max()
-        out.append(
-            statement(
-                f"PCCEBO errors zero after two periods, te = {te:g} s",
-                "zero",
-                f"|e| < {ZERO:g} m from {2 * te:g} s on" if e < ZERO else f"|e| up to {e:.1e} m from {2 * te:g} s on",
-                bool(e < ZERO),
-            )
+        yield statement(
+            f"PCCEBO errors zero after two periods, te = {te:g} s",
+            "zero",
+            f"|e| < {ZERO:g} m from {2 * te:g} s on" if e < ZERO else f"|e| up to {e:.1e} m from {2 * te:g} s on",
+            bool(e < ZERO),
         )
-    return out
 
 
-def _ordering() -> list[Claim]:
+def _ordering() -> Iterator[Claim]:
     names = list(SECTIONS.values())
     result = api.run(Study(name="ordering", scenarios=names, observers=["pccebo", "kfbo"], seeds=SEEDS))
     stats, pairs = (t[t.signal == "position"].set_index(["scenario", "metric"]) for t in (result.stats, result.pairs))
-    out = []
     for section, scenario in SECTIONS.items():
         for metric in ("mae", "rmse"):
             row = pairs.loc[[(scenario, metric)]].iloc[0]
@@ -93,11 +93,10 @@ def _ordering() -> list[Claim]:
             seeds = f"{row.prob_a_better:.0%} of {int(row.n)} seeds"
             text = f"pccebo {mean['pccebo']:.4g}, kfbo {mean['kfbo']:.4g} m; smaller in {seeds}"
             claim = f"{section}: PCCEBO better in position {metric.upper()}, 10 s"
-            out.append(statement(claim, "smaller", text, row.mean_diff < 0 and row.prob_a_better == 1.0))
-    return out
+            yield statement(claim, "smaller", text, row.mean_diff < 0 and row.prob_a_better == 1.0)
 
 
-def _under_noise() -> list[Claim]:
+def _under_noise() -> Iterator[Claim]:
     """Once the start is forgotten the order turns; and how far either is from what the measurements would allow."""
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "kf"], seeds=SEEDS)
     late = SCENARIOS["cart/gaussian"].having(
@@ -111,29 +110,28 @@ def _under_noise() -> list[Claim]:
     rows = api.run(study, options={"scenario": {"random_initial_state": True}}).stats.query("signal == 'position'")
     rows = rows[rows.metric == "rms_efficiency"]
     worse = ", ".join(f"{o} {1 / e:.1f}" for o, e in zip(rows.observer, rows["mean"], strict=True))
-    return [stays, found("6.2 Gaussian: rms from 3 s on, times the least possible", worse)]
+    yield stays
+    yield found("6.2 Gaussian: rms from 3 s on, times the least possible", worse)
 
 
-def _misprints() -> list[Claim]:
+def _misprints() -> Iterator[Claim]:
     model = planning.setting(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
     asprinted = riccati.continuous(model, 0.001 * np.eye(2), 0.004 * np.eye(1), "reproduce cart")
     numbers = api.design("cart/nominal", "kfbo").certificate.numbers
     P, K = numbers["P"], numbers["K"]
-    literal, off = (P @ model.C.T * 0.004)[:, 0], cart_theorem.held_over_a_period()
-    return [
-        Claim("Q = 0.001 I gives the printed K", "[2.0405, 2.0818]", _row(asprinted.K[:, 0]), MISPRINT),
-        Claim("Q = 0.002 B B' gives the printed K", "[2.0405, 2.0818]", _row(K[:, 0]), REPRODUCED),
-        Claim("(26) K = P C' R", "[2.0405, 2.0818]", _row(literal) + "; P C' R^-1 gives the print", MISPRINT),
-        Claim(
-            "(7), (8a): Gamma u_(m-1), the input held over a period",
-            "exact",
-            f"position off by up to {off:.2f} m for ever under the sawtooth; the integral of (6) is exact",
-            MISPRINT,
-        ),
-    ]
+    literal, off = (P @ model.C.T * 0.004)[:, 0], held_over_a_period()
+    yield Claim("Q = 0.001 I gives the printed K", "[2.0405, 2.0818]", _row(asprinted.K[:, 0]), MISPRINT)
+    yield Claim("Q = 0.002 B B' gives the printed K", "[2.0405, 2.0818]", _row(K[:, 0]), REPRODUCED)
+    yield Claim("(26) K = P C' R", "[2.0405, 2.0818]", _row(literal) + "; P C' R^-1 gives the print", MISPRINT)
+    yield Claim(
+        "(7), (8a): Gamma u_(m-1), the input held over a period",
+        "exact",
+        f"position off by up to {off:.2f} m for ever under the sawtooth; the integral of (6) is exact",
+        MISPRINT,
+    )
 
 
-def _open() -> list[Claim]:
+def _open() -> Iterator[Claim]:
     """What the paper does not say, and what depends on it; velocity."""
     sections = ["cart/gaussian", "cart/gaussian-fast"]
     both = api.run(Study(name="te", scenarios=sections, observers=["pccebo", "kfbo"], seeds=SEEDS)).stats
@@ -146,17 +144,15 @@ def _open() -> list[Claim]:
     )
     calm = api.run(Study(name="calm", scenarios=["cart/nominal"], observers=["pccebo", "kfbo"], seeds=1)).stats
     apart = abs(np.subtract(*_values(calm, "cart/nominal", "velocity", "mae")))
-    out = [
-        Claim("6.2 Gaussian: te beside d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN),
-        Claim("6.3: operator before 20 sin 2t cos 2t in B21", "lost", f"position MAE, {drift}", OPEN),
-        Claim("Figure 12: MAE and RMSE", "bars without numbers", "orderings are compared above", OPEN),
-        statement(
-            "6.1: PCCEBO better in velocity MAE",
-            "better performance",
-            f"{_both(calm, 'cart/nominal', 'velocity')} m/s: alike" if apart < 1e-9 else f"apart by {apart:.2g} m/s",
-            bool(apart > 1e-9),
-        ),
-    ]
+    yield Claim("6.2 Gaussian: te beside d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN)
+    yield Claim("6.3: operator before 20 sin 2t cos 2t in B21", "lost", f"position MAE, {drift}", OPEN)
+    yield Claim("Figure 12: MAE and RMSE", "bars without numbers", "orderings are compared above", OPEN)
+    yield statement(
+        "6.1: PCCEBO better in velocity MAE",
+        "better performance",
+        f"{_both(calm, 'cart/nominal', 'velocity')} m/s: alike" if apart < 1e-9 else f"apart by {apart:.2g} m/s",
+        bool(apart > 1e-9),
+    )
     for metric in ("mae", "rmse"):
         quiet, moved = (
             _values(s, n, "position", metric) for s, n in ((calm, "cart/nominal"), (signs[1], "cart/drift"))
@@ -164,8 +160,7 @@ def _open() -> list[Claim]:
         more = moved - quiet
         text = f"{metric.upper()} grows by {more[0]:.3f} m (pccebo), {more[1]:.3f} m (kfbo)"
         claim = f"6.3: PCCEBO less sensitive to the parameters, {metric.upper()}"
-        out.append(statement(claim, "less sensitive", text, bool(more[0] < more[1])))
-    return out
+        yield statement(claim, "less sensitive", text, bool(more[0] < more[1]))
 
 
 def _drifting(sign: int) -> pd.DataFrame:
@@ -186,3 +181,67 @@ def _both(stats: pd.DataFrame, scenario: str, signal: str) -> str:
 
 def _row(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{v:.4g}" for v in values) + "]"
+
+
+def theorem() -> Iterator[Claim]:
+    """Return what is printed of the inequality (23), and what it can and cannot guarantee."""
+    for scenario, printed in SCALES.items():
+        te, P = SCENARIOS[scenario].sampling.sampling_period[0], float(printed) * np.eye(2)
+        Y = float(printed) * C.T
+        largest = float(np.linalg.eigvalsh(inequality(te, P, Y)).max())
+        text = (
+            f"largest eigenvalue {largest:.4f}; inv(P) Y = [{', '.join(f'{v:g}' for v in np.linalg.solve(P, Y)[:, 0])}]"
+        )
+        claim = f"P = {printed} I, Y = [{printed}, 0]' satisfy (23), te = {te:g} s"
+        yield statement(claim, "a feasible solution", text, largest < 0)
+        half = float(np.linalg.eigvalsh(inequality(te, P / 2, Y / 2)).max())
+        text = f"P / 2, Y / 2 are as good (largest eigenvalue {half:.4f}): only a scale"
+        yield Claim(f"scale {printed} of P, te = {te:g} s", printed, text, OPEN)
+    L, te = np.array([[1e-3], [0.0]]), 0.2
+    F = transition(te) - L @ C @ transition(te)
+    P = solve_discrete_lyapunov(F.T, np.eye(2))
+    margin, radius = -float(np.linalg.eigvalsh(inequality(te, P, P @ L)).max()), float(max(abs(np.linalg.eigvals(F))))
+    text = f"L = [0.001, 0]' is certified (margin {margin:.2g}) and keeps {100 * radius:.1f} % of the error a period"
+    yield statement("Remark 1: (23) guarantees fast convergence", "fast", text, not (margin > 0 and radius > 0.9))
+    yield _slower()
+
+
+def inequality(te: float, P: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """Return the left side of (23), [4, 4]."""
+    M = P @ transition(te) - Y @ C @ transition(te)
+    return np.block([[-P, M.T], [M, -P]])
+
+
+def transition(t: float) -> np.ndarray:
+    """Return e^{At}."""
+    return np.array([[1.0, -expm1(-LAM * t) / LAM], [0.0, exp(-LAM * t)]])
+
+
+def _slower() -> Claim:
+    """Remark 3: with R the slow pole of A - K C moves to the origin."""
+    rates = {}
+    for R in (0.004, 0.3, 1.0):
+        K1 = -LAM + np.sqrt(LAM**2 + 2 * B * np.sqrt(0.002 / R))
+        rates[R] = -max(np.linalg.eigvals(np.array([[-K1, 1.0], [-(K1**2) / 2, -LAM]])).real)
+    text = "KFBO's slowest rate: " + ", ".join(f"{rate:.3g} 1/s at R = {R:g}" for R, rate in rates.items())
+    falls = list(rates.values()) == sorted(rates.values(), reverse=True)
+    return statement("Remark 3: the larger R, the slower KFBO", "slow response", text, falls)
+
+
+def held_over_a_period(te: float = 0.2, horizon: float = 10.0) -> float:
+    """Return PCCEBO's largest position error [m] from 1 s on where (8a) holds the input over a period, as it is written.
+
+    With L = [1, 0]' the sampled position is exact; the velocity's error of a period's end shows until the next arrival.
+    """
+    ticks, dt = round(te / 1e-3), 1e-3
+    u = np.array([10 * (1 - 2 * (k * dt / pi % 1.0)) for k in range(round(horizon / dt) + 1)])
+    decay, e, worst = exp(-LAM * dt), 0.0, 0.0
+    gain = B * (1 - decay) / LAM
+    for first in range(0, len(u) - ticks, ticks):
+        exact = held = 0.0
+        for k in range(first, first + ticks):
+            exact, held = decay * exact + gain * u[k], decay * held + gain * u[first]
+        e = exp(-LAM * te) * e + exact - held
+        if first * dt >= 1:
+            worst = max(worst, abs(-expm1(-LAM * 2 * te) / LAM * e))
+    return worst

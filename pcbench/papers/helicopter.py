@@ -2,26 +2,90 @@
 
 Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5. The paper prints no numbers beside its figures;
 random starts, noise, the filter and the controller's options are ours.
+Single runs are recorded one by one, and those of the observer as its text reads without minus signs.
 """
 
+from collections.abc import Iterator
 from math import isfinite, isnan
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jax.tree_util import Partial
 
-from pcbench import api
+from pcbench import api, planning
+from pcbench.observers import high_gain
 from pcbench.papers.claim import FINDING, MISPRINT, Claim, digits, found, statement
-from pcbench.papers.helicopter_runs import VISCOSITY, Flight, misread, record
+from pcbench.planning import padding
+from pcbench.planning.padding import Plan
 from pcbench.plants import helicopter
+from pcbench.protocols import Arrival, Now
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import trajectory
+from pcbench.study import Choices, Study, options_of
+from pcbench.study.grid import cell_of
 from pcbench.synthesis import lqr
 from pcbench.synthesis.lqr import limit
 
 SEEDS = 256
 RANDOM: dict[str, dict[str, Any]] = {"scenario": {"random_initial_state": True}}
 NAMES = {"high-gain": "printed", "high-gain-robust": "robust"}
+HEAVY = {"robust": "heavy", "ekf": "heavy, ekf"}
+VISCOSITY = np.array([0.8, 0.318])
+TAIL = 10_000  # tick
+FULL = {"feedforward": True, "predictor": True}
+CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {  # name: scenario, observer, choices, changes
+    "constant": ("constant", "high-gain", {}, {}),
+    "varying": ("varying", "high-gain", {}, {}),
+    "robust": ("constant", "high-gain-robust", {}, {}),
+    "ekf": ("constant", "ekf", {}, {}),
+    "full": ("constant", "high-gain", FULL, {}),
+    "full, varying": ("varying", "high-gain", FULL, {}),
+    "still": ("constant", "high-gain", {"path": "still"}, {}),
+    "still, true": ("constant", "high-gain", {"path": "still"}, {"xhat0": SCENARIOS["helicopter/constant"].truth.x0}),
+    "late samples": ("constant", "high-gain-robust", {}, {"delay": (0.15, 0.15), "actuator_delay": 0.025}),
+    "late commands": ("constant", "high-gain-robust", {}, {"actuator_delay": 0.15}),
+    "heavy": ("constant", "high-gain-robust", {}, {"m": 1.1 * helicopter.Numbers().m}),
+    "heavy, ekf": ("constant", "ekf", {}, {"m": 1.1 * helicopter.Numbers().m}),
+}
+MISPRINTS = {  # how the text reads without its minus signs, or as printed: (alpha_1, products in f_1, innovation, history)
+    "alpha_1 with the yaw rate, as printed": (1.0, 1.0, 1.0, 1.0),
+    "f_1 with + m l^2 sin cos psi'^2": (0.0, -1.0, 1.0, 1.0),
+    "innovation with its sign turned": (0.0, 1.0, -1.0, 1.0),
+    "innovation with + alpha(t_k - tau)": (0.0, 1.0, 1.0, -1.0),
+}
+
+
+class Flight:
+    """One run of 20 s: the truth x [N+1, 6], the estimate z [N+1, 6], the set point [N+1, 2]."""
+
+    def __init__(self, out: trajectory.Recording) -> None:
+        self.x, self.z, self.target = (np.asarray(a) for a in (out.x, next(iter(out.estimates.values())), out.target))
+
+    def rms(self, what: np.ndarray, start: int = TAIL) -> np.ndarray:
+        """Root of the mean square from a tick on, tick N left out."""
+        return np.sqrt((what[start:-1] ** 2).mean(0))
+
+    @property
+    def diverged(self) -> float:
+        """Return when the error left the bound [s]; NaN: never."""
+        bad = ~(np.abs(self.x - self.z).max(1) <= 1e6)
+        return float(np.argmax(bad) * 1e-3) if bad.any() else float("nan")
+
+    @property
+    def off(self) -> np.ndarray:
+        """Return the rms of set point less angles in the tail [rad]."""
+        return self.rms(self.target - self.x[:, :2])
+
+    @property
+    def within(self) -> np.ndarray:
+        """Return when each viscosity was last more than 5 % off [s]."""
+        outside = ~(np.abs(self.z[:-1, 4:] - VISCOSITY) <= 0.05 * VISCOSITY)
+        last = np.where(outside.any(0), len(outside) - np.argmax(outside[::-1], 0), 0)
+        return np.where(last >= len(outside), np.inf, last * 1e-3)
 
 
 def claims() -> list[Claim]:
@@ -31,82 +95,73 @@ def claims() -> list[Claim]:
         return [*_printed(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
 
-def _printed(runs: dict[str, Flight]) -> list[Claim]:
+def _printed(runs: dict[str, Flight]) -> Iterator[Claim]:
     """What the paper's two simulations are said to show."""
-    out = []
     for name, what in (("constant", "constant delay"), ("varying", "varying delay")):
         run = runs[name]
         B, times = run.z[-1, 4:], run.within
         text = f"{B[0]:.6f}, {B[1]:.6f} at 20 s"
-        out.append(statement(f"{what}: the viscosities are found", "0.8, 0.318", text, bool(times.max() < 20)))
+        yield statement(f"{what}: the viscosities are found", "0.8, 0.318", text, bool(times.max() < 20))
         inside = f"from {times[0]:.2f} s and {times[1]:.2f} s on"
-        out.append(found(f"{what}: viscosities within 5 %", inside))
+        yield found(f"{what}: viscosities within 5 %", inside)
         e = run.rms(run.x - run.z)[:4]
         text = ", ".join(f"{v:.1e}" for v in e) + " rms from 10 s on"
-        out.append(statement(f"{what}: the state of now is estimated", "converges", text, bool(e.max() < 1e-3)))
+        yield statement(f"{what}: the state of now is estimated", "converges", text, bool(e.max() < 1e-3))
         for i, angle in enumerate(("pitch", "yaw")):
             claim, text = f"{what}: {angle} follows its path", f"{run.off[i]:.4f} rad rms from 10 s on"
-            out.append(statement(claim, "satisfactorily", text, bool(run.off[i] < 0.05)))
+            yield statement(claim, "satisfactorily", text, bool(run.off[i] < 0.05))
         late = [float(np.abs(run.x - run.z)[a:b, :4].max()) for a, b in ((1000, 2000), (5000, 6000), (10_000, 11_000))]
         text = ", ".join(f"{v:.1e}" for v in late) + " at most, from 1, 5 and 10 s on for a second"
         shrinks = late[2] < 0.1 * late[1] < 0.01 * late[0]
-        out.append(statement(f"Remark 2, {what}: the error converges exponentially", "to zero", text, shrinks))
+        yield statement(f"Remark 2, {what}: the error converges exponentially", "to zero", text, shrinks)
     apart = runs["varying"].off[1] - runs["constant"].off[1], max(runs["varying"].off) - max(runs["constant"].off)
     text = f"off the path by {apart[0]:+.4f} rad (yaw), {apart[1]:+.4f} rad (pitch) against the constant delay"
-    out.append(statement("varying delay: the control is more challenging", "more challenging", text, max(apart) > 1e-3))
+    yield statement("varying delay: the control is more challenging", "more challenging", text, max(apart) > 1e-3)
     s, t = SCENARIOS["helicopter/varying"], np.arange(20_000) * 1e-3
     longest = float(
         (float(s.sampling.delay[0]) + s.sampling.delay_sine[0] * np.sin(s.sampling.delay_sine[1] * t)).max()
     )
-    out.append(digits("largest varying delay [s]", "0.045", longest))
+    yield digits("largest varying delay [s]", "0.045", longest)
     radius, far = lqr.radius(4.0 * 0.2), lqr.radius(4.0 * 0.8)
     text = f"linear part: radius {radius:.2f} a sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
     claim = "beyond a limit of the sampling period it does not converge"
-    return [*out, statement(claim, "a limitation", text, bool(radius < 1 < far))]
+    yield statement(claim, "a limitation", text, bool(radius < 1 < far))
 
 
-def _misread() -> list[Claim]:
+def _misread() -> Iterator[Claim]:
     """Take the text as it stands, one reading at a time."""
-    out = []
     for what, run in misread().items():
         lost, B = run.diverged, run.z[-1, 4:]
         text = f"viscosities {B[0]:.3f}, {B[1]:.3f} at 20 s" if isnan(lost) else f"diverges at {lost:.2f} s"
         wrong = isfinite(lost) or not np.isfinite(run.within).all()
         if what:
-            out.append(Claim(what, "taken literally", text, MISPRINT if wrong else FINDING))
-    out.append(Claim("unit of the viscosities, Table 1", "N/V", "N m s/rad, by the equations", MISPRINT))
-    return out
+            yield Claim(what, "taken literally", text, MISPRINT if wrong else FINDING)
+    yield Claim("unit of the viscosities, Table 1", "N/V", "N m s/rad, by the equations", MISPRINT)
 
 
-def _control(runs: dict[str, Flight]) -> list[Claim]:
+def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
     """What the loop is limited by."""
     full = max(runs[name].off.max() for name in ("full", "full, varying"))
     lost, kept = runs["still"].diverged, isnan(runs["still, true"].diverged)
     still = ("converges" if isnan(lost) else f"diverges at {lost:.2f} s") + (
         ", not from the true state" if kept else ""
     )
-    out = [
-        found(
-            "what keeps the pitch off its path",
-            f"{full:.1e} rad rms with feedforward and predictor, {runs['constant'].off[0]:.3f} without: no gravity term",
-        ),
-        found("set point at rest, (1, 1) rad, printed observer", still),
-    ]
+    yield found(
+        "what keeps the pitch off its path",
+        f"{full:.1e} rad rms with feedforward and predictor, {runs['constant'].off[0]:.3f} without: no gravity term",
+    )
+    yield found("set point at rest, (1, 1) rad, printed observer", still)
     for name, what in (
         ("late samples", "samples 0.15 s late, commands 0.025 s"),
         ("late commands", "the other way round"),
     ):
         run = runs[name]
         text = f"yaw {run.off[1]:.3f} rad off its path, its rate found to {run.rms(run.x - run.z)[3]:.1e} rad/s"
-        out.append(found(what, text))
+        yield found(what, text)
     heavy = {what: runs[name].rms(runs[name].z[:, 4:] - VISCOSITY) for what, name in HEAVY.items()}
     text = ", ".join(f"{b[0]:.2f} and {b[1]:.3f} ({what})" for what, b in heavy.items())
-    out.append(found("10 % more mass than the model: viscosities off by, rms", text))
-    out.append(found("linear limit of Theta Ts", f"{limit():.4f}"))
-    return out
-
-
-HEAVY = {"robust": "heavy", "ekf": "heavy, ekf"}
+    yield found("10 % more mass than the model: viscosities off by, rms", text)
+    yield found("linear limit of Theta Ts", f"{limit():.4f}")
 
 
 def _rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
@@ -128,22 +183,71 @@ def _starts() -> list[Claim]:
     return [found(f"random starts, Ts = {te:g} s: runs that diverge", "; ".join(text)) for te, text in texts.items()]
 
 
-def _noise(runs: dict[str, Flight]) -> list[Claim]:
+def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
     """The filter beside the observer, under noise and without."""
     names, stds = ["high-gain-robust", "ekf"], [5e-4, 2e-2]
     done = api.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)
     rows = _rows(done.stats.query("metric == 'steady_pooled_rmse'"))
     value = {(r["noise_std"], r["signal"], r["observer"]): r["mean"] for r in rows}
     signals = [name for name, _ in helicopter.SIGNALS + helicopter.UNKNOWNS]
-    out = []
     for std in stds:
         both = [tuple(value[std, signal, name] for name in names) for signal in signals]
         text = "; ".join(f"{signal} {a:.3g} / {b:.3g}" for signal, (a, b) in zip(signals, both, strict=True))
         better = sum(b < a for a, b in both)
-        out.append(
-            found(f"noise {std:g} rad: tail rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})")
-        )
+        yield found(f"noise {std:g} rad: tail rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})")
     a, b = (runs[name].within for name in ("robust", "ekf"))
     text = f"robust {a[0]:.2f}, {a[1]:.2f} s; ekf {b[0]:.2f}, {b[1]:.2f} s"
-    out.append(found("no noise, nominal start: viscosities within 5 % from", text))
+    yield found("no noise, nominal start: viscosities within 5 % from", text)
+
+
+def record() -> dict[str, Flight]:
+    """Run every case once, all of one shape."""
+    drafts = [_draft(*CASES[name]) for name in CASES]
+    return {name: Flight(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
+
+
+def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Plan:
+    parameters = {k: v for k, v in changes.items() if k == "m"}
+    s = SCENARIOS["helicopter/" + name].having(**{k: v for k, v in changes.items() if k not in parameters})
+    options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)
+    return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
+
+
+def _recorded(p: Plan) -> trajectory.Recording:
+    out = trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0))
+    return jax.tree.map(np.asarray, out)
+
+
+def _literal(params: Any, read: Any, u: Any, x: Any) -> Any:
+    """The parts of the plant with the misprints that `read` says."""
+    a, phi = helicopter.parts(params, u, x)
+    M = helicopter.inertia(params, x[0])
+    cross = params.ml2 * jnp.sin(x[0]) * jnp.cos(x[0]) * x[3] ** 2 / M[0]
+    a = a.at[0].set((1 - read[0]) * a[0] - read[0] * x[3] / M[0])
+    return a, phi.at[0].add((1 - read[1]) * cross)
+
+
+def _jump(gains: Any, memory: Any, now: Now, arrival: Arrival) -> Any:
+    """The observer's jump with the signs of the innovation that its parts carry."""
+    read = gains.parts.args[1]
+    snapshot = arrival.snapshot[:2] + (1 - read[3]) * arrival.snapshot[2:]
+    jumped = high_gain.jump(gains, memory, now, arrival._replace(snapshot=snapshot))
+    return jumped._replace(c=jnp.where(arrival.mask, read[2] * jumped.c, jumped.c))
+
+
+def _note(gains: Any, memory: Any, now: Now) -> Any:
+    """C z - al, and al."""
+    return jnp.concatenate([high_gain.snapshot(gains, memory, now), memory.al])
+
+
+def misread() -> dict[str, Flight]:
+    """Run the printed observer as restored, and with one misprint at a time; all in one program."""
+    (p,) = padding.fit([_draft(*CASES["constant"])])
+    observer = high_gain.OBSERVER._replace(snapshot=_note, jump=_jump)
+    layout = p.layout._replace(observers=(("high-gain", observer),))
+    out = {}
+    for what, read in {"": (0.0, 1.0, 1.0, 1.0), **MISPRINTS}.items():
+        parts = Partial(_literal, p.problem.params, np.array(read))
+        gains = {"high-gain": p.problem.gains["high-gain"]._replace(parts=parts)}
+        out[what] = Flight(_recorded(p._replace(layout=layout, problem=p.problem._replace(gains=gains))))
     return out

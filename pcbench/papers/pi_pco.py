@@ -8,9 +8,16 @@ nothing and A12 constant, so with F = A22 - Kp A12, k = Ki A12 and noise v of va
     var r / sigma^2 = (1 - F) / (1 + F) for PCO (k = 0), else (2F^2 + 3Fk - 4F + k^2 - k + 2) / ((1 - F - k)(2F + k + 2))
 
 For |F| < 1 the integral lowers the variance iff F < 0 and 0 < k < -2F. The theorem is ours, not the paper's.
+
+What the paper leaves out or misprints: gains, intervals, the index of L, the error of (21). In (12) and (15) L_{t-1} stands for
+L_{i-1}: with it the theta form (15) to (17) is algebraically the form (12) to (14); t counts nothing there. (21) says that the
+measured part of the error of xhat_i is 0: it is so for [y; w] of the sample's own time; what arrives is carried on by (18), and
+so is its noise.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
+from math import exp, expm1
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +25,7 @@ from numpy.typing import NDArray
 
 from pcbench import api, planning
 from pcbench.dataset.result import Result
-from pcbench.papers import pi_pco_equations
-from pcbench.papers.claim import Claim, found, statement
+from pcbench.papers.claim import FALSE, MISPRINT, OPEN, Claim, found, statement
 from pcbench.planning import padding, run_local
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS, Scenario
@@ -35,6 +41,7 @@ STEADY = SCENARIOS[
     name="steady", sampling_pattern="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), steady_start=5.0
 )
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]
+LAM, B, KP, KI = 122.0, 355.0, -61.0, 12.2
 
 
 class Variances(NamedTuple):
@@ -94,12 +101,11 @@ def standard_error(x: NDArray[np.float64]) -> np.float64:
 def claims() -> list[Claim]:
     """Return printed against reproduced, for `pcbench reproduce pi-pco`."""
     with config.float64():
-        return [*_ordering(), *_stability(), *pi_pco_equations.claims(), *_robustness(), *_variances()]
+        return [*_ordering(), *_stability(), *equations(), *_robustness(), *_variances()]
 
 
-def _ordering() -> list[Claim]:
+def _ordering() -> Iterator[Claim]:
     """The paper's own test, exact model and white noise: its claim depends on gains that it does not print."""
-    out = []
     for Kp, Ki, which in ((-61.0, 12.2, "a smoothing gain, F = 0.5"), (61.0, 12.2, "an amplifying gain, F = -0.5")):
         options = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
         done = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
@@ -110,12 +116,10 @@ def _ordering() -> list[Claim]:
             text = f"both below {ALIKE:g} {unit}: alike" if alike else both
             gains = f"Kp = {Kp:g}, Ki = {Ki:g}: {which}"
             claim = f"PI-PCO better than PCO in {signal} under noise, variable intervals; {gains}"
-            out.append(statement(claim, "better", text, bool(rows["pi-pco"] < rows["pco"]) and not alike))
-    return out
+            yield statement(claim, "better", text, bool(rows["pi-pco"] < rows["pco"]) and not alike)
 
 
-def _variances() -> list[Claim]:
-    out = []
+def _variances() -> Iterator[Claim]:
     for c in monte_carlo(GRID, SEEDS):
         exact = stationary(c.F, 0.0), stationary(c.F, c.k)
         text = f"{c.pco:.4f} -> {c.pi:.4f}, at most {max(map(abs, c.deviations)):.1f} standard errors off"
@@ -125,29 +129,81 @@ def _variances() -> list[Claim]:
         )
         right = (c.difference < 0) == (exact[1] < exact[0]) == lower and max(map(abs, c.deviations)) < 4
         closed = f"{'as' if right else 'not as'} the closed form says, {exact[0]:.4f} -> {exact[1]:.4f}"
-        out.append(found(claim, f"{text}; {closed}"))
-    return out
+        yield found(claim, f"{text}; {closed}")
 
 
-def _stability() -> list[Claim]:
+def _stability() -> Iterator[Claim]:
     F, k = 0.5, 0.6
     radius = max(abs(np.roots([1, -(1 + F), F + k])))
     text = f"F = {F:g}, k = {k:g}: the error and the integral grow by {radius:.3f} a sample"
-    return [statement("A stable F_i makes PI-PCO stable (26)", "ensures", text, bool(radius <= 1))]
+    yield statement("A stable F_i makes PI-PCO stable (26)", "ensures", text, bool(radius <= 1))
 
 
-def _robustness() -> list[Claim]:
+def _robustness() -> Iterator[Claim]:
     """What the integral is for: a model that is wrong."""
-    out = []
     for scenario, wrong in (("cart/variable-bias", "input bias 0.2"), ("cart/variable-gain", "input gain +10 %")):
         rows = _tail_rms(api.run(scenario, seeds=256))
         text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "kf", "kf-bias")) + " m"
         claim = f"The integral makes PCO more robust: {wrong} that no model knows"
-        out.append(statement(claim, "more robust", text, bool(rows["pi-pco"] < rows["pco"])))
-    return out
+        yield statement(claim, "more robust", text, bool(rows["pi-pco"] < rows["pco"]))
 
 
 def _tail_rms(result: Result, signal: str = "position") -> dict[str, float]:
     """A signal's root-mean-square error over the tail and all runs, by observer."""
     rows = result.stats[(result.stats.signal == signal) & (result.stats.metric == "steady_pooled_rmse")]
     return dict(zip(rows["observer"], rows["mean"], strict=True))
+
+
+def equations() -> list[Claim]:
+    """Return what cannot be computed from the paper, and where its equations do not mean what they say."""
+    first = [f"{b - a}" for a, b in pairwise([0, *arrivals(4)])]
+    same, late = theta_form(0), theta_form(1)
+    text = f"L_(i-1): (15) and (12) agree to {_size(same)}; L_(i-2): they part by {late:.2g} m/s"
+    return [
+        Claim("Kp, Ki", "not printed", "both signs of F are tried above", OPEN),
+        Claim("T_i, Figure 3", "not printed", f"ours begins with {', '.join(first)} ms", OPEN),
+        Claim("L_(t-1) in (12), (15)", "t - 1", text, MISPRINT if same < 1e-9 < late else FALSE),
+        _measured_part(),
+    ]
+
+
+def arrivals(many: int) -> list[int]:
+    """Return the first ticks at which cart/variable hands over a sample: T_i = round(200 + 100 sin 0.6 i) ms."""
+    return [int(t) for t in np.cumsum([round(200 + 100 * np.sin(0.6 * i)) for i in range(1, many + 1)])]
+
+
+def theta_form(late: int, many: int = 40) -> float:
+    """Return how far (15) to (17) is from (12) to (14) where (15) takes the integral `late` samples older."""
+    rng, w, L = np.random.default_rng(2), 0.0, [0.0] * (late + 1)
+    y, held, worst = [5.0], 0.0, 0.0
+    times = [0, *arrivals(many)]
+    theta = w - KP * y[0]
+    for a, b in pairwise(times):
+        T = (b - a) * 1e-3
+        A12, A22 = -expm1(-LAM * T) / LAM, exp(-LAM * T)
+        M = B * np.array([(T - A12) / LAM, A12]) * np.sin(4e-3 * a)
+        y.append(y[-1] + rng.standard_normal())
+        nu = y[-1] - y[-2] - M[0] - A12 * w
+        F = A22 - KP * A12
+        theta = F * theta + (F * KP - KP) * y[-2] + M[1] - KP * M[0] + L[-1 - late]
+        w = A22 * w + M[1] + KP * nu + held
+        held += KI * nu
+        L.append(held)
+        worst = max(worst, abs(theta + KP * y[-1] - w))
+    return worst
+
+
+def _measured_part() -> Claim:
+    """The measured part of x - xhat at the arrivals, under the paper's noise."""
+    trace = api.simulate("cart/variable", "pi-pco")
+    late = [k for k in arrivals(40) if 3000 <= k < len(trace)]
+    e = (trace["position"] - trace["pi-pco.position"]).to_numpy()[late]
+    std = SCENARIOS["cart/variable"].sampling.noise_std[0]
+    text = (
+        f"rms {np.sqrt(np.mean(e**2)):.3f} m at the arrivals after 3 s: the noise (sd {std:.3f} m), carried on by (18)"
+    )
+    return Claim("(21) measured part of x_i - xhat_i", "0", text, MISPRINT if np.abs(e).max() > 1e-3 else FALSE)
+
+
+def _size(value: float) -> str:
+    return "rounding" if value < 1e-9 else f"{value:.1g} m/s"

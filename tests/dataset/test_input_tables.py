@@ -11,7 +11,7 @@ from pcbench import planning
 from pcbench.cli.render import results
 from pcbench.cli.render.tables import Screen
 from pcbench.engine import runner
-from pcbench.papers import arm, arm_table
+from pcbench.papers import arm
 from pcbench.planning import run_local
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import metrics
@@ -115,11 +115,11 @@ def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift
 
 
 def test_a_verdict_is_what_the_page_defines():
-    assert arm_table.judge(".0170", 0.01702, 0.01702, 0.01702) == "digits"
-    assert arm_table.judge("5.2854e-6", 5.2829e-6, 5.2829e-6, 5.2829e-6) == "close"  # within 1e-3
-    assert arm_table.judge(".0103", 0.01039, 0.01039, 0.01039) == "close"  # one unit
-    assert arm_table.judge("1.0138e-6", 1.25e-6, 0.7e-6, 1.7e-6) == "band"
-    assert arm_table.judge(".0048", 0.0028, 0.0027, 0.0035) == "differs"
+    assert arm.judge(".0170", 0.01702, 0.01702, 0.01702) == "digits"
+    assert arm.judge("5.2854e-6", 5.2829e-6, 5.2829e-6, 5.2829e-6) == "close"  # within 1e-3
+    assert arm.judge(".0103", 0.01039, 0.01039, 0.01039) == "close"  # one unit
+    assert arm.judge("1.0138e-6", 1.25e-6, 0.7e-6, 1.7e-6) == "band"
+    assert arm.judge(".0048", 0.0028, 0.0027, 0.0035) == "differs"
 
 
 @pytest.mark.nightly

@@ -31,7 +31,7 @@ def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
 @pytest.mark.nightly
 def test_the_printed_ordering_holds_for_an_amplifying_gain_only():
     with config.float64():
-        claims = pi_pco._ordering()
+        claims = list(pi_pco._ordering())
     assert [c.verdict for c in claims] == ["does not hold", "does not hold", "reproduced", "does not hold"]
 
 

@@ -11,7 +11,7 @@ from reference import chain as ref
 import pcbench
 from pcbench.engine import runner
 from pcbench.errors import UserError
-from pcbench.papers import chain, chain_design
+from pcbench.papers import chain
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import grid, parse
 
@@ -91,7 +91,7 @@ def test_the_command_line_says_so_with_exit_code_2_and_writes_nothing(tmp_path):
 
 
 def test_the_printed_design_its_misprints_and_what_cannot_be_derived():
-    rows = {row.claim: row for row in chain_design.claims()}
+    rows = {row.claim: row for row in chain.design_claims()}
     assert {name for name, row in rows.items() if row.verdict == "misprint"} == MISPRINTS
     assert sum(row.verdict == "not determinable" for row in rows.values()) == 2
     assert sum(row.verdict == "reproduced" for row in rows.values()) == 55

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from commands import call
 
-from pcbench.papers import PAPERS, arm_gains, cart_theorem, chain_design, pi_pco_equations
+from pcbench.papers import PAPERS, arm, cart, chain, pi_pco
 from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
 from pcbench.papers.page import _cell, page
 from pcbench.runtime import config
@@ -54,10 +54,10 @@ def test_what_is_quickly_computed_stands_in_the_page_as_it_comes_out():
     there = parts(PAGE.read_text())
     with config.float64():
         quick = {
-            "cart": cart_theorem.theorem(),
-            "chain": chain_design.claims(),
-            "pi-pco": pi_pco_equations.claims(),
-            "arm": arm_gains._printed_parts(),
+            "cart": list(cart.theorem()),
+            "chain": chain.design_claims(),
+            "pi-pco": pi_pco.equations(),
+            "arm": list(arm._printed_parts()),
         }
     for paper, rows in quick.items():
         for row in rows:
