@@ -57,6 +57,4 @@ def law_of(entry: ControllerSpec, options: Any) -> Controller:
 
 def entry_of(scenario: Scenario) -> ControllerSpec:
     """Return the controller of a scenario's loop: the one that it carries itself, or else the one of its name."""
-    mine = scenario.own.get("controller")
-    found: ControllerSpec = mine.entry if mine else CONTROLLERS[scenario.loop.controller]
-    return found
+    return scenario.own["controller"].entry if "controller" in scenario.own else CONTROLLERS[scenario.loop.controller]

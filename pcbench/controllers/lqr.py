@@ -12,7 +12,6 @@ from pydantic import Field
 
 from pcbench.controllers import state_feedback
 from pcbench.controllers.parts import common
-from pcbench.controllers.parts import common as fit
 from pcbench.controllers.parts.common import ControllerContext, Sizes, Weight
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis import lqr
@@ -28,14 +27,14 @@ class Lqr(common.Options):
 
 def check(options: Lqr, sizes: Sizes) -> None:
     """Raise UserError where the options do not fit the plant."""
-    fit.require_common(options, sizes, definite=True)
+    common.require_common(options, sizes, definite=True)
 
 
 def gain(options: Lqr, told: ControllerContext) -> Matrix:
     """Return K [m, n]; raise DesignError where there is none."""
     (Phi, Gamma), (n, m) = told.tick, told.model.B.shape
     sizes = Sizes(told.states, m, len(told.model.C), told.dt, "controller")
-    Q1, Q2 = fit.matrix(options.Q1, (n, n), "Q1", sizes), fit.matrix(options.Q2, (m, m), "Q2", sizes)
+    Q1, Q2 = common.matrix(options.Q1, (n, n), "Q1", sizes), common.matrix(options.Q2, (m, m), "Q2", sizes)
     return lqr.gain(*lqr.over_period((Phi, Gamma), told.every(options.period)), Q1, Q2, "controller lqr")
 
 

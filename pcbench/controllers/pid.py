@@ -19,7 +19,6 @@ from jaxtyping import Float
 from pydantic import Field, Strict
 
 from pcbench.controllers.parts import common
-from pcbench.controllers.parts import common as fit
 from pcbench.controllers.parts.common import ControllerContext, Number, Rows, Sizes
 from pcbench.controllers.parts.set_points import reference
 from pcbench.protocols import Controller, Leaf, Now
@@ -61,17 +60,12 @@ class Kept(NamedTuple):
     slope: Float[Array, " q"]
 
 
-def _shape(sizes: Sizes) -> tuple[int, int]:
-    return sizes.m, sizes.q
-
-
 def check(options: Options, sizes: Sizes) -> None:
     """Raise UserError where the options do not fit the plant."""
-    fit.matrix(options.Kp, _shape(sizes), "Kp", sizes)
-    for name in ("Ki", "Kd"):
-        if getattr(options, name) != 0.0:
-            fit.matrix(getattr(options, name), _shape(sizes), name, sizes)
-    fit.require_common(options, sizes)
+    for name in ("Kp", "Ki", "Kd"):
+        if name == "Kp" or getattr(options, name) != 0.0:
+            common.matrix(getattr(options, name), (sizes.m, sizes.q), name, sizes)
+    common.require_common(options, sizes)
 
 
 def prepare(options: Options, told: ControllerContext) -> Params:
@@ -80,7 +74,7 @@ def prepare(options: Options, told: ControllerContext) -> Params:
     sizes, every = Sizes(told.states, m, q, told.dt, "controller"), told.every(options.period)
     T = every * told.dt
     Kp, Ki, Kd = (
-        np.zeros((m, q)) if given == 0.0 else fit.matrix(given, (m, q), "gain", sizes)
+        np.zeros((m, q)) if given == 0.0 else common.matrix(given, (m, q), "gain", sizes)
         for given in (options.Kp, options.Ki, options.Kd)
     )
     limit = np.inf if options.limit is None else np.asarray(options.limit, float)

@@ -21,7 +21,6 @@ from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.controllers.parts import common
-from pcbench.controllers.parts import common as fit
 from pcbench.controllers.parts.common import ControllerContext, Rows, Sizes
 from pcbench.controllers.parts.set_points import reference
 from pcbench.protocols import Controller, Leaf, Now
@@ -50,8 +49,8 @@ class Params(NamedTuple):
 
 def check(options: Options, sizes: Sizes) -> None:
     """Raise UserError where the options do not fit the plant."""
-    fit.matrix(options.K, (sizes.m, sizes.n), "K", sizes)
-    fit.require_common(options, sizes)
+    common.matrix(options.K, (sizes.m, sizes.n), "K", sizes)
+    common.require_common(options, sizes)
 
 
 def prepare(options: Options, told: ControllerContext) -> Params:

@@ -156,7 +156,8 @@ def _powers(A: bytes, n: int, discrete: bool, h: float, ticks: int) -> Matrix:
 
 def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
     """Return the covariance of noise that adds Q [n, n] a tick over as many ticks as each of `powers`, [2, R, n, n]."""
-    half, doubled = _half(model, h, ticks)
+    half = -(-bits_for(ticks) // 2)
+    doubled = doublings(model, h, 2 * half)
     noise, levels = noise_doublings(model, Q, h, 2 * half), []
     for level in range(2):
         table = np.zeros_like(noise[:1])
@@ -164,11 +165,6 @@ def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
             table = np.concatenate([table, doubled[b] @ table @ doubled[b].T + noise[b]])
         levels.append(table)
     return np.stack(levels)
-
-
-def _half(model: Model, h: float, ticks: int) -> tuple[int, Matrix]:
-    half = -(-bits_for(ticks) // 2)
-    return half, doublings(model, h, 2 * half)
 
 
 def over(doubled: Matrix, ticks: int) -> Matrix:

@@ -24,7 +24,6 @@ from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, 
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.parameter_ranges import Maps
-from pcbench.synthesis.solvers import Again
 
 ROBUST = ("decay", "h2", "hinf")
 
@@ -60,14 +59,18 @@ def find(
         L = np.asarray(found.L, float)
     else:
         start = None if given is None else given / S[:, None] * s
-        L, certificate = at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
+        L, certificate = _at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
             wide = maps or mean
             certificate = _over(L, C1, wide._replace(Phi=wide.Phi * into), decay or 0.0, where)
         L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
     L1 = L / S[:, None] * s
-    X = ahead @ (covariance(error_bounds.errors(L1, C1, Phi * into), L1 @ R1 @ L1.T) * np.outer(S, S)) @ ahead.T
+    X = (
+        ahead
+        @ (error_bounds.covariance(error_bounds.errors(L1, C1, Phi * into), L1 @ R1 @ L1.T) * np.outer(S, S))
+        @ ahead.T
+    )
     numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -95,10 +98,6 @@ def _at_the_mean(
         found = current_estimator.lyapunov(Phi, C, L)
         certificate = require_certified(certify(found), where)
     return np.asarray(sharpened(found).L, float), certificate
-
-
-at_the_mean = Again(_at_the_mean)  # no delay is among what it is given, and cells differ in that first
-covariance = Again(error_bounds.covariance)
 
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:

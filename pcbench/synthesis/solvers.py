@@ -8,8 +8,6 @@ Remember what a solver found, so that the second run of a study need not import 
 
 Only raw answers are kept, under the hash of the problem's bits, of the text that states it and of the solvers' versions;
 every certificate is re-checked on what is read back, so a damaged or foreign entry can cost time but cannot enter a table.
-
-The last answers of a function of arrays, given again for equal ones: cells of a study come one after the other, alike.
 """
 
 import hashlib
@@ -17,12 +15,11 @@ import inspect
 import json
 import sys
 import warnings
-from collections import OrderedDict
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -134,31 +131,3 @@ def _source(module: str) -> bytes:
 
 def _said(found: Any) -> str:
     return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})
-
-
-Answer = TypeVar("Answer")
-ROOM = 16  # answers
-
-
-class Again(Generic[Answer]):
-    """A function with a memory of its last answers, by what it was given, to the bit; arguments are positional.
-
-    An answer is shared: whoever gets it leaves it as it is. What is raised is not remembered.
-    """
-
-    def __init__(self, function: Callable[..., Answer]) -> None:
-        self.function = function
-        self.kept: OrderedDict[Any, Answer] = OrderedDict()
-
-    def __call__(self, *given: Any) -> Answer:
-        """Return what the function does."""
-        key = tuple((a.dtype.str, a.shape, a.tobytes()) if isinstance(a, np.ndarray) else a for a in given)
-        if key not in self.kept:
-            self.kept[key] = self.function(*given)
-            if len(self.kept) > ROOM:
-                self.kept.popitem(last=False)
-        return self.kept[key]
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self.kept.clear()

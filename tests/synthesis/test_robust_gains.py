@@ -202,7 +202,6 @@ def test_scs_is_asked_where_clarabel_has_no_answer(name, monkeypatch, tmp_path):
     entry = OBSERVERS["pccebo" if name not in OBSERVERS else name]
 
     def design():
-        current_gains.at_the_mean.forget()
         return entry.design(known("cart"), entry.options(**FALLBACKS[name])).certificate
 
     first = design()

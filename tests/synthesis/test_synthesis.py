@@ -13,7 +13,7 @@ from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
 from pcbench.runtime import cache
-from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, riccati, solvers
+from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, riccati, solvers
 from pcbench.synthesis.certificate import Certificate, require_certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -132,7 +132,6 @@ def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
     case = setting(Case(CART, 200, 200))
 
     def design():
-        current_gains.at_the_mean.forget()
         return OBSERVERS["pccebo"].design(case, OBSERVERS["pccebo"].options()).gains.L
 
     good = design()
@@ -144,29 +143,6 @@ def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
         entry.write_text(json.dumps(json.loads(text) | foreign))
         np.testing.assert_array_equal(design(), good)
     assert cache.folder() == tmp_path
-
-
-def test_an_answer_is_given_again_for_equal_arrays_and_no_others():
-    """To the bit, shape and all; what is raised is found again."""
-    asked = []
-
-    def half(a, name):
-        asked.append(name)
-        if name == "bad":
-            raise ValueError(name)
-        return a / 2
-
-    once = solvers.Again(half)
-    for a in ([1.0, 2.0], [1.0, 2.0], [[1.0, 2.0]], [1.0, np.nextafter(2.0, 3)]):
-        np.testing.assert_array_equal(once(np.array(a), "x"), np.array(a) / 2)
-    for _ in range(2):
-        with pytest.raises(ValueError, match="bad"):
-            once(np.array([1.0]), "bad")
-    assert asked == ["x"] * 3 + ["bad"] * 2
-    for i in range(solvers.ROOM):
-        once(np.array([float(i)]), "y")
-    once(np.array([1.0, 2.0]), "x")
-    assert asked.count("x") == 4
 
 
 def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):

@@ -5,19 +5,17 @@ What a control law's numbers are made from.
 Whether the numbers of a law's options fit a plant: one sentence where they do not.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.controllers.parts.set_points import SetPoints
+from pcbench.controllers.parts.set_points import Number, Positive, SetPoints
 from pcbench.dynamics.linear import Model, one_tick
 from pcbench.errors import UserError, shown, unknown
 from pcbench.protocols import Delay
 
-Number = Annotated[float, Strict()]
-Positive = Annotated[float, Strict(), Field(gt=0)]
 Rows = list[list[Number]]
 Weight = Number | list[Number] | Rows  # one for all, a diagonal, or a matrix
 COST = "weight of the metric `lq_cost`; default: there is none"
