@@ -19,7 +19,7 @@ Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -78,7 +78,7 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
 
 
-def by_slope(gains: Gains, there: Now, before: Any, mask: Array, value: Array) -> tuple[Array, Array, list[Array]]:
+def by_slope(gains: Gains, there: Now, before: Known, mask: Array, value: Array) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
     P, left_out = before.P, []

@@ -19,7 +19,7 @@ Time index: the estimate is of now, after the jump. Samples of any age and in an
 Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +30,7 @@ from pydantic import Field
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.unknown_delay import Gains, carried, read, spread
-from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
+from pcbench.protocols import Arrival, Leaf, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 
@@ -60,7 +60,7 @@ def joint(gains: Gains) -> tuple[Array, Array, Array]:
     """Return Phi, Gamma and Q of state and delay, which stands still but for its walk."""
     n, m = gains.Gamma.shape
 
-    def beside(A: Any, last: Any) -> Array:
+    def beside(A: Leaf, last: Leaf) -> Array:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])

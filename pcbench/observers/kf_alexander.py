@@ -16,7 +16,7 @@ never is `kf`.
 Time index: the estimate is of now, after the jump.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -61,7 +61,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     )
 
 
-def carried(gains: Any, memory: Memory, now: Now) -> Memory:
+def carried(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with covariance and gains of now."""
     age, powers = now.tick - memory.at, gains.motion.powers
     J, n, q = memory.K.shape

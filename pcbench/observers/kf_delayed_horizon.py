@@ -14,7 +14,7 @@ that wait is all it loses where nothing is later than L. Where all ages are L it
 Time index: the estimate is of now, after the jump.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -72,7 +72,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     due = now.tick - gains.own.lag
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
 
-    def put(room: Any, one: Any) -> Any:
+    def put(room: Array, one: Array) -> Array:
         return jnp.where(jnp.reshape(place, (-1, *[1] * one.ndim)), one[None], room)
 
     waits = memory._replace(waiting=jax.tree.map(put, memory.waiting, sample))
@@ -80,7 +80,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return kept(sample.mask & (sample.taken == due), _used(gains, memory, now.tick, sample), chosen)
 
 
-def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memory:
+def _used(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
     """The memory after a sample was used, at a tick."""
     posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
     there = prediction.at(gains.motion, linear_filter.point(posterior), tick)

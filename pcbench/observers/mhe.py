@@ -16,7 +16,7 @@ Time index: the estimate is of now, after the jump. Not claimed: that Gauss-Newt
 bounds.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,7 @@ class Horizon(NamedTuple):
 
     window: Room  # M
     iterations: Room
-    bounds: Any  # Bounds; (): none
+    bounds: Bounds | tuple[()]  # (): none
 
 
 class Window(NamedTuple):
@@ -137,7 +137,7 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     )
     path = jnp.concatenate([state.path, within(gains, z)[None]])
 
-    def again(_: Any, path: Array) -> Array:
+    def again(_: Array, path: Array) -> Array:
         chain, bounds = linearised(gains, now, w, path), gains.own.bounds
         return structured_qp.solved(chain, bounds, path) if bounds else structured_qp.smoothed(chain)
 
@@ -148,7 +148,7 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
 OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.expected, first))
 
 
-def bounds_of(setting: DesignContext, options: Options, where: str) -> Any:
+def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
     """Return the bounds of states and unknowns; (): none. Raises UserError where they do not fit, or leave out the start."""
     n = len(setting.model.A)
     ends = []

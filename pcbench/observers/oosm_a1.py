@@ -12,16 +12,17 @@ t}: on a plant with a mode that dies within the lag its digits are lost; `kf` an
 Time index: the estimate is of now, after the jump.
 """
 
-from typing import Any
+from jax import Array
 
 from pcbench.observers.parts import linear_filter, retrodiction
+from pcbench.observers.parts.linear_filter import Gains
 from pcbench.observers.parts.retrodiction import Last, Memory
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
 
-def last(gains: Any, memory: Memory, taken: Any) -> Last:
+def last(gains: Gains, memory: Memory, taken: Array) -> Last:
     """Return the last update, whatever came before it."""
     return memory.last
 

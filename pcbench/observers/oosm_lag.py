@@ -14,13 +14,13 @@ for the noise between two of the updates is not seen by the earlier ones, by 0.1
 Time index: the estimate is of now, after the jump.
 """
 
-from typing import Any
-
 import jax.numpy as jnp
+from jax import Array
 from pydantic import Field
 
 from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.linear_filter import Gains
 from pcbench.observers.parts.retrodiction import Last, Memory
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -31,7 +31,7 @@ class Options(linear_filter.Options):
     keep: int = Field(4, ge=1, le=64, description="past samples whose mean and covariance are kept")
 
 
-def equivalent(gains: Any, memory: Memory, taken: Any) -> Last:
+def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:
     """Return the update that all after `taken` amount to."""
     known = memory.past.taken <= taken
     newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last that holds: several may be of one tick

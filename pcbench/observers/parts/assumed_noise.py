@@ -45,7 +45,7 @@ class Independent(NamedTuple):
     R: Matrix  # [q] their variances
 
 
-def covariance(given: Any, many: int, where: str, each: str) -> Matrix:
+def covariance(given: Variances | Sizes | None, many: int, where: str, each: str) -> Matrix:
     """Return a number, `many` numbers or rows as a matrix; raise UserError where that is no covariance of so many."""
     found = np.asarray(given, float) if _regular(given) else np.zeros(0)
     if found.shape not in ((), (many,), (many, many)):
@@ -63,13 +63,13 @@ def covariance(given: Any, many: int, where: str, each: str) -> Matrix:
     return found
 
 
-def _regular(given: Any) -> bool:
+def _regular(given: Variances | Sizes | None) -> bool:
     """Whether rows are of one length."""
     rows = [len(row) if isinstance(row, list) else 0 for row in given] if isinstance(given, list) else []
     return len(set(rows)) < 2
 
 
-def independent(setting: DesignContext, given: Any, C: Matrix, where: str) -> Independent:
+def independent(setting: DesignContext, given: Variances | Sizes | None, C: Matrix, where: str) -> Independent:
     """Return the outputs of a filter that assumes `given` of their noise, None: what the setting says.
 
     Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
@@ -96,13 +96,13 @@ def independent(setting: DesignContext, given: Any, C: Matrix, where: str) -> In
     return Independent(mix, mix @ C, np.square(np.diag(L)))
 
 
-def process(setting: DesignContext, given: Any, where: str) -> Matrix:
+def process(setting: DesignContext, given: Variances | Sizes | None, where: str) -> Matrix:
     """Return the covariance [n, n] that a tick's process noise adds, as given, or as the setting says where nothing is."""
     n = len(setting.model.A)
     return setting.process_noise if given is None else covariance(given, n, f"{where}: Q", "state")
 
 
-def through(given: Any, inputs: int, default: float, where: str) -> Any:
+def through(given: Variances | Sizes | None, inputs: int, default: float, where: str) -> Any:
     """Return the intensity of process noise through the input, a number or one for each input [m]."""
     if not isinstance(given, list):
         return default if given is None else given

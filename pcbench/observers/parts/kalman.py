@@ -16,11 +16,11 @@ Where y = H z, both are Kalman's update.
 The certificate of a Kalman filter: its covariance recursion over the horizon, at the (mean) periods.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
@@ -117,7 +117,7 @@ def by_points(
     return mean[:N], J[:N, :N], total
 
 
-def certificate(gains: Any, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
+def certificate(gains: PyTree, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
     """Return it; its margin is the least innovation variance over the horizon, relative to R, where P stays >= 0."""
     bits = linear.bits_for(setting.ticks)
     doubled = linear.doublings(model, setting.dt, bits)

@@ -8,14 +8,15 @@ its own time alone, which it brings as its note. R is the variance of one sample
 random walk.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 from pydantic import Field
 
 from pcbench.dynamics import linear
@@ -38,14 +39,14 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
+    mix: Float[Leaf, "q q"] | None  # of the outputs, so that their noise is independent; None: it is
     P0: Float[Leaf, "n n"]
     room: Room  # for samples that may be overtaken
     states: Float[Room, " plant"]  # what the estimate has of the filter's
     inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
-    known: Any  # x[n] -> [r] the known part of f, or None
-    own: Any = ()  # what one observer of the family has besides
-    guard: Any = ()  # guard.Guard, of a filter that does not take every sample for what it says
+    known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
+    own: PyTree = ()  # what one observer of the family has besides
+    guard: PyTree = ()  # guard.Guard, of a filter that does not take every sample for what it says
 
 
 class Options(assumed_noise.Options):
@@ -78,7 +79,7 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
 
-def predicted(gains: Gains, before: Known, tick: Any) -> Posterior:
+def predicted(gains: Gains, before: Known, tick: Array) -> Posterior:
     """Return mean and covariance carried on to a tick; a copy beside the state stays as it is."""
     n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
     free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
@@ -135,7 +136,7 @@ def read(gains: Gains, whole: Float[Array, " n"]) -> Float[Array, " plant+r"]:
     return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
-def estimate(gains: Gains, memory: Any) -> Float[Array, " plant+r"]:
+def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
     """Return xhat of now, and the unknown inputs."""
     return read(gains, memory.xhat)
 
@@ -149,7 +150,7 @@ use = prediction.using(update, point)
 jump = prediction.jumping(update, point)
 
 
-def spread(gains: Gains, memory: Any, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
+def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
     """Return the covariance of the error of what `read` gives, where that of the filter's states is P."""
     T = jax.jacfwd(lambda whole: read(gains, whole))(memory.xhat)
     return T @ P @ T.T
@@ -165,7 +166,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
 
 
-def covariance_of_posterior(gains: Gains, memory: Any, now: Now) -> Float[Array, "signals signals"]:
+def covariance_of_posterior(gains: Gains, memory: PyTree, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance at the newest sample used, carried on to now; of a memory that has this posterior."""
     return spread(gains, memory, predicted(gains, memory.posterior, memory.tick).P)
 
@@ -203,9 +204,9 @@ def design(
     options: Options,
     name: str,
     room: Room | None = None,
-    own: Any = (),
+    own: PyTree = (),
     unproven: str = "",
-    guarded: Any = (),
+    guarded: PyTree = (),
 ) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods.
 

@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jax.tree_util import Partial
+from jaxtyping import Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
@@ -27,25 +28,27 @@ from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Leaf, Now, Room
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
+Model = Callable[[Now, Array, Array], Array]  # (now, x[n], p[s]) -> dx/dt[n], or x one tick later
+
 
 class Gains(NamedTuple):
     """n states, s unknowns, N = n + s, q outputs."""
 
-    motion: Any  # (now, z[N]) -> z[N] one tick later
+    motion: Callable[[Now, Array], Array]  # (now, z[N]) -> z[N] one tick later
     sensor: Any  # (now, x[n], p[s]) -> y[q]; None: C x, D u
-    slope: Any  # (now, z[N]) -> F[N, N]
+    slope: Callable[[Now, Array], Array]  # (now, z[N]) -> F[N, N]
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
+    mix: Float[Leaf, "q q"] | None  # of the outputs, so that their noise is independent; None: it is
     Q: Float[Leaf, "N N"]  # a tick
     P0: Float[Leaf, "N N"]
     start: Float[Leaf, " s"]  # p at t = 0
     low: Float[Leaf, " s"]
     high: Float[Leaf, " s"]
     room: Room  # for samples that may be overtaken
-    guard: Any = ()  # guard.Guard, of a filter that does not take every sample for what it says
-    own: Any = ()  # what one observer has besides
+    guard: PyTree = ()  # guard.Guard, of a filter that does not take every sample for what it says
+    own: PyTree = ()  # what one observer has besides
 
 
 class Options(assumed_noise.Options):
@@ -64,50 +67,50 @@ def constant(Phi: Array, now: Now, z: Array) -> Array:
     return Phi
 
 
-def rate(model: Any, room: Room, now: Now, z: Array) -> Array:
+def rate(model: Model, room: Room, now: Now, z: Array) -> Array:
     """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
     n = z.shape[0] - room.shape[0]
     return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
 
 
-def step(model: Any, room: Room, now: Now, z: Array) -> Array:
+def step(model: Model, room: Room, now: Now, z: Array) -> Array:
     """Move a model by one Runge-Kutta step."""
     return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
 
 
-def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
+def slope(model: Model, room: Room, now: Now, z: Array) -> Array:
     """Return I + h J."""
     return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
-def moved(successor: Any, room: Room, now: Now, z: Array) -> Array:
+def moved(successor: Model, room: Room, now: Now, z: Array) -> Array:
     """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
     n = z.shape[0] - room.shape[0]
     return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
 
 
-def moved_slope(successor: Any, room: Room, now: Now, z: Array) -> Array:
+def moved_slope(successor: Model, room: Room, now: Now, z: Array) -> Array:
     """Return the Jacobian of that."""
     return jax.jacfwd(lambda z: moved(successor, room, now, z))(z)
 
 
-def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
+def pushed(A: Array, B: Array, E: Array, known: Callable[[Array], Array], now: Now, x: Array, p: Array) -> Array:
     """Return dx/dt of a linear model pushed by f = known(x) + p."""
     return A @ x + B @ now.u + E @ (known(x) + p)
 
 
-def motion_of(setting: DesignContext) -> tuple[Any, Any]:
+def motion_of(setting: DesignContext) -> tuple[Partial, Partial]:
     """Return how a tick moves z, and its slope: exactly where the model is linear."""
     model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.successor is not None:
         after = setting.successor
-        return jax.tree_util.Partial(moved, after, room), jax.tree_util.Partial(moved_slope, after, room)
+        return Partial(moved, after, room), Partial(moved_slope, after, room)
     if setting.field is None and (model.E is None or model.known is None):
         whole = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(whole, setting.dt)
-        return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
-    field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
-    return jax.tree_util.Partial(step, field, room), jax.tree_util.Partial(slope, field, room)
+        return Partial(affine, Phi, Gamma), Partial(constant, Phi)
+    field = setting.field or Partial(pushed, model.A, model.B, model.E, model.known)
+    return Partial(step, field, room), Partial(slope, field, room)
 
 
 def started(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
@@ -128,7 +131,7 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
 
 
-def carried(gains: Gains, now: Now, before: Any, until: Int[Array, ""]) -> tuple[Array, Array]:
+def carried(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tuple[Array, Array]:
     """Return mean and covariance carried on to a tick, one by one; a copy beside the state stays as it is."""
     N, beside = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
 
@@ -171,8 +174,8 @@ def design(
     setting: DesignContext,
     options: Options,
     name: str,
-    own: Callable[[Gains], Any] = lambda gains: (),
-    guard: Any = (),
+    own: Callable[[Gains], PyTree] = lambda gains: (),
+    guard: PyTree = (),
 ) -> Design:
     """Gather what a filter assumes, and by `own` what it has besides; there is no certificate for a nonlinear model."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"

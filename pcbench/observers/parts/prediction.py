@@ -9,20 +9,20 @@ g follows the plant's own modes: where an unstable model grows past 1e16 over th
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
-from pcbench.protocols import Arrival, Leaf, Now, Room
+from pcbench.protocols import Arrival, Gains, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
-Update = Callable[[Any, Any, Measurement], Any]
+Update = Callable[[Gains, PyTree, Measurement], PyTree]
 
 
 class Motion(NamedTuple):
@@ -49,7 +49,7 @@ class Memory(NamedTuple):
     tick: Int[Array, ""]  # now
 
 
-def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
+def start(xhat0: Float[Array, " n"], state: PyTree, room: Room, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
     buffer = reorder_buffer.start(state, room, outputs, xhat0.shape[0])
     return Memory(jnp.zeros_like(xhat0), xhat0, buffer, jnp.asarray(0))
@@ -60,12 +60,12 @@ def origin(xhat0: Float[Array, " n"]) -> Point:
     return Point(xhat0, jnp.asarray(0))
 
 
-def snapshot(gains: Any, memory: Any, now: Now) -> Float[Array, " n"]:
+def snapshot(gains: Gains, memory: PyTree, now: Now) -> Float[Array, " n"]:
     """Note the input response at the sample's time; of any memory that has g."""
     return memory.g
 
 
-def flow(gains: Any, memory: Any, now: Now) -> Any:
+def flow(gains: Gains, memory: PyTree, now: Now) -> PyTree:
     """Advance by one tick under the held input, pccebo's (12); of any memory that has g, xhat and tick."""
     motion: Motion = gains.motion
     pushed = motion.Gamma @ now.u
@@ -78,13 +78,13 @@ def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]
     return after(motion.powers, tick - point.taken, point.free)
 
 
-def using(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Measurement], Memory]:
+def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Measurement], Memory]:
     """Return what uses a sample, of an observer whose state at a sample's time follows `update` (gains, state, sample).
 
     It brings the state up to the sample, in the order in which samples were taken, and carries the estimate there to now.
     """
 
-    def use(gains: Any, memory: Memory, now: Now, arrived: Measurement) -> Memory:
+    def use(gains: Gains, memory: Memory, now: Now, arrived: Measurement) -> Memory:
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, arrived)
         there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
         return memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
@@ -92,11 +92,11 @@ def using(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Me
     return use
 
 
-def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Arrival], Memory]:
+def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Arrival], Memory]:
     """Return the jump of such an observer, which uses what arrives as a sample of its own time."""
     use = using(update, point_of)
 
-    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         return use(gains, memory, now, reorder_buffer.sample_of(now, arrival, gains.D))
 
     return jump

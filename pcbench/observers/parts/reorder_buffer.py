@@ -9,12 +9,12 @@ none.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics.room import within_room
 from pcbench.observers.parts.common import known_input
@@ -33,14 +33,14 @@ class Measurement(NamedTuple):
 class Buffer(NamedTuple):
     """The newest K samples by the tick they were taken, oldest first, and the state before them."""
 
-    before: Any
+    before: PyTree
     samples: Measurement  # [K]; a place not yet filled is not fresh
 
 
-Update = Callable[[Any, Measurement], Any]  # (state, sample) -> state at the sample's tick
+Update = Callable[[PyTree, Measurement], PyTree]  # (state, sample) -> state at the sample's tick
 
 
-def start(state: Any, room: Room, outputs: int, noted: int) -> Buffer:
+def start(state: PyTree, room: Room, outputs: int, noted: int) -> Buffer:
     """Return a buffer with nothing in it, with room for K samples."""
     K = room.shape[0]
     empty = Measurement(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
@@ -58,7 +58,7 @@ def kept_of(sample: Measurement) -> Measurement:
     return sample._replace(value=jnp.where(sample.mask, sample.value, 0.0))
 
 
-def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
+def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, PyTree]:
     """Return the buffer with the sample that arrived in its place, and the state after the newest sample."""
     if (oldest := getattr(buffer.before, "taken", None)) is not None:
         arrived = arrived._replace(taken=within_room(arrived.taken, arrived.taken >= oldest))
@@ -71,12 +71,12 @@ def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer
     return Buffer(leaving, kept), newest
 
 
-def newest(update: Update, buffer: Buffer) -> Any:
+def newest(update: Update, buffer: Buffer) -> PyTree:
     """Return the state after the newest sample that has arrived."""
     return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.taken.shape[0] else buffer.before
 
 
-def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Measurement) -> Any:
+def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Measurement) -> PyTree:
     """Return the state after the newest sample, beside it a copy of the state at the tick at which one that arrives was taken.
 
     `copy` (state, sample) makes the copy, after the samples up to that tick and before those that are newer. So the copy is
@@ -86,7 +86,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
     entries, _ = _merged(buffer.samples, arrived)
     place = jnp.sum(buffer.samples.taken <= arrived.taken)
 
-    def step(state: Any, row: tuple[Array, Measurement]) -> tuple[Any, None]:
+    def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
         i, sample = row
         used, copied = update(state, sample), copy(state, sample)
         there, here = jnp.any(sample.mask), i == place
@@ -95,10 +95,10 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
 
 
-def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, Any]:
+def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTree, PyTree]:
     """The state after samples in order, and after each of them; an empty place leaves it as it is."""
 
-    def step(state: Any, sample: Measurement) -> tuple[Any, Any]:
+    def step(state: PyTree, sample: Measurement) -> tuple[PyTree, PyTree]:
         there = jnp.any(sample.mask)
         new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
         return new, new

@@ -11,7 +11,7 @@ filtered twice. Means are less the response to the input (`prediction`).
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +24,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
 from pcbench.observers.parts.common import kept
 from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.linear_filter import Gains
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -65,10 +66,10 @@ class Memory(NamedTuple):
     tick: Int[Array, ""]
 
 
-Retrodict = Callable[[Any, Memory, Any], Last]  # (gains, memory, tau) -> what stands for all updates after tau
+Retrodict = Callable[[Gains, Memory, Array], Last]  # (gains, memory, tau) -> what stands for all updates after tau
 
 
-def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior; the past is the prior too."""
     first, N = linear_filter.prior(gains, xhat0), gains.own.past.shape[0]
     n = first.mean.shape[0]
@@ -77,7 +78,7 @@ def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
     return Memory(jnp.zeros(n), first.mean, first, none, past, jnp.asarray(0))
 
 
-def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
+def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     """Update at a sample that is as new as the newest, or newer; channels of one tick count as one update."""
     before, again = memory.posterior, sample.taken == memory.posterior.taken
     there = linear_filter.predicted(gains, before, sample.taken)
@@ -100,7 +101,9 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
 
 
-def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> tuple[Memory, InnovationStats]:
+def backward(
+    gains: Gains, memory: Memory, sample: Measurement, last: Last, zero: bool
+) -> tuple[Memory, InnovationStats]:
     """Update the newest state by an older sample, and say how far it was from what is expected of it.
 
     With `zero` the noise between is taken for 0.
@@ -130,7 +133,7 @@ def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: 
 def observer(retrodict: Retrodict, zero: bool) -> Observer:
     """Return the observer that goes back by `retrodict`; with `zero` the noise between is taken for 0."""
 
-    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         late = sample.taken < memory.posterior.taken
         old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory)
@@ -140,7 +143,7 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + there)
 
-    def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
+    def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return it of all that is used: what is older than the posteriors kept is not judged."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, PyTree
 from pydantic import Field
 
 from pcbench.observers.parts.kalman import Posterior
@@ -57,24 +57,24 @@ class Looked(NamedTuple):
     left_out: Int[Array, ""]
 
 
-def of(gate: float | None, opens: int, huber: float | None) -> Any:
+def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
     """Return what a filter is to do; (): nothing is far."""
     if gate is None and huber is None:
         return ()
     return Guard(*(np.asarray(np.inf if each is None else each) for each in (gate, opens, huber)))
 
 
-def begun(first: Posterior, guard: Any, outputs: int) -> Known:
+def begun(first: Posterior, guard: PyTree, outputs: int) -> Known:
     """Return the state before the first sample."""
     return Guarded(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
-def after(before: Known, mean: Array, P: Array, taken: Any, left_out: list[Array]) -> Any:
+def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Array]) -> Known:
     """Return the state after a sample, of the kind of the one before."""
     return Guarded(mean, P, taken, jnp.stack(left_out)) if isinstance(before, Guarded) else Posterior(mean, P, taken)
 
 
-def looked(guard: Any, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array) -> Looked:
+def looked(guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array) -> Looked:
     """Return whether a channel is used, and the variance of its noise that it is used with."""
     if not isinstance(before, Guarded):
         return Looked(mask, r, jnp.asarray(0))

@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
+from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room, vmap_as_unit
 from pcbench.synthesis.certificate import DesignContext
 
@@ -46,7 +47,7 @@ class Memory(NamedTuple):
     tick: Int[Array, ""]
 
 
-def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior, without clones."""
     first, J = linear_filter.prior(gains, xhat0), gains.own.shape[0]
     n = first.mean.shape[0]
@@ -64,7 +65,7 @@ def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
     )
 
 
-def carried(gains: Any, memory: Memory, now: Now) -> Memory:
+def carried(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with the covariance of now."""
     n, age = memory.xhat.shape[0], now.tick - memory.at
     powers = gains.motion.powers
@@ -74,7 +75,7 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
     return memory._replace(P=P, at=now.tick)
 
 
-def on_sample(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
+def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Make a clone of the present, in place of the oldest."""
 
     def cloned(memory: Memory, mask: Array) -> Memory:
@@ -96,7 +97,7 @@ def on_sample(gains: Any, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> 
     return _in_one_piece(memory, cloned)(memory, mask)
 
 
-def _in_one_piece(memory: Memory, f: Any) -> Any:
+def _in_one_piece(memory: Memory, f: Callable[..., Any]) -> Callable[..., Any]:
     """Vectorise f in one piece if P is large: entry by entry it would compile for minutes."""
     return vmap_as_unit(f) if memory.P.size >= LARGE else f
 
@@ -104,7 +105,7 @@ def _in_one_piece(memory: Memory, f: Any) -> Any:
 def observer(gain: Gain) -> Observer:
     """Return the observer with this gain."""
 
-    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         def jumped(memory: Memory, arrival: Arrival) -> Memory:
             sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
             n, P = memory.xhat.shape[0], memory.P
@@ -135,7 +136,7 @@ def observer(gain: Gain) -> Observer:
     )
 
 
-def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
 
     def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
@@ -156,7 +157,7 @@ def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Innova
     return _in_one_piece(memory, judged)(memory, arrival)
 
 
-def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance of the present, carried to now."""
     n = memory.xhat.shape[0]
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P[:n, :n])

@@ -10,11 +10,11 @@ Source: Bryson, Frazier 1963; Wright, Primal-Dual Interior-Point Methods, 1997, 
 Not claimed: that a bound which holds by less than 1e-8 of the prior's size is told from one that does not.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
 from pcbench.observers.parts import kalman
 from pcbench.protocols import Leaf
@@ -49,7 +49,7 @@ class Bounds(NamedTuple):
 def smoothed(chain: Chain) -> Float[Array, "S N"]:
     """Return the likeliest states, without bounds."""
 
-    def forward(carry: tuple[Array, Array], stage: Any) -> tuple[tuple[Array, Array], Any]:
+    def forward(carry: tuple[Array, Array], stage: PyTree) -> tuple[tuple[Array, Array], PyTree]:
         F, b, Q, *measured = stage
         z, P = F @ carry[0] + b, F @ carry[1] @ F.T + Q
         before, used = (z, P), []
@@ -61,7 +61,7 @@ def smoothed(chain: Chain) -> Float[Array, "S N"]:
             z, P = z + K * e, kalman.covariance(P, K, h, jnp.where(w > 0, 1.0 / jnp.where(w > 0, w, 1.0), 0.0))
         return (z, P), (before, [jnp.stack(each) for each in zip(*used, strict=True)])
 
-    def backward(ahead: Array, stage: Any) -> tuple[Array, Array]:
+    def backward(ahead: Array, stage: PyTree) -> tuple[Array, Array]:
         ((z, P), (K, h, e)), F = stage
         for j in reversed(range(K.shape[0])):
             ahead = ahead - h[j] * (K[j] @ ahead) + h[j] * e[j]

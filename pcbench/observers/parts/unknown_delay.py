@@ -12,12 +12,12 @@ that is a delay (`unknown0`, `unknown_std`), or else the believed delay and half
 is gone through again under the stored inputs.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 from pydantic import Field
 
 from pcbench.dynamics import linear
@@ -47,7 +47,7 @@ class Gains(NamedTuple):
     stamps: Leaf  # 1: by how much ages differ is told; 0: it is not
     room: Room  # for samples that may be overtaken
     told: Room  # [1] the delay is part of the estimate; [0]: it is not
-    own: Any = ()
+    own: PyTree = ()
 
 
 class Options(assumed_noise.Options):

@@ -18,13 +18,13 @@ schedule. Perfect start is exact where the plant moves by the same Runge-Kutta s
 unknown input, or that the certificates, which are for continuous measurement, hold on samples.
 """
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 from pydantic import Field
 
 from pcbench.dynamics import linear
@@ -38,13 +38,13 @@ from pcbench.synthesis.certificate import DesignContext
 from pcbench.synthesis.unknown_input import Split
 
 STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
-Injection = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
+Injection = Callable[[PyTree, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
 
 
 class Gains(NamedTuple):
     """n states, m inputs, p outputs, r unknown inputs."""
 
-    law: Any  # the numbers of v
+    law: PyTree  # the numbers of v
     Lx: Float[Leaf, "n p"]
     C: Float[Leaf, "p n"]
     D: Float[Leaf, "p m"]
@@ -52,7 +52,7 @@ class Gains(NamedTuple):
     H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], likewise
     S: Float[Leaf, "p n+p"]  # s = S [xd; y] = Tp (y - C xd)
     pick: Float[Leaf, "r p"]  # fhat = pick v
-    known: Any  # x[n] -> [r] the known part of f, or None
+    known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
     lag: Int[Leaf, ""]  # [ticks] d
     Phi: Float[Leaf, "n n"]  # one tick
     Gamma: Float[Leaf, "n m"]
@@ -134,7 +134,7 @@ def observer(law: Injection) -> Observer:
 
 
 def gains_of(
-    setting: DesignContext, split: Split, injection: tuple[Matrix, Matrix], law: Any, options: Options
+    setting: DesignContext, split: Split, injection: tuple[Matrix, Matrix], law: PyTree, options: Options
 ) -> Gains:
     """Return the gains of an observer whose Gx, Lx and law are found."""
     model, r, p = setting.model, len(split.E222), len(setting.model.C)
@@ -174,7 +174,7 @@ def short_tick(setting: DesignContext, gain: float, of: str, where: str) -> None
         )
 
 
-def printed_for(arm: dict[str, Any], setting: DesignContext, where: str) -> None:
+def printed_for(arm: Mapping[str, tuple[tuple[int | float, ...], ...]], setting: DesignContext, where: str) -> None:
     """Raise UserError where gains printed for the arm, of these matrices A, C, E, are asked of another plant."""
     for name, rows in arm.items():
         M = getattr(setting.model, name)
