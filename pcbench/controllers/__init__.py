@@ -27,8 +27,8 @@ class ControllerSpec(NamedTuple):
     )
 
 
-def _pd(options: Any, told: ControllerContext) -> Any:
-    return pd.prepare(options, told.delay, told.dt, told.rows, told.ticks, told.field, told.inverse)
+def _pd(options: Any, context: ControllerContext) -> Any:
+    return pd.prepare(options, context.delay, context.dt, context.rows, context.ticks, context.field, context.inverse)
 
 
 CONTROLLERS = {

@@ -30,22 +30,22 @@ def check(options: Lqr, sizes: Sizes) -> None:
     common.require_common(options, sizes, definite=True)
 
 
-def gain(options: Lqr, told: ControllerContext) -> Matrix:
+def gain(options: Lqr, context: ControllerContext) -> Matrix:
     """Return K [m, n]; raise DesignError where there is none."""
-    (Phi, Gamma), (n, m) = told.tick, told.model.B.shape
-    sizes = Sizes(told.states, m, len(told.model.C), told.dt, "controller")
+    (Phi, Gamma), (n, m) = context.tick, context.model.B.shape
+    sizes = Sizes(context.states, m, len(context.model.C), context.dt, "controller")
     Q1, Q2 = common.matrix(options.Q1, (n, n), "Q1", sizes), common.matrix(options.Q2, (m, m), "Q2", sizes)
-    return lqr.gain(*lqr.over_period((Phi, Gamma), told.every(options.period)), Q1, Q2, "controller lqr")
+    return lqr.gain(*lqr.over_period((Phi, Gamma), context.every(options.period)), Q1, Q2, "controller lqr")
 
 
-def prepare(options: Lqr, told: ControllerContext) -> state_feedback.Params:
+def prepare(options: Lqr, context: ControllerContext) -> state_feedback.Params:
     """Return the law's numbers."""
-    return state_feedback.numbers(options, told, gain(options, told))
+    return state_feedback.numbers(options, context, gain(options, context))
 
 
-def linear(options: Lqr, told: ControllerContext) -> lqr.Law:
+def linear(options: Lqr, context: ControllerContext) -> lqr.Law:
     """Return the law about its set point."""
-    return state_feedback.of_gain(np.asarray(gain(options, told)))
+    return state_feedback.of_gain(np.asarray(gain(options, context)))
 
 
 controller = state_feedback.controller

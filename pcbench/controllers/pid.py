@@ -68,33 +68,35 @@ def check(options: Options, sizes: Sizes) -> None:
     common.require_common(options, sizes)
 
 
-def prepare(options: Options, told: ControllerContext) -> Params:
+def prepare(options: Options, context: ControllerContext) -> Params:
     """Return the law's numbers."""
-    (q, _), (_, m) = told.model.C.shape, told.model.B.shape
-    sizes, every = Sizes(told.states, m, q, told.dt, "controller"), told.every(options.period)
-    T = every * told.dt
+    (q, _), (_, m) = context.model.C.shape, context.model.B.shape
+    sizes, every = Sizes(context.states, m, q, context.dt, "controller"), context.every(options.period)
+    T = every * context.dt
     Kp, Ki, Kd = (
         np.zeros((m, q)) if given == 0.0 else common.matrix(given, (m, q), "gain", sizes)
         for given in (options.Kp, options.Ki, options.Kd)
     )
     limit = np.inf if options.limit is None else np.asarray(options.limit, float)
     return Params(
-        C=told.model.C,
+        C=context.model.C,
         Kp=Kp,
         KiT=Ki * T,
         Kd=Kd,
         T=np.asarray(T),
         filter=np.asarray(options.filter / (options.filter + T)),
-        x_ref=reference(options.set_point, told.states, told.tick, told.dt, told.ticks + 1 + told.ahead).x,
+        x_ref=reference(
+            options.set_point, context.states, context.tick, context.dt, context.ticks + 1 + context.ahead
+        ).x,
         offset=np.broadcast_to(np.asarray(options.offset, float), m).copy(),
         every=np.asarray(every),
         limit=np.broadcast_to(limit, m).copy(),
     )
 
 
-def linear(options: Options, told: ControllerContext) -> lqr.Law:
+def linear(options: Options, context: ControllerContext) -> lqr.Law:
     """Return the law about its set point, of the state; it keeps (I, y_last, D)."""
-    p = prepare(options, told)
+    p = prepare(options, context)
     q, m, f = len(p.C), len(p.Kp), float(p.filter)
     rate = (1 - f) / float(p.T)
     A = np.zeros((m + 2 * q, m + 2 * q))

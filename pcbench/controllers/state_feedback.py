@@ -53,30 +53,30 @@ def check(options: Options, sizes: Sizes) -> None:
     common.require_common(options, sizes)
 
 
-def prepare(options: Options, told: ControllerContext) -> Params:
+def prepare(options: Options, context: ControllerContext) -> Params:
     """Return the law's numbers."""
-    return numbers(options, told, np.array(options.K, float))
+    return numbers(options, context, np.array(options.K, float))
 
 
-def numbers(options: Any, told: ControllerContext, K: np.ndarray) -> Params:
+def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
     """Return the numbers of a law with the gain K, for options that have what all laws have."""
-    Phi, Gamma = told.tick
-    aims = reference(options.set_point, told.states, (Phi, Gamma), told.dt, told.ticks + 1 + told.ahead)
+    Phi, Gamma = context.tick
+    aims = reference(options.set_point, context.states, (Phi, Gamma), context.dt, context.ticks + 1 + context.ahead)
     m = Gamma.shape[1]
     limit = np.inf if options.limit is None else np.asarray(options.limit, float)
     return Params(
         K=K,
         x_ref=aims.x,
         u_ref=aims.u + np.asarray(options.offset, float),
-        every=np.asarray(told.every(options.period)),
+        every=np.asarray(context.every(options.period)),
         limit=np.broadcast_to(limit, m).copy(),
-        late=np.asarray(told.late if options.knows_delay else 0),
+        late=np.asarray(context.late if options.knows_delay else 0),
         Phi=Phi,
         Gamma=Gamma,
     )
 
 
-def linear(options: Options, told: ControllerContext) -> lqr.Law:
+def linear(options: Options, context: ControllerContext) -> lqr.Law:
     """Return the law about its set point."""
     return of_gain(np.array(options.K, float))
 

@@ -70,11 +70,11 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
         c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
-        found = robust_update.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
-        K = kalman.gain(Pc, c @ Pc[:n] + found.r, found.used)
+        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
+        K = kalman.gain(Pc, c @ Pc[:n] + r, used)
         z = z + K * nu
-        P = kalman.covariance(P, K, jnp.concatenate([c, none]), found.r)
-        left_out.append(found.left_out)
+        P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
+        left_out.append(out)
     return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
 
 
@@ -88,11 +88,11 @@ def by_slope(gains: Gains, there: Now, before: Known, mask: Array, value: Array)
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - predicted)
-        found = robust_update.looked(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
-        K = kalman.gain(Pc, c @ Pc + found.r, found.used)
+        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
+        K = kalman.gain(Pc, c @ Pc + r, used)
         z = z + K * nu
-        P = kalman.covariance(P, K, c, found.r)
-        left_out.append(found.left_out)
+        P = kalman.covariance(P, K, c, r)
+        left_out.append(out)
     return z, P, left_out
 
 

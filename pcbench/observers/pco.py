@@ -114,16 +114,16 @@ def design(setting: DesignContext, options: Proportional) -> Design:
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
     what = "unmeasured states x outputs"
     given = [matrix(each, shape, f"{where}: {name}", what) for name, each in asked.items()]
-    found = reduced_order.design(plant, given, integral, options.decay, where)
-    certificate = require_certified(found.certificate, where)
+    Kp, Ki, proof = reduced_order.design(plant, given, integral, options.decay, where)
+    certificate = require_certified(proof, where)
     moves = prediction.motion_of(setting.model, setting)
     gains = Gains(
         motion=moves,
         T=plant.T,
         T_inv=np.linalg.inv(plant.T),
         D=setting.model.feedthrough,
-        Kp=found.Kp,
-        Ki=found.Ki,
+        Kp=Kp,
+        Ki=Ki,
         room=setting.room,
     )
     return Design(gains, certificate)

@@ -140,16 +140,12 @@ def output(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]
     return sensor(equations, params, now, x, unknown(equations, params, now, x))
 
 
-class Slopes(NamedTuple):
-    """The Jacobians at the operating point, and by how much it moves there by itself."""
-
-    model: Model
-    excess: np.ndarray  # [n] dx/dt, or of a `step` the change over a tick; 0 where it is rounding
-
-
 @lru_cache(maxsize=64)
-def slopes(equations: Equations, numbers: Any) -> Slopes:
-    """Return the linear model at the operating point, by jax, for numbers as observers know them."""
+def slopes(equations: Equations, numbers: Any) -> tuple[Model, np.ndarray]:
+    """Return the linear model at the operating point, by jax, for numbers as observers know them, and its excess [n].
+
+    That is dx/dt there, or of a `step` the change over a tick; 0 where it is rounding.
+    """
     e, n, m, r = equations, len(equations.x0), len(equations.u0), len(equations.inputs)
     with config.float64():
         params = jax.tree.map(jnp.asarray, prepare(e, numbers, e.tick or 0.0, 0))
@@ -168,7 +164,7 @@ def slopes(equations: Equations, numbers: Any) -> Slopes:
         excess = np.asarray(moved(*at))
     size = 1.0 + max(np.abs([*e.x0, *e.u0]).max(), np.abs(A).max())
     found = Model(A, B, C, D if D.any() else None, e.step is not None, E[:, :r] if r else None)
-    return Slopes(found, np.where(np.abs(excess) > REST * size, excess, 0.0))
+    return found, np.where(np.abs(excess) > REST * size, excess, 0.0)
 
 
 def _now(equations: Equations, u: Array) -> Now:
@@ -179,9 +175,9 @@ def _now(equations: Equations, u: Array) -> Now:
 
 def nominal(equations: Equations, numbers: Any) -> Model:
     """Return the linear model at the operating point."""
-    return slopes(equations, numbers).model
+    return slopes(equations, numbers)[0]
 
 
 def residual(equations: Equations, numbers: Any) -> np.ndarray:
     """Return dx/dt at the operating point, [n]: 0 where it is an equilibrium."""
-    return slopes(equations, numbers).excess
+    return slopes(equations, numbers)[1]

@@ -37,14 +37,6 @@ class Partition(NamedTuple):
     corners: Any  # which of them a solver is to see
 
 
-class ReducedOrderGains(NamedTuple):
-    """Gains [n-l, l] and what proves them."""
-
-    Kp: Matrix
-    Ki: Matrix
-    certificate: Certificate
-
-
 def coordinates(C: Matrix, where: str) -> Matrix:
     """Return T [n, n] with C inv(T) = [I 0]: C itself, then the directions it does not see; identity where C = [I 0]."""
     l, n = C.shape
@@ -88,8 +80,13 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
     return np.concatenate([np.concatenate([F, -I], 2), np.concatenate([Ki @ A12, I], 2)], 1)
 
 
-def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, where: str) -> ReducedOrderGains:
-    """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
+def design(
+    plant: Partition, given: list[Matrix], integral: bool, rate: float, where: str
+) -> tuple[Matrix, Matrix, Certificate]:
+    """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s].
+
+    Return Kp, Ki [n-l, l] and the certificate.
+    """
     error_bounds.require_slower(rate, plant.seconds, where)
     k, l = plant.A22.shape[1], plant.outputs
     if integral and k > l:
@@ -126,7 +123,7 @@ def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, w
     numbers = (
         dict(certificate.numbers) | {"P": found.P / np.outer(scale, scale), "Kp": Kp} | ({"Ki": Ki} if integral else {})
     )
-    return ReducedOrderGains(Kp, Ki, certificate._replace(numbers=numbers))
+    return Kp, Ki, certificate._replace(numbers=numbers)
 
 
 def _corners(plant: Partition, rate: float) -> tuple[Matrix, Matrix, Matrix]:

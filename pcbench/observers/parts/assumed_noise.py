@@ -4,7 +4,7 @@ Noise that is correlated between outputs is made independent before a filter use
 R = L diag(r) L', L unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the variances r.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -37,14 +37,6 @@ class Options(StrictOptions):
     )
 
 
-class Independent(NamedTuple):
-    """Outputs whose noise is independent."""
-
-    mix: Matrix | None  # [q, q] what makes it so of the outputs; None: it is
-    C: Matrix  # [q, n] of these outputs
-    R: Matrix  # [q] their variances
-
-
 def covariance(given: Variances | Sizes | None, many: int, where: str, each: str) -> Matrix:
     """Return a number, `many` numbers or rows as a matrix; raise UserError where that is no covariance of so many."""
     found = np.asarray(given, float) if _regular(given) else np.zeros(0)
@@ -69,18 +61,22 @@ def _regular(given: Variances | Sizes | None) -> bool:
     return len(set(rows)) < 2
 
 
-def independent(setting: DesignContext, given: Variances | Sizes | None, C: Matrix, where: str) -> Independent:
-    """Return the outputs of a filter that assumes `given` of their noise, None: what the setting says.
+def independent(
+    setting: DesignContext, given: Variances | Sizes | None, C: Matrix, where: str
+) -> tuple[Matrix | None, Matrix, Matrix]:
+    """Return outputs with independent noise, for a filter that assumes `given` of it, None: what the setting says.
+
+    [q, q] what makes of the outputs those (None: they are), their C [q, n], their variances [q].
 
     Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
     """
     if given is None and setting.noise_correlation:
         given = setting.noise_covariance.tolist()
     if given is None:
-        return Independent(None, C, setting.noise_variance)
+        return None, C, setting.noise_variance
     R = covariance(given, len(C), f"{where}: R", "output")
     if not np.any(R - np.diag(np.diag(R))) and np.all(np.diag(R) > 0):
-        return Independent(None, C, np.diag(R).copy())
+        return None, C, np.diag(R).copy()
     try:
         L = np.linalg.cholesky(R)
     except np.linalg.LinAlgError:
@@ -93,7 +89,7 @@ def independent(setting: DesignContext, given: Variances | Sizes | None, C: Matr
             "are sampled together; give a number for each."
         )
     mix: Matrix = np.asarray(np.linalg.inv(L / np.diag(L)), np.float64)
-    return Independent(mix, mix @ C, np.square(np.diag(L)))
+    return mix, mix @ C, np.square(np.diag(L))
 
 
 def process(setting: DesignContext, given: Variances | Sizes | None, where: str) -> Matrix:

@@ -99,11 +99,11 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     for channel in range(gains.C.shape[0]):
         c, r, mask = rows[channel], gains.R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
-        found = robust_update.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
-        K = kalman.gain(P @ c, c @ P @ c + found.r, found.used)
+        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
+        K = kalman.gain(P @ c, c @ P @ c + r, used)
         free = free + K * nu
-        P = kalman.covariance(P, K, c, found.r)
-        left_out.append(found.left_out)
+        P = kalman.covariance(P, K, c, r)
+        left_out.append(out)
     return robust_update.after(before, free, P, sample.taken, left_out)
 
 

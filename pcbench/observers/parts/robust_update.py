@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Int, PyTree
+from jaxtyping import Float, Int, PyTree
 from pydantic import Field
 
 from pcbench.observers.parts.kalman import Posterior
@@ -49,14 +49,6 @@ class Guarded(NamedTuple):
 Known = Posterior | Guarded  # what a filter knows after a sample
 
 
-class Looked(NamedTuple):
-    """What is made of a channel."""
-
-    used: Bool[Array, ""]
-    r: Float[Array, ""]
-    left_out: Int[Array, ""]
-
-
 def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
     """Return what a filter is to do; (): nothing is far."""
     if gate is None and huber is None:
@@ -74,11 +66,13 @@ def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Arr
     return Guarded(mean, P, taken, jnp.stack(left_out)) if isinstance(before, Guarded) else Posterior(mean, P, taken)
 
 
-def looked(guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array) -> Looked:
-    """Return whether a channel is used, and the variance of its noise that it is used with."""
+def weigh(
+    guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array
+) -> tuple[Array, Array, Array]:
+    """Return whether a channel is used, the variance of its noise that it is used with, how many were left out in a row."""
     if not isinstance(before, Guarded):
-        return Looked(mask, r, jnp.asarray(0))
+        return mask, r, jnp.asarray(0)
     count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
     out = mask & (z > guard.gate) & (count < guard.opens)
     after = jnp.where(out, count + 1, jnp.where(mask, 0, count))
-    return Looked(mask & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after)
+    return mask & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after
