@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from pcbench.controllers import lqr, pd, pid, state_feedback
 from pcbench.controllers.parts.common import ControllerContext, Sizes
-from pcbench.protocols import Controller
+from pcbench.protocols import Controller, Params
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.lqr import Law
 
@@ -17,7 +17,7 @@ class ControllerSpec(NamedTuple):
 
     controller: Callable[[Any], Controller] | Controller  # options -> the law; or the law, whatever the options
     options: type[BaseModel]
-    prepare: Callable[[Any, ControllerContext], Any]  # options -> params
+    prepare: Callable[[Any, ControllerContext], Params]  # options -> params
     summary: str
     check: Callable[[Any, Sizes], None] | None = (
         None  # raises UserError where options do not fit; None: it is for one plant
@@ -27,7 +27,7 @@ class ControllerSpec(NamedTuple):
     )
 
 
-def _pd(options: Any, context: ControllerContext) -> Any:
+def _pd(options: Any, context: ControllerContext) -> Params:
     return pd.prepare(options, context.delay, context.dt, context.rows, context.ticks, context.field, context.inverse)
 
 

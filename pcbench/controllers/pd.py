@@ -51,8 +51,8 @@ class Params(NamedTuple):
     path: Leaf  # [T, 3, 2] Td, Td', Td'' at t
     goal: Leaf  # [T, 3, 2] at sigma
     ahead: Leaf  # [T] sigma - t [s]
-    model: Any  # (now, x[4], B[2]) -> dx/dt[4], as observers know it
-    inverse: Any  # (B[2], Td[2], Td'[2], Td''[2]) -> u[2]
+    model: Callable[..., Array]  # (now, x[4], B[2]) -> dx/dt[4], as observers know it
+    inverse: Callable[..., Array]  # (B[2], Td[2], Td'[2], Td''[2]) -> u[2]
 
 
 def acts_at(t: np.ndarray, delay: Delay) -> np.ndarray:

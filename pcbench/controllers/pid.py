@@ -10,7 +10,7 @@ estimate of t = 0; before t = 0 commands are 0. Source: Astrom, Hagglund, Advanc
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -141,6 +141,6 @@ def command(
 PID = Controller(target, before, command, start)
 
 
-def controller(options: Any) -> Controller:
+def controller(options: common.Options) -> Controller:
     """Return the law."""
     return PID

@@ -12,10 +12,10 @@ Source: Peng, Appl. Sci. 2017, 7(1), 67, (4), (22) to (24), (38), (52), sections
 from collections.abc import Iterator
 from functools import cache
 from math import pi
-from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from pcbench import api, planning
@@ -228,7 +228,7 @@ def judge(printed: str, value: float, low: float, high: float) -> str:
     return "band" if low <= float(printed) <= high else "differs"
 
 
-def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, what: str) -> Any:
+def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, what: str) -> NDArray[np.float64]:
     mine = (runs.scenario == INPUTS[force]) & (runs.observer == observer) & (runs.signal == signal)
     return runs.loc[mine, METRICS[what]].to_numpy()
 
@@ -269,14 +269,14 @@ def _objective(claim: str, printed: float, best: float) -> Claim:
     return statement(claim, "least", text, bool(abs(above) < SHORT_OF))
 
 
-def _beside(claim: str, printed: Any, best: Any) -> Claim:
+def _beside(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
     """A printed matrix beside the optimum, with how far it is off in parts of its largest entry."""
     off = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
     text = f"{_entries(best)} at the optimum: {off:.1f} % off, as a solver's default accuracy leaves it"
     return statement(claim, _entries(printed, 5), text, bool(off < NEAR))
 
 
-def _entries(M: Any, many: int = 4) -> str:
+def _entries(M: ArrayLike, many: int = 4) -> str:
     return "; ".join(" ".join(f"{0.0 if abs(v) < 1e-4 else v:.{many}g}" for v in row) for row in np.asarray(M))
 
 

@@ -7,7 +7,6 @@ of C A^d inv(C).
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -98,13 +97,13 @@ def _remark_3() -> Iterator[Claim]:
     yield statement(claim, "stable", text, grows and max(radii.values()) < 1)
 
 
-def _rate(changes: dict[str, Any]) -> float:
+def _rate(changes: dict[str, object]) -> float:
     """The chain's radius of one sample where the study is changed so."""
     study = {"name": "rate", "scenarios": ["csth/10s"]} | changes
     return float(api.design(study, "chain").certificate.numbers["radius_of_one_sample"])
 
 
-def _largest(study: dict[str, Any]) -> float:
+def _largest(study: dict[str, object]) -> float:
     """The chain's largest error of enthalpy [J]."""
     trace = api.simulate(study, ["chain"])
     return float((trace["enthalpy"] - trace["chain.enthalpy"]).abs().max())

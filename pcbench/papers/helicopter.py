@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jax import Array
 from jax.tree_util import Partial
 
 from pcbench import api, planning
@@ -218,7 +219,7 @@ def _recorded(p: Plan) -> trajectory.Recording:
     return jax.tree.map(np.asarray, out)
 
 
-def _literal(params: Any, read: Any, u: Any, x: Any) -> Any:
+def _literal(params: helicopter.Params, read: Array, u: Array, x: Array) -> tuple[Array, Array]:
     """The parts of the plant with the misprints that `read` says."""
     a, phi = helicopter.parts(params, u, x)
     M = helicopter.inertia(params, x[0])
@@ -227,7 +228,7 @@ def _literal(params: Any, read: Any, u: Any, x: Any) -> Any:
     return a, phi.at[0].add((1 - read[1]) * cross)
 
 
-def _jump(gains: Any, memory: Any, now: Now, arrival: Arrival) -> Any:
+def _jump(gains: high_gain.Gains, memory: high_gain.Memory, now: Now, arrival: Arrival) -> high_gain.Memory:
     """The observer's jump with the signs of the innovation that its parts carry."""
     read = gains.parts.args[1]
     snapshot = arrival.snapshot[:2] + (1 - read[3]) * arrival.snapshot[2:]
@@ -235,7 +236,7 @@ def _jump(gains: Any, memory: Any, now: Now, arrival: Arrival) -> Any:
     return jumped._replace(c=jnp.where(arrival.mask, read[2] * jumped.c, jumped.c))
 
 
-def _note(gains: Any, memory: Any, now: Now) -> Any:
+def _note(gains: high_gain.Gains, memory: high_gain.Memory, now: Now) -> Array:
     """C z - al, and al."""
     return jnp.concatenate([high_gain.snapshot(gains, memory, now), memory.al])
 

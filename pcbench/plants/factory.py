@@ -32,7 +32,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, raised, shown, unknown
 from pcbench.plants import nonlinear
 from pcbench.plants.nonlinear import Equations, PlantFunction
-from pcbench.protocols import Now, Plant
+from pcbench.protocols import Now, Params, Plant
 from pcbench.runtime import config
 from pcbench.signal_names import names_and_units, unit
 
@@ -48,21 +48,21 @@ class PlantSpec(NamedTuple):
     signals: tuple[tuple[str, str], ...]  # (state, unit); empty: the scenario's
     numbers: Any  # default parameters, a NamedTuple
     nominal: Callable[[Any], Model]  # the linear model that observers know
-    prepare: Callable[[Any, float, int], Any]  # (numbers, dt [s], ticks) -> params
+    prepare: Callable[[Any, float, int], Params]  # (numbers, dt [s], ticks) -> params
     summary: str
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
     heavy: bool = False  # a tick costs so much that fewer lanes a call are as fast
-    model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
-    successor: Callable[..., Any] | None = None  # likewise -> x one tick later, of a plant that is given by its step
-    sensor: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
-    parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
-    inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
+    model: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
+    successor: Callable[..., Array] | None = None  # likewise -> x one tick later, of a plant that is given by its step
+    sensor: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
+    parts: Callable[..., tuple[Array, Array]] | None = None  # (params, u, x) -> a, phi of a p + phi, parameters p
+    inverse: Callable[..., Array] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
     drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
     # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
-    residual: Callable[[Any], Any] | None = None
+    residual: Callable[[Any], np.ndarray] | None = None
     operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
     tick: float | None = None  # s, of a plant given by its step; None: any
 
@@ -169,7 +169,7 @@ def _point(given: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return x0, u0
 
 
-def _given(field: Any, step: Any, tick: Any) -> str:
+def _given(field: Function | None, step: Function | None, tick: float | None) -> str:
     there = [name for name, each in (("field", field), ("step", step), ("tick", tick)) if each is not None]
     return " and ".join(there) or "neither field nor step"
 
@@ -189,7 +189,7 @@ def _numbers(numbers: Any, pushed: Mapping[str, Range], sought: Mapping[str, Ran
         raise UserError(
             f"{WHERE}: got '{min(twice)}' as an unknown input and an unknown parameter, expected one of them."
         )
-    kept: dict[str, Any] = {}
+    kept: dict[str, object] = {}
     for name, value in zip(names, numbers, strict=True):
         try:
             array = np.asarray(value, float)

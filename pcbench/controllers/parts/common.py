@@ -5,14 +5,16 @@ What a control law's numbers are made from.
 Whether the numbers of a law's options fit a plant: one sentence where they do not.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.controllers.parts.set_points import Number, Positive, SetPoints
-from pcbench.dynamics.linear import Model, one_tick
+from pcbench.dynamics.linear import Matrix, Model, one_tick
 from pcbench.errors import UserError, shown, unknown
 from pcbench.protocols import Delay
 
@@ -48,11 +50,15 @@ class ControllerContext(NamedTuple):
     late: int  # [ticks] mean delay from command to plant
     states: tuple[str, ...]  # [n] names
     delay: Delay  # from command to plant, of the time
-    field: Any = None  # (now, x[n], unknowns) -> dx/dt, where observers are told a nonlinear model
-    inverse: Any = None  # (unknowns, path, rates, accelerations) -> u[m], where the plant has one
+    field: Callable[..., Array] | None = (
+        None  # (now, x[n], unknowns) -> dx/dt, where observers are told a nonlinear model
+    )
+    inverse: Callable[..., Array] | None = (
+        None  # (unknowns, path, rates, accelerations) -> u[m], where the plant has one
+    )
 
     @property
-    def tick(self) -> Any:
+    def tick(self) -> tuple[Matrix, Matrix]:
         """Return Phi [n, n] and Gamma [n, m] of one tick."""
         return one_tick(self.model, self.dt)
 
