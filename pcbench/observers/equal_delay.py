@@ -45,7 +45,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
         rate = chain.radius(Ad - K @ plant.C) ** (1 / d)
-        gains = assumed_age.corrected_here(setting, Ad, K, d)
+        gains = assumed_age.gains_of(setting, Ad, K, (d,) * len(plant.tau), back=d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
         rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))
@@ -54,7 +54,7 @@ def design(setting: DesignContext, options: Options) -> Design:
                 f"{where}: got a believed delay of {d} samples for {len(A)} states, expected at most "
                 f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
-        gains = assumed_age.corrected_next(setting, A, K, (d,) * len(plant.tau))
+        gains = assumed_age.gains_of(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
     if set(plant.tau) == {d}:  # otherwise the delays as they are disturb it, and no rate is promised

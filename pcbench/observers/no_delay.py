@@ -51,4 +51,4 @@ def design(setting: DesignContext, options: Options) -> Design:
     else:
         found = f"{delayed:.4g}, not below 1" if np.isfinite(delayed) else "not computed"
         proof = no_certificate(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
-    return Design(assumed_age.corrected_next(setting, plant.A, K, ages), proof)
+    return Design(assumed_age.gains_of(setting, plant.A, K, ages), proof)

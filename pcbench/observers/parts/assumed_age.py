@@ -89,29 +89,19 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
-def corrected_next(setting: DesignContext, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
-    """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
-    return Gains(
-        model=sample_rate.model_of(setting),
-        step=A,
-        every=np.asarray(1),
-        ages=np.array(ages),
-        here=np.zeros_like(K),
-        next=K,
-        first=np.asarray(0),
-        room=np.zeros(max(setting.reach, *ages, 1)),
-    )
+def gains_of(setting: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, ...], back: int | None = None) -> Gains:
+    """Return the gains of xhat(k+1) = step xhat(k) + B u(k) + K e(k).
 
-
-def corrected_here(setting: DesignContext, step: Matrix, K: Matrix, d: int) -> Gains:
-    """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
+    With `back` those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
+    """
+    none = np.zeros_like(K)
     return Gains(
         model=sample_rate.model_of(setting),
         step=step,
-        every=np.asarray(d),
-        ages=np.full(K.shape[1], d),
-        here=K,
-        next=np.zeros_like(K),
-        first=np.asarray(d),
-        room=np.zeros(max(setting.reach, d)),
+        every=np.asarray(back or 1),
+        ages=np.array(ages),
+        here=K if back else none,
+        next=none if back else K,
+        first=np.asarray(back or 0),
+        room=np.zeros(max(setting.reach, *ages, 1)),
     )
