@@ -127,10 +127,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance that is assumed of the error now: P at its base, carried on."""
 
-    def present(memory: Memory) -> Array:
-        return spread(gains, carried(*joint(gains), now, memory.z, memory.P, memory.at, now.tick)[1])
+    def present(z: Array, P: Array, at: Array) -> Array:
+        return spread(gains, carried(*joint(gains), now, z, P, at, now.tick)[1])
 
-    return vmap_as_unit(present)(memory)
+    return vmap_as_unit(present)(memory.z, memory.P, memory.at)
 
 
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance)
