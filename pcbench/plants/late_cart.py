@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.plants import cart
-from pcbench.plants.cart import SIGNALS, output
+from pcbench.plants.cart import SIGNALS
 from pcbench.protocols import Leaf, Now, Plant
 
 __all__ = ["PLANT", "SIGNALS", "UNKNOWNS", "Numbers", "nominal", "prepare"]
@@ -49,6 +49,11 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
 def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Advance x by one tick under the held now.u."""
     return params.Phi @ x + params.Gamma @ now.u
+
+
+def output(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:
+    """Return the measured position [m]."""
+    return x[:1]
 
 
 def unknown(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:
