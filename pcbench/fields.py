@@ -96,8 +96,8 @@ FIELDS = (
     Field(
         "actuator_delay",
         "s",
-        "from command to plant, in a closed loop, the mean where it varies with time; null: that of the samples, "
-        "or no loop",
+        "from command to plant, the mean where it varies with time; null: in a closed loop that of the samples, "
+        "in an open one none",
         ticks=True,
         always=True,
     ),

@@ -30,6 +30,7 @@ from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells_of
+from pcbench.study.times import whole
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
 
@@ -219,7 +220,9 @@ def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
 
 
 def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:
-    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
+    """The input of an open loop as it is applied, [N+1, m]: 0 until the actuator's delay has passed.
+
+    Where a controller gives it, one row of NaN: nothing may read it.
 
     Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
     """
@@ -234,7 +237,8 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
             f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
-    return u
+    late = min(whole(s.loop.actuator_delay or 0.0, s), n + 1)
+    return np.concatenate([np.zeros((late, m)), u[: n + 1 - late]])
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:

@@ -53,13 +53,8 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
 
 
 def _of_loop(s: Scenario) -> Iterator[str]:
-    """Say which delays a closed loop cannot have, and which drift or actuator delay has no effect."""
+    """Say which delays a closed loop cannot have, and which drift has no effect."""
     measured, actuator_delay = s.sampling, s.loop.actuator_delay
-    if not s.loop.controller and actuator_delay is not None:
-        yield (
-            f"got actuator_delay = {actuator_delay:g} s in {s.name}, where no controller gives commands, expected a closed "
-            "loop such as helicopter/constant; leave it out."
-        )
     # of a loop for any plant the sampler is any: its commands have a delay of their own
     if s.loop.controller and measured.prefilled:
         if measured.delay_sequence:

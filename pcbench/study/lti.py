@@ -74,10 +74,8 @@ def covariance(given: Any, many: int, where: str) -> NDArray[np.float64]:
     return Q
 
 
-# `plant` says what drifts, a [controller] when commands come and what is wrong with them
-@takes_axes(
-    required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", "actuator_delay", *axes.COMMANDS)
-)
+# `plant` says what drifts, a [controller] what is wrong with commands
+@takes_axes(required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", *axes.COMMANDS))
 class Lti(LtiTable):
     """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
 
