@@ -153,7 +153,7 @@ def filled(grid: Grid, execute: executors.Executor) -> Turn:
     with tempfile.TemporaryDirectory() as out:
         target = storage.target(out)
         owned = manifest.claim(target, grid)
-        cost = run_missing.fill(
+        cost = run_missing.run_blocks(
             target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(LANES), planned
         )
         took = perf_counter() - began[0], of_workers() - began[1]

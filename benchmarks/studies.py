@@ -102,7 +102,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
         target, began = storage.target(out), []
         owned = manifest.claim(target, parse.grid_of(study, {}, []))
         planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
-        cost = run_missing.fill(
+        cost = run_missing.run_blocks(
             target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(block), planned
         )
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])

@@ -84,7 +84,7 @@ def _tables(
     study: str,
     cells: list[CellBlocks],
     described: dict[str, statistics.Described],
-    compared: dict[statistics.Pair, statistics.Judged],
+    compared: dict[statistics.Pair, statistics.PairResult],
 ) -> tuple[pa.Table, pa.Table]:
     cell = cells[0].cell
     about = {"plant": cell.scenario.plant, "method": "runs", "reason": None, "p_holm": np.nan}

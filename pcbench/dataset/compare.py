@@ -27,7 +27,7 @@ from pcbench.dataset.seed_ranges import Seeds, common, joined
 from pcbench.dataset.table_diff import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
-from pcbench.statistics.estimates import Values
+from pcbench.statistics.confidence_intervals import Values
 from pcbench.study import Study
 from pcbench.study.grid import identity, rooted
 from pcbench.study.serialize import to_toml

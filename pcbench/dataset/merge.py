@@ -100,7 +100,7 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
             progress.step(1)
     for name, (first, *_) in exact.items():
         storage.put_table(into, name, _exact_rows(first, whole))
-    there, lacking = block_files.present(into), run_missing.lacking(into, whole)
+    there, lacking = block_files.present(into), run_missing.count_missing(into, whole)
     if not lacking:  # every observer has the same seeds
         engines = sorted({str(owned.study.engine) for owned in holdings})
         close.close(into, whole, there, {"merged": [target.name for target in targets], "engines": engines})

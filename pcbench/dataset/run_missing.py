@@ -1,4 +1,4 @@
-"""From a study to its blocks: what is missing, and only that, is planned, cut into tasks and done.
+"""Start a study, or resume one that was stopped: what is missing, and only that, is planned, cut into tasks and done.
 
 Gains are designed and checked before anything is written; cells are laid out as their tasks are drawn, while others compute, so
 that memory hardly grows with a study's axes.
@@ -61,7 +61,7 @@ def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = Mappi
     return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
 
 
-def whole(target: storage.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
+def valid_blocks(target: storage.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
     observers = {(cell.scenario.name, observer) for cell in owned.cells for observer in cell.options}
     digests, there = manifest.digests(owned), block_files.present(target)
@@ -95,7 +95,7 @@ def whole(target: storage.Target, owned: Owned, say: Callable[[str], None]) -> l
     return kept
 
 
-def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
+def missing_seeds(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
     """Return the ranges of seeds that no block holds."""
     have = block_files.series(there)
     out: Gaps = {}
@@ -106,11 +106,11 @@ def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[C
     return out
 
 
-def lacking(target: storage.Target, owned: Owned) -> int:
+def count_missing(target: storage.Target, owned: Owned) -> int:
     """Return how many runs of a study have no block."""
     there = block_files.present(target)
     return runs_in(
-        missing(moments_tables.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
+        missing_seeds(moments_tables.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
     )
 
 
@@ -149,7 +149,7 @@ class Planned(NamedTuple):
         for expensive in sorted(
             {cells[key].entry(label).expensive for key, mine in self.todo.items() for label in mine}
         ):
-            yield from interleaved(self._tasks(wanted, expensive, begun))
+            yield from interleave(self._tasks(wanted, expensive, begun))
 
     def _tasks(self, wanted: SeedsOf, expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
         """Yield the tasks of observers that are expensive, or are not; of a program that is not `begun`, one that times it."""
@@ -170,7 +170,7 @@ class Planned(NamedTuple):
                 yield each
 
 
-def interleaved(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
+def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
     """Yield tasks with the one that makes a program before the others of the program before it; these wait, at most `ahead`.
 
     So two programs are compiled side by side, although all tasks of one wait for it.
@@ -195,7 +195,7 @@ def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
     return first._replace(room=room, kept=keep.whole(), cells=keep.cells)
 
 
-def fill(
+def run_blocks(
     target: storage.Target,
     owned: Owned,
     there: list[Block],
@@ -211,7 +211,7 @@ def fill(
     `say` gets a sentence for each program whose calls take long. `close` is told which blocks there will be and what cells lack
     of them, and returns who hears of runs that are there.
     """
-    todo = missing(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
+    todo = missing_seeds(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
     if not todo:
         storage.clear(target)  # of one that was killed while it closed the tables, too
         manifest.renew(target, owned)

@@ -68,7 +68,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         run_tasks = stack.enter_context(
             executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         )
-        there = [] if owned.overwrite else run_missing.whole(target, owned, say)
+        there = [] if owned.overwrite else run_missing.valid_blocks(target, owned, say)
         cost, exact_start = Cost(), perf_counter()
         if grid.study.evaluation != "runs" and moments_tables.make(target, owned, say, progress):
             owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
@@ -82,10 +82,12 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
 
         meanwhile = None if goal else close_meanwhile  # more seeds would make its tables anew
         wanted = run_missing.everything(left, there, how.more)
-        cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, progress, meanwhile, say))
+        cost = added(
+            cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, meanwhile, say)
+        )
         for wanted in adaptive_seeds.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, run_missing.fill(target, left, there, run_tasks, wanted, sizes, progress, say=say))
+            cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say=say))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not close.is_closed(target, there):
             progress.note("statistics")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.dataset import columns
 from pcbench.dataset.columns import Columns, words
-from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, Described, Judged, Pair, Results
+from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, Described, Pair, PairResult, Results
 
 Head = dict[str, object]  # what the rows of a cell have in common, by column
 Facts = list[dict[str, dict[str, bool | None]]]  # [C] what is so of each observer, by column
@@ -34,7 +34,7 @@ def stats_table(heads: list[Head], facts: Facts, signals: Signals, described: Ma
     return _table(heads, cells, out | numbers, columns.stats_order(columns.axes_of(heads[0])))
 
 
-def pairs_table(heads: list[Head], facts: Facts, signals: Signals, compared: Mapping[Pair, Judged]) -> pa.Table:
+def pairs_table(heads: list[Head], facts: Facts, signals: Signals, compared: Mapping[Pair, PairResult]) -> pa.Table:
     """Return the rows of pairs: by cell, by pair of observers, by signal, every metric that is compared."""
     each, names = list(compared.values()), [name for j in compared.values() for name in j.names]
     cells, row = np.divmod(np.arange(len(heads) * len(names)), max(len(names), 1))

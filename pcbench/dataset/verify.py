@@ -73,7 +73,7 @@ def status(out: str | Path) -> Status:
     kept = block_files.settled(there)
     wanted = run_missing.everything(owned, there)
     left = moments_tables.simulated(target, owned)
-    todo = run_missing.missing(left, kept, wanted, lambda cell: 2**40)
+    todo = run_missing.missing_seeds(left, kept, wanted, lambda cell: 2**40)
     shares = []
     for scenario in owned.study.scenarios:
         mine = [c for c in left.cells if c.scenario.name == scenario]

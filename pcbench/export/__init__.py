@@ -1,1 +1,6 @@
-"""What a study chose, for a program of one's own: an observer as C, with its gains, and a run to test it by."""
+"""An observer as C, with its gains, and a run to test it by.
+
+- `files`: what is written (`pcbench.export`); `c_files`: header and source; `numbers`: gains as JSON and MAT
+- `observer_to_c`: an observer's functions; `jaxpr_to_c`: a traced function; `terms`, `arithmetic`, `places`: its expressions
+- `replay`, `recording`, `structs`: the run that the C is tested by
+"""

@@ -15,9 +15,9 @@ import pandas as pd
 
 from pcbench.dataset import storage
 from pcbench.errors import UserError
-from pcbench.export import functions, library, numbers, recording, structs
+from pcbench.export import c_files, numbers, observer_to_c, recording, structs
 from pcbench.export import replay as replaying
-from pcbench.export.library import About
+from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import signals_of
@@ -108,18 +108,18 @@ def _exported(
     o = dict(p.layout.observers)[name]
     gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
     m, q, zero = known.model.B.shape[1], len(known.noise_std), jnp.asarray(0)
-    now = functions.present(
+    now = observer_to_c.present(
         jnp.asarray(0.0), zero, jnp.asarray(known.dt), jnp.zeros(m), jnp.zeros((1, m)), decided=False
     )
     noted = jax.eval_shape(lambda: o.snapshot(gains, o.init(gains, xhat0), now)).shape[0]
-    s = functions.source(library.identifier(label), o, gains, xhat0, functions.Shapes(m, q, noted, rows))
+    s = observer_to_c.source(c_files.identifier(label), o, gains, xhat0, observer_to_c.Shapes(m, q, noted, rows))
     oldest = known.ticks  # the age in ticks up to which a measurement that no newer one overtook is used
     if s.jump_looks_back == "in a loop":  # to the measurement before it, and on, if they come as they are expected
         oldest = min(known.latest, rows)
     elif s.jump_looks_back == "once":
         oldest = min(rows, known.ticks)
     about = About(
-        label=library.identifier(label),
+        label=c_files.identifier(label),
         observer=label,
         scenario=cell.scenario.name,
         dt=cell.scenario.dt,
@@ -132,9 +132,9 @@ def _exported(
     )
     found = numbers.described(about, known, p.certificates[label], cell.options[label].model_dump(), gains)
     files: dict[str, str | bytes] = {
-        f"{about.label}.h": library.header(about, s),
-        f"{about.label}.c": library.code(about, s),
-        f"{about.label}_gains.h": library.gains(about, s, gains),
+        f"{about.label}.h": c_files.header(about, s),
+        f"{about.label}.c": c_files.code(about, s),
+        f"{about.label}_gains.h": c_files.gains(about, s, gains),
         "vector.h": replaying.header(about, run, noted, p.layout.ring),
         "main.c": replaying.main(about, s, noted),
         "gains.json": numbers.as_json(found),

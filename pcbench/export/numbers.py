@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 
 from pcbench.dynamics import linear
-from pcbench.export import functions, structs
-from pcbench.export.library import About
+from pcbench.export import observer_to_c, structs
+from pcbench.export.c_files import About
 from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
@@ -18,7 +18,7 @@ def described(
     """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
     Phi, Gamma = linear.one_tick(known.model, known.dt)
     model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
-    named = zip(structs.fields(gains, "gain"), functions.numbers(gains), strict=True)
+    named = zip(structs.fields(gains, "gain"), observer_to_c.numbers(gains), strict=True)
     return {
         "observer": about.observer,
         "scenario": about.scenario,

@@ -1,8 +1,8 @@
 """The test vector as C, and the program that replays it: it prints what differs from the simulation, signal by signal."""
 
-from pcbench.export import library
-from pcbench.export.functions import Source
-from pcbench.export.library import About, plain
+from pcbench.export import c_files
+from pcbench.export.c_files import About, plain
+from pcbench.export.observer_to_c import Source
 from pcbench.export.structs import Vector
 from pcbench.export.terms import known, written
 
@@ -134,7 +134,7 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         "NOTED": max(noted, 1), "RING": max(ring, 1),
     }  # fmt: skip
     lines = [
-        f"/* A run of {library.comment(about.scenario)} with {library.comment(about.observer)}. */",
+        f"/* A run of {c_files.comment(about.scenario)} with {c_files.comment(about.observer)}. */",
         "#include <stdbool.h>",
         "#include <stdint.h>",
         "",

@@ -30,8 +30,8 @@ from pcbench.limits.search import Look, Question, axis_of, notes, question, scal
 from pcbench.planning import all_observers
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.statistics import limit_search
-from pcbench.statistics.limit_search import NULL, REFUSED, Point
+from pcbench.statistics import limit_verdicts
+from pcbench.statistics.limit_verdicts import NULL, REFUSED, Point
 from pcbench.study import fits, grid, observers_of
 from pcbench.study.grid import Cell, Grid
 from pcbench.study.load import Described, raw_of, where_of
@@ -62,7 +62,7 @@ def find_limit(
 ) -> pd.DataFrame:
     """Return for each observer the largest value of `axis` at which `metric` surely stays below a limit.
 
-    A row an observer; columns: `pcbench.statistics.limit_search.table`. `study` is of one scenario, every other axis with one
+    A row an observer; columns: `pcbench.statistics.limit_verdicts.table`. `study` is of one scenario, every other axis with one
     value; `axis` is any axis of numbers, such as "sampling_period", "plant.lam", or "delay[0]", the first channel's alone.
     `threshold` is in the metric's unit. The axis is searched `between` two values (default: the ends of the study's own, or
     what the scenario suggests) to the precision `tol`, in its unit (default: a twentieth of the value, at least a tick).
@@ -106,8 +106,8 @@ def find_limit(
         scale = scale._replace(also=(*scale.also, *earlier))
         look = looking(q, folder, How(overwrite=overwrite, progress=progress, say=say))
         found = search(look, scale, threshold, most)
-    answers = {o: limit_search.answer(found[o]) for o in observers_of(q.study, q.scenario.name)}
-    table = limit_search.table(answers, q.axis.called)
+    answers = {o: limit_verdicts.answer(found[o]) for o in observers_of(q.study, q.scenario.name)}
+    table = limit_verdicts.table(answers, q.axis.called)
     table.attrs |= {
         "study": q.study.name,
         "scenario": q.scenario.name,
@@ -283,4 +283,4 @@ def points(q: Question, values: list[float], why: Refusals, result: Result) -> d
     besides += [
         (o, Point(v, NULL)) for o in able for v in values if (o, v) not in answered
     ]  # it does not estimate that
-    return limit_search.points(rows, axis.called, q.threshold, besides)
+    return limit_verdicts.points(rows, axis.called, q.threshold, besides)

@@ -27,7 +27,7 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.plants import numbers_of, parameters_in, settles_alone, signals_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.statistics import OF_RUN
-from pcbench.statistics.limit_search import UNDECIDED, Point, answer
+from pcbench.statistics.limit_verdicts import UNDECIDED, Point, answer
 from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.study import Study, axes, scenarios_of
 from pcbench.study.times import chain

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.simulation.innovation_stats import KNOWN, RANK
+from pcbench.statistics.confidence_intervals import Values
 from pcbench.statistics.consistency import SIGMAS
-from pcbench.statistics.estimates import Values
 
 
 class Believed(NamedTuple):

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from pcbench.moments import nees
 from pcbench.moments.solve import CellMoments
+from pcbench.statistics.confidence_intervals import Estimate, Values, moments, positive, reached, root, student
 from pcbench.statistics.consistency import INSIDE
 from pcbench.statistics.distributions import normal_quantile
-from pcbench.statistics.estimates import Estimate, Values, moments, positive, reached, root, student
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
 
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}

@@ -6,7 +6,8 @@ form, one channel after the other), then predict to now exactly as PCCEBO does:
     P-_m = E P_(m-1) E' + Q,   K = P- c (c'P- c + r)^-1,   P_m = (I - K c') P- (I - K c')' + K r K'
     xhat(t) = e^{A (t - t_m)} xhat_m + I(t_m, t)
 
-R is the variance of one sample (outputs whose noise is correlated are made independent first), the prior is N(xhat(0), P0).
+The gain K is computed at every sample (`parts/linear_filter.update`). R is the variance of one sample (outputs whose noise is
+correlated are made independent first), the prior is N(xhat(0), P0).
 With what is true of R and Q, and x(0) drawn from the prior, P is the Bayesian bound of every causal estimator, and this filter
 attains it. Where a scenario has no measurement noise, R = 1e-12.
 With `bias_variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).

@@ -13,8 +13,8 @@ import pandas as pd
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.layout import number as exact
 from pcbench.plots.time_series import BANDS, over
-from pcbench.statistics import limit_search
-from pcbench.statistics.limit_search import Answer
+from pcbench.statistics import limit_verdicts
+from pcbench.statistics.limit_verdicts import Answer
 from pcbench.statistics.ranking import most_often
 
 WINNERS = (
@@ -152,8 +152,8 @@ def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> s
     limit = TIMES * least if threshold is None else threshold
     if not limit > 0:
         return ""
-    found = limit_search.points(part, axis, limit)
-    each = "; ".join(f"{observer} {_words(limit_search.answer(points))}" for observer, points in found.items())
+    found = limit_verdicts.points(part, axis, limit)
+    each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in found.items())
     which = f"{number(limit)} {unit}".strip() + (", twice the least" if threshold is None else "")
     return f"Surely below {which}: {each}."
 

@@ -35,9 +35,7 @@ class Loop(NamedTuple):
     input: Sources = ""  # of an open loop: name in `signals`, or one for each with commas; or as data
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, Any] = NOTHING  # the controller's options
-    actuator_delay: float | None = (
-        None  # s, from command to plant; None: that of samples in a loop, else 0
-    )
+    actuator_delay: float | None = None  # s, from command to plant; None: that of samples in a loop, else 0
     command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
     command_loss: float = 0.0  # probability that a command never comes: the last one is held
     command_std: float = 0.0  # of the noise of one command

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.statistics import consistency, quantile_intervals
-from pcbench.statistics.estimates import (
+from pcbench.statistics.confidence_intervals import (
     Estimate,
     Moments,
     Values,
@@ -97,7 +97,7 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
     asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
     sought = {label: quantile_intervals.seek(seen[label].order, asked[label]) for label in where}
-    open_ = [label for label in where if not quantile_intervals.settled(seen[label].order)]
+    open_ = [label for label in where if not quantile_intervals.is_complete(seen[label].order)]
     parts: dict[str, list[list[Values]]] = {label: [] for label in where}
     for chunk in chunks() if open_ else ():
         for label in open_:

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics.estimates import Estimate, Moments, Values, merge, moments, student
+from pcbench.statistics.confidence_intervals import Estimate, Moments, Values, merge, moments, student
 from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, kept
 
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 
 
-class Contest(NamedTuple):
+class PairStats(NamedTuple):
     """What is kept of two observers' values [K, n] on the same draws; counts [K] are over runs in which neither diverged."""
 
     difference: Moments  # of a - b, over runs in which neither diverged
@@ -31,7 +31,7 @@ class Contest(NamedTuple):
     neither: int  # runs in which both diverged
 
 
-def contest(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> Contest:
+def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> PairStats:
     """Compare values [K, n] of two observers; those that differ by no more than floor [K] are a tie: rounding of zero."""
     both = ~(bad_a | bad_b)
     a, b = kept(a, both), kept(b, both)
@@ -42,23 +42,23 @@ def contest(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bo
     ties = (np.abs(apart) <= room).sum(-1)
     wins = (apart < -room).sum(-1)
     only = int((bad_a & ~bad_b).sum()), int((bad_b & ~bad_a).sum())
-    return Contest(moments(apart), wins, ties, only, int((bad_a & bad_b).sum()))
+    return PairStats(moments(apart), wins, ties, only, int((bad_a & bad_b).sum()))
 
 
-def join(a: Contest, b: Contest) -> Contest:
+def merge_pairs(a: PairStats, b: PairStats) -> PairStats:
     """Return two parts of a contest together."""
     only = a.only[0] + b.only[0], a.only[1] + b.only[1]
-    return Contest(merge(a.difference, b.difference), a.wins + b.wins, a.ties + b.ties, only, a.neither + b.neither)
+    return PairStats(merge(a.difference, b.difference), a.wins + b.wins, a.ties + b.ties, only, a.neither + b.neither)
 
 
-def beside(parts: list[Contest]) -> Contest:
+def stack_metrics(parts: list[PairStats]) -> PairStats:
     """Return contests of the same runs over more metrics, one after the other."""
     wins, ties = (np.concatenate([getattr(c, name) for c in parts]) for name in ("wins", "ties"))
     n, *each = zip(*(c.difference for c in parts), strict=True)
     return parts[0]._replace(difference=Moments(n[0], *map(np.concatenate, each)), wins=wins, ties=ties)
 
 
-def judged(c: Contest) -> tuple[Estimate, Values, Values]:
+def paired_t_test(c: PairStats) -> tuple[Estimate, Values, Values]:
     """Return the mean differences, the fractions of runs in which a is better, and the p-values, each [K].
 
     Of all runs: a diverged run loses against one that did not, and a tie, or both diverged, counts half.
@@ -91,14 +91,14 @@ VERDICT = ("mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value")
 Pair = tuple[str, str]  # labels of two observers
 
 
-class Meeting(NamedTuple):
+class PairedRuns(NamedTuple):
     """What is kept of two observers in C cells: their contest over the metrics [K] of the signals that both estimate."""
 
     names: list[SignalMetric]
-    contest: Contest  # [C K]
+    contest: PairStats  # [C K]
 
 
-class Judged(NamedTuple):
+class PairResult(NamedTuple):
     """The rows of two observers in C cells, one a metric [K]."""
 
     names: list[SignalMetric]
@@ -106,7 +106,9 @@ class Judged(NamedTuple):
     values: Values  # [C, K, VERDICT]
 
 
-def meet(before: dict[Pair, Meeting], stacks: dict[str, Stack], sizes: tuple[float, ...]) -> dict[Pair, Meeting]:
+def add_pairs(
+    before: dict[Pair, PairedRuns], stacks: dict[str, Stack], sizes: tuple[float, ...]
+) -> dict[Pair, PairedRuns]:
     """Return what is kept after one more chunk of a cell's runs; `sizes` are the signals' typical sizes."""
     out = {}
     for pair in itertools.combinations(stacks, 2):
@@ -117,18 +119,18 @@ def meet(before: dict[Pair, Meeting], stacks: dict[str, Stack], sizes: tuple[flo
         floor = np.tile(floor, len(in_a) // max(len(names), 1))
         size = max(1, BLOCK // len(a.diverged))
         blocks = [slice(k, k + size) for k in range(0, len(in_a), size)]
-        found = beside(
-            [contest(a.values[in_a[k]], b.values[in_b[k]], a.diverged, b.diverged, floor[k]) for k in blocks]
+        found = stack_metrics(
+            [pair_stats(a.values[in_a[k]], b.values[in_b[k]], a.diverged, b.diverged, floor[k]) for k in blocks]
         )
-        out[pair] = Meeting(names, join(before[pair].contest, found) if pair in before else found)
+        out[pair] = PairedRuns(names, merge_pairs(before[pair].contest, found) if pair in before else found)
     return out
 
 
-def settled(met: dict[Pair, Meeting]) -> dict[Pair, Judged]:
+def pair_results(met: dict[Pair, PairedRuns]) -> dict[Pair, PairResult]:
     """Return the rows of every pair of observers as columns, of all cells."""
     out = {}
     for pair, m in met.items():
-        d, better, p = judged(m.contest)
+        d, better, p = paired_t_test(m.contest)
         table = np.stack([*d[1:], better, p], 1)
-        out[pair] = Judged(m.names, d.n, table.reshape(-1, len(m.names), len(VERDICT)))
+        out[pair] = PairResult(m.names, d.n, table.reshape(-1, len(m.names), len(VERDICT)))
     return out

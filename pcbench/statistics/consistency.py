@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.statistics.confidence_intervals import Estimate, Values
 from pcbench.statistics.distributions import chi_square_exceeded
-from pcbench.statistics.estimates import Estimate, Values
 
 SIGMAS = (1, 2, 3)
 INSIDE = tuple(f"coverage_{k}_sigma" for k in SIGMAS)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics.estimates import Values
+from pcbench.statistics.confidence_intervals import Values
 
 RUN_METRICS = (
     *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),

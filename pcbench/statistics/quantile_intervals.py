@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics.estimates import Values
+from pcbench.statistics.confidence_intervals import Values
 
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 COLUMNS = tuple(name + end for name in QUANTILES for end in ("", "_low", "_high"))
@@ -139,7 +139,7 @@ def add(order: Order, values: Values) -> Order:
     return Order(n, (), splitters, *_count(splitters, whole))
 
 
-def settled(order: Order) -> bool:
+def is_complete(order: Order) -> bool:
     """Return whether every value is held: there is no need of a second pass."""
     return order.splitters is None
 

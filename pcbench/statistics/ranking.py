@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.statistics.aggregate import columns
-from pcbench.statistics.estimates import wilson
+from pcbench.statistics.confidence_intervals import wilson
 
 ALPHA = 0.05
 Row = dict[str, Any]  # of stats or pairs, by column

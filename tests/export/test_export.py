@@ -15,7 +15,7 @@ from scipy.io import loadmat
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.export import files, library, program
+from pcbench.export import c_files, files, jaxpr_to_c
 from pcbench.export.terms import Writer, stored
 from pcbench.observers import OBSERVERS
 
@@ -129,11 +129,11 @@ def test_what_cannot_be_exported_says_what_stands_in_the_way(study, observer, wo
 )
 def test_a_text_in_a_comment_of_c_stays_in_it(text):
     """A scanner of C99, in the order of its phases: trigraphs, joined lines, then comments."""
-    lines = f"/* {library.comment(text)} */\n/* {library.comment(text)}\n   next */\nint end;"
+    lines = f"/* {c_files.comment(text)} */\n/* {c_files.comment(text)}\n   next */\nint end;"
     joined = re.sub(r"\\[ \t]*\n", "", lines.replace("??/", "\\"))
     assert re.sub(r"/\*.*?\*/", "", joined, flags=re.S).split() == ["int", "end;"]
-    assert "/*" not in library.comment(text)
-    assert "".join(library.comment(text).split("\n")).isprintable()
+    assert "/*" not in c_files.comment(text)
+    assert "".join(c_files.comment(text).split("\n")).isprintable()
 
 
 @jax.custom_vjp
@@ -147,7 +147,7 @@ _with_own_slope.defvjp(lambda x: (_with_own_slope(x), x), lambda x, g: (2 * x * 
 
 @pytest.mark.ci
 def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
-    monkeypatch.setitem(program.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
+    monkeypatch.setitem(jaxpr_to_c.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
     with pytest.raises(UserError, match=r"^kf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):
         files.exported("cart/white", "kf")
 
@@ -157,8 +157,8 @@ def _compiled(f, *given):
     w = Writer()
     args = [stored(f"x{i}", np.shape(a)) for i, a in enumerate(given)]
     closed = jax.make_jaxpr(f)(*given)
-    (out,) = program.write(w, closed, args)
-    program.assign(w, [("real", stored("out", out.shape), out)])
+    (out,) = jaxpr_to_c.write(w, closed, args)
+    jaxpr_to_c.assign(w, [("real", stored("out", out.shape), out)])
     return w, out.size
 
 
@@ -186,7 +186,7 @@ def test_a_program_of_jax_is_the_same_in_c(f, tmp_path):
         pytest.skip("there is no C compiler here: install one, for this to be tested")
     x = np.array([0.61, 0.37, 0.83, 0.29])
     w, size = _compiled(f, x)
-    from pcbench.export.library import PRELUDE
+    from pcbench.export.c_files import PRELUDE
 
     lines = "\n".join(w.lines)
     text = f"""#include <stdio.h>

@@ -16,7 +16,7 @@ from pcbench.limits import find_limit
 from pcbench.limits.search import axis_of, notes, question, scale_of
 from pcbench.planning import memo
 from pcbench.scenarios import SCENARIOS
-from pcbench.statistics.limit_search import EXCEEDS, SUFFICES, Point
+from pcbench.statistics.limit_verdicts import EXCEEDS, SUFFICES, Point
 from pcbench.study.load import raw_of
 from pcbench.study.parse import FROM_HERE, described
 

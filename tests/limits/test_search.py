@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcbench.limits.search import Scale, doubts, search
-from pcbench.statistics import limit_search
-from pcbench.statistics.limit_search import Point, answer
+from pcbench.statistics import limit_verdicts
+from pcbench.statistics.limit_verdicts import Point, answer
 
 LIMIT, SEEDS, MOST = 0.1, 64, 4096
 PERIODS = Scale(0.001, 2.0, tick=1e-3)
@@ -30,7 +30,7 @@ def runs(errors, spread=0.0, asked=None):
         mean, half = f(value), 2 * spread * f(value) / np.sqrt(n)
         lost = 1 if mean == inf else 0
         row = {"mean": nan if lost else mean, "ci_low": mean - half, "ci_high": mean + half, "n": n - lost}
-        return limit_search.point(row | {"diverged": lost, "metric": "rmse"}, value, LIMIT)
+        return limit_verdicts.point(row | {"diverged": lost, "metric": "rmse"}, value, LIMIT)
 
     return look
 
@@ -111,14 +111,14 @@ def test_a_failure_below_a_value_that_suffices_is_said():
     found = answer(search(runs({"a": error}), PERIODS, LIMIT, MOST)["a"])
     assert found.largest.value == 2.0
     assert 0.005 < found.fails_below.value < 0.2
-    assert "it is not monotone" in limit_search.sentence(found, "period")
+    assert "it is not monotone" in limit_verdicts.sentence(found, "period")
 
 
 def test_where_runs_diverge_it_does_not_suffice():
     found = answer(search(runs({"a": lambda v: 0.05 if v < 0.5 else inf}), PERIODS, LIMIT, MOST)["a"])
     assert found.largest.value < 0.5 <= found.exceeds.value
     assert found.exceeds.verdict == "diverges"
-    assert "diverges" in limit_search.sentence(found, "period")
+    assert "diverges" in limit_verdicts.sentence(found, "period")
 
 
 def test_a_metric_without_a_number_has_no_answer():
@@ -127,7 +127,7 @@ def test_a_metric_without_a_number_has_no_answer():
 
     found = answer(search(look, PERIODS, LIMIT, MOST)["a"])
     assert found.kind == "no number"
-    assert "no number" in limit_search.sentence(found, "period")
+    assert "no number" in limit_verdicts.sentence(found, "period")
 
 
 def test_a_value_that_an_observer_cannot_work_at_is_no_failure_and_no_success():
@@ -138,7 +138,7 @@ def test_a_value_that_an_observer_cannot_work_at_is_no_failure_and_no_success():
     found = answer(search(look, PERIODS, LIMIT, MOST)["a"])
     assert 0.85 < found.largest.value <= 0.9
     assert 1.2 <= found.exceeds.value < 1.26
-    assert "where no gains" in limit_search.sentence(found, "period")
+    assert "where no gains" in limit_verdicts.sentence(found, "period")
     every = answer([Point(v, "refused", why="no gains.") for v in (1.0, 2.0)])
     assert every.kind == "refused"
 
@@ -180,8 +180,8 @@ def test_two_neighbouring_ticks_are_as_close_as_can_be():
 
 
 def answers(rows, axis, limit):
-    found = limit_search.points(rows, axis, limit)
-    return limit_search.table({observer: answer(each) for observer, each in found.items()}, axis)
+    found = limit_verdicts.points(rows, axis, limit)
+    return limit_verdicts.table({observer: answer(each) for observer, each in found.items()}, axis)
 
 
 def test_the_answer_of_values_that_were_run_is_read_from_a_frame():

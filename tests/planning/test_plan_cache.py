@@ -30,7 +30,7 @@ def planned(study, place):
     """What is planned of a study, and how often a draft is made of its cells."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
     wanted = run_missing.everything(owned, [])
-    return run_missing.planned(owned, run_missing.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
+    return run_missing.planned(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted), wanted
 
 
 class Task(NamedTuple):
@@ -52,7 +52,7 @@ class Task(NamedTuple):
 )
 def test_a_program_is_begun_before_the_tasks_of_the_one_before_it(given, ahead, wanted):
     tasks = [Task(name, name.isupper()) for name in given.split()]
-    assert " ".join(t.name for t in run_missing.interleaved(tasks, ahead)) == wanted
+    assert " ".join(t.name for t in run_missing.interleave(tasks, ahead)) == wanted
 
 
 @pytest.mark.ci

@@ -75,6 +75,7 @@ def test_outliers_are_those_of_the_channel(given):
     assert (u[came] < chance).any()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("engine", ["steps", "definition"])
 def test_a_perfect_start_is_zero_whatever_becomes_of_each_channel(engine):
     network = {

@@ -27,6 +27,7 @@ def having(observers=("kf",), rho=RHO, **given):
     return STUDY | {"lti": lti, "observers": list(observers)}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("network", [{}, {"loss": 0.4}, {"delay_jitter": 0.4}], ids=["shared", "loss", "jitter"])
 def test_noise_is_the_root_of_the_correlation_times_independent_draws(network):
     odd = pcbench.simulate(having(**network), "model-only", seed=4)
@@ -40,6 +41,7 @@ def test_noise_is_the_root_of_the_correlation_times_independent_draws(network):
     assert all((np.abs(wanted - row).max(1) < 1e-10).any() for row in steps if np.abs(row).max() > 0)
 
 
+@pytest.mark.ci
 def test_a_filter_is_designed_for_the_covariance_and_beats_one_that_takes_channels_for_independent():
     R = np.outer(STD, STD) * np.array(RHO)
     diagonal = {"kf-independent": {"R": np.square(STD).tolist()}, "kf-full": {"R": R.tolist()}}
@@ -72,12 +74,14 @@ def test_the_bound_is_what_the_filter_of_the_covariance_reaches():
     np.testing.assert_allclose(np.square(bound), tail if np.shape(bound) == tail.shape else tail.mean(0), rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_exact_moments_refuse_it():
     exact = pcbench.exact_moments(having() | {"seeds": 64}).stats
     assert set(exact.method) == {"none"}
     assert all("correlated between channels" in reason for reason in exact.reason)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("engine", ["steps", "definition"])
 def test_engines_agree(engine):
     runs = pcbench.run(having(["kf", "ekf"], loss=0.2) | {"engine": engine, "seeds": 4}).runs.rmse

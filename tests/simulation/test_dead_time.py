@@ -30,6 +30,7 @@ def test_an_input_later_than_the_end_never_comes():
     np.testing.assert_array_equal(late[:60], 0)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("engine", ["steps", "definition"])
 def test_a_perfect_start_stays_perfect(engine):
     study = having(actuator_delay=0.7, noise_std=0.0, x0=[1.0, -0.5], xhat0=[1.0, -0.5], prior_std=1.0)
@@ -37,6 +38,7 @@ def test_a_perfect_start_stays_perfect(engine):
     assert runs.max_abs_error.max() < 1e-12
 
 
+@pytest.mark.ci
 def test_an_axis_of_dead_times_changes_the_plants_motion():
     runs = pcbench.run(
         having() | {"axes": {"actuator_delay": [0.0, 0.7]}, "observers": ["model-only"], "seeds": 2}

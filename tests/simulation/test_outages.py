@@ -58,6 +58,7 @@ def test_sensors_that_alternate_are_never_sampled_together():
     assert [(k, arrives) for _, k, arrives in second] == [(k, k + 3) for k in range(2, 61, 5)]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("network", [{}, RANDOM], ids=["shared", "random"])
 def test_runs_without_an_outage_keep_their_bits(network):
     apart = pcbench.run(having(**network) | {"axes": {"outage_duration": [0.0, 2.0]}}).runs
@@ -74,6 +75,7 @@ def test_an_error_grows_through_an_outage_as_the_plant_does():
     assert np.abs(error[48] - expm(A * 3.3) @ error[15]).max() > 1e-3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("network", [{}, RANDOM], ids=["shared", "random"])
 def test_a_perfect_start_stays_perfect_through_an_outage_in_both_engines(network):
     study = having(

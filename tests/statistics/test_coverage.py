@@ -12,8 +12,8 @@ from scipy import stats
 
 from pcbench import statistics
 from pcbench.statistics import quantile_intervals
-from pcbench.statistics.comparison import contest, judged
-from pcbench.statistics.estimates import moments, positive, root, student, wilson
+from pcbench.statistics.comparison import pair_stats, paired_t_test
+from pcbench.statistics.confidence_intervals import moments, positive, root, student, wilson
 
 REPEATS, BLOCK = 20_000, 2_000
 LEVELS = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
@@ -158,7 +158,7 @@ def p_values(draw, n, repeats=REPEATS, shift=0.0):
     rng, bad, out = np.random.default_rng([n, *draw.__name__.encode()]), np.arange(n) % 10 == 3, []
     for _ in range(repeats // BLOCK):
         a, b = draw(rng, (BLOCK, n))
-        out.append(judged(contest(a + shift, b, bad, bad & (np.arange(n) > n / 2), np.zeros(BLOCK)))[2])
+        out.append(paired_t_test(pair_stats(a + shift, b, bad, bad & (np.arange(n) > n / 2), np.zeros(BLOCK)))[2])
     return np.concatenate(out)
 
 
@@ -188,7 +188,9 @@ def test_holm_raises_a_false_alarm_in_at_most_5_percent_of_studies():
     shared = rng.standard_exponential(shape)
     x, y, z = (shared + rng.standard_exponential(shape) for _ in range(3))
     z += np.where(np.arange(studies * cells) % cells < 2, 0.6, 0.0)[:, None]
-    p = np.stack([judged(contest(a, b, none, none, np.zeros(len(a))))[2] for a, b in ((x, y), (x, z), (y, z))], 1)
+    p = np.stack(
+        [paired_t_test(pair_stats(a, b, none, none, np.zeros(len(a))))[2] for a, b in ((x, y), (x, z), (y, z))], 1
+    )
     p = p.reshape(studies, cells * 3)
     null = np.array([True, False, False] * 2 + [True, True, True] * 2)
     adjusted = np.stack([statistics.holm(each) for each in p])

@@ -314,7 +314,9 @@ def test_selection_is_exact_to_the_bit_whatever_the_parts(seed, n, kind, borders
             order = quantile_intervals.add(order, part)
         sought = quantile_intervals.seek(order, ranks)
         found = (
-            [] if quantile_intervals.settled(order) else [quantile_intervals.collect(sought, part) for part in parts]
+            []
+            if quantile_intervals.is_complete(order)
+            else [quantile_intervals.collect(sought, part) for part in parts]
         )
         got = quantile_intervals.select(order, sought, ranks, found)
     np.testing.assert_array_equal(got, np.sort(x)[:, ranks])

@@ -4,8 +4,8 @@ import numpy as np
 
 from pcbench import statistics
 from pcbench.statistics.aggregate import columns
-from pcbench.statistics.comparison import contest, judged
-from pcbench.statistics.estimates import moments, positive, reached, root, wilson
+from pcbench.statistics.comparison import pair_stats, paired_t_test
+from pcbench.statistics.confidence_intervals import moments, positive, reached, root, wilson
 from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
 
 
@@ -32,7 +32,7 @@ def fraction(happened):
 
 def compare(a, b, bad_a, bad_b, floor=0.0):
     """A metric of two observers on the same draws; bad_a and bad_b [n] diverged."""
-    d, better, p = judged(contest(a[None], b[None], bad_a, bad_b, np.array([floor])))
+    d, better, p = paired_t_test(pair_stats(a[None], b[None], bad_a, bad_b, np.array([floor])))
     return {"n": d.n} | dict(zip(statistics.VERDICT, (float(each[0]) for each in (*d[1:], better, p)), strict=True))
 
 

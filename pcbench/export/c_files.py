@@ -8,8 +8,8 @@ import re
 from typing import Any, NamedTuple
 
 from pcbench.errors import printable
-from pcbench.export import functions, structs
-from pcbench.export.functions import Source
+from pcbench.export import observer_to_c, structs
+from pcbench.export.observer_to_c import Source
 
 PRELUDE = """#include <math.h>
 
@@ -209,7 +209,7 @@ def code(about: About, s: Source) -> str:
 
 def gains(about: About, s: Source, numbers: Any) -> str:
     """Return the gains as a constant initialiser."""
-    each = structs.initialiser(s.gains, functions.numbers(numbers))
+    each = structs.initialiser(s.gains, observer_to_c.numbers(numbers))
     head = f"/* The gains of {comment(about.observer)} in {comment(about.scenario)}. */\n#include <math.h>\n"
     lines = [head + f'#include "{about.label}.h"\n', f"static const {about.label}_gains {about.label}_nominal = {{"]
     return plain("\n".join([*lines, *each, "};", ""]))

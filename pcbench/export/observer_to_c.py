@@ -14,7 +14,7 @@ from jax import Array
 
 from pcbench.dynamics.room import within_room
 from pcbench.errors import UserError
-from pcbench.export import program, structs
+from pcbench.export import jaxpr_to_c, structs
 from pcbench.export.structs import Field
 from pcbench.export.terms import Writer, kind_of, stored
 from pcbench.protocols import Arrival, Now, Observer
@@ -92,7 +92,7 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         into = structs.entries("m", there["m"]) if changes == "m" else None
         try:
             lines = _lines(closed, entries, into, changes, name == "jump")
-        except program.Hindered as hindered:
+        except jaxpr_to_c.Hindered as hindered:
             if name == "covariance":
                 continue
             raise UserError(
@@ -186,11 +186,11 @@ def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str
     One that `refuses` returns 1 before it changes anything if the program has gone outside the room, and else 0.
     """
     w = Writer()
-    left = program.write(w, closed, entries)
+    left = jaxpr_to_c.write(w, closed, entries)
     kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
     if w.checks and refuses:
         w.say("if (outside) return 1;")
-    program.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
+    jaxpr_to_c.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
     w.count()
     if refuses:
         w.say("return 0;")
