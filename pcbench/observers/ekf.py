@@ -28,7 +28,7 @@ from jaxtyping import Float
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at, carried, seen, sensed, value_of, within
+from pcbench.observers.parts.nonlinear_model import Gains, at, carried, nearest, seen, sensed, value_of, within
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.observers.parts.robust_update import Known
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer
@@ -60,11 +60,10 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
     z, P = carried(gains, now, before, sample.taken)
-    value = value_of(gains, sample.value)
     if gains.sensor is not None:
-        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.mask, value)
+        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
         return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
-    left_out = []
+    value, left_out = value_of(gains, sample.value), []
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
@@ -78,17 +77,17 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
 
 
-def by_slope(gains: Gains, there: Now, before: Known, mask: Array, value: Array) -> tuple[Array, Array, list[Array]]:
+def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
     P, left_out = before.P, []
     y, C = sensed(gains, there, z[: gains.P0.shape[0]])
-    C = kalman.wide(C, z.shape[0])
+    C, value = kalman.wide(C, z.shape[0]), nearest(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - predicted)
-        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, mask[channel])
+        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
         K = kalman.gain(Pc, c @ Pc + r, used)
         z = z + K * nu
         P = kalman.covariance(P, K, c, r)
@@ -143,9 +142,8 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = carried(gains, now, first, sample.taken)
-    value = value_of(gains, sample.value)
     (y, C), predicted = seen(gains, at(now, sample.taken), z), z
-    total = kalman.unjudged()
+    value, total = nearest(gains, sample.value, y), kalman.unjudged()
     for channel in range(C.shape[0]):
         c, r = C[channel], gains.R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r

@@ -28,7 +28,7 @@ from pydantic import Field
 from pcbench.errors import UserError, shown
 from pcbench.observers import ekf_iterated
 from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
-from pcbench.observers.parts.nonlinear_model import Gains, at, seen, started, value_of, within
+from pcbench.observers.parts.nonlinear_model import Gains, at, nearest, seen, started, within
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
@@ -113,7 +113,7 @@ def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -
     def one(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
         f, F, Q = stage(gains, now, z, begin, sample.taken)
         y, H = seen(gains, at(now, sample.taken), next_)
-        value = value_of(gains, sample.value) - y + H @ next_
+        value = nearest(gains, sample.value, y) - y + H @ next_
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / gains.R, 0.0)
 
     rest = lax.map(lambda row: one(*row), (path[:-1], path[1:], since, w.samples))

@@ -24,7 +24,7 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.nonlinear_model import Gains, started, value_of, within
+from pcbench.observers.parts.nonlinear_model import Gains, at_points, nearest, started, within
 from pcbench.observers.parts.options import normals, tunable, uniforms
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import Memory
@@ -101,12 +101,13 @@ def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
     n = gains.C.shape[1]
     if gains.sensor is None:
         return x[:, :n] @ gains.C.T
-    return jax.vmap(lambda z: value_of(gains, gains.sensor(now, z[:n], z[n:])))(x)
+    return at_points(gains, now, x)
 
 
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weigh the particles by a sample of their tick, and resample where too few are left."""
-    off = jnp.square(value_of(gains, sample.value)[None] - seen(gains, now, state.x)) / gains.R[None]
+    y = seen(gains, now, state.x)
+    off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y)) / gains.R[None]
     off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)

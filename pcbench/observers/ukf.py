@@ -25,7 +25,7 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Linear, Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
+from pcbench.observers.parts.nonlinear_model import Gains, at_points, seen, within
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
@@ -87,15 +87,13 @@ def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
 
 def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, and how far it was from what was expected."""
-    n = gains.C.shape[1]
     if gains.sensor is None:  # linear: no points are needed
         sensor = Linear(*seen(gains, now, state.mean), state.mean)
         return kalman.by_slope(gains, state.mean, state.P, sensor, sample)
 
-    def output(z: Array) -> Array:
-        return jnp.concatenate([z, value_of(gains, gains.sensor(now, z[:n], z[n:]))])
-
-    return kalman.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
+    points = spread_out(gains, state)
+    both = jnp.concatenate([points, at_points(gains, now, points)], axis=1)
+    return kalman.by_points(gains, *moments(gains, both), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:

@@ -37,9 +37,9 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
     plant, many = entry_of(s), len(belief.unknown_std)
-    told = (plant.model, plant.successor, plant.sensor, plant.parts)
+    told = (plant.model, plant.successor, plant.sensor, plant.parts, plant.output_residual)
     params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
-    field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
+    field, successor, sensor, parts, residual = (Partial(each, params) if each else None for each in told)
     for clock in clocks:
         each = clock.profile if isinstance(clock.profile, tuple) else (clock.period,)
         for j in clock.channels:
@@ -81,6 +81,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
         field=field,
         successor=successor,
         sensor=sensor,
+        residual=residual,
         parts=parts,
         variant=partial(_variant, s),
         xhat0=belief.xhat0,

@@ -55,6 +55,7 @@ class PlantSpec(NamedTuple):
     model: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
     successor: Callable[..., Array] | None = None  # likewise -> x one tick later, of a plant that is given by its step
     sensor: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
+    output_residual: Callable[..., Array] | None = None  # (params, y, yhat) -> y less yhat; None: their difference
     parts: Callable[..., tuple[Array, Array]] | None = None  # (params, u, x) -> a, phi of a p + phi, parameters p
     inverse: Callable[..., Array] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
@@ -83,6 +84,7 @@ def make_plant(
     unknown_inputs: Mapping[str, Range] | None = None,
     unknown_parameters: Mapping[str, Range] | None = None,
     positive: Sequence[str] = (),
+    output_residual: Callable[[Array, Array], Any] | None = None,
     summary: str = "a plant of one's own",
 ) -> PlantSpec:
     """Return a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(...), and y = output(...).
@@ -93,6 +95,8 @@ def make_plant(
     observers work on the Jacobians there; `ekf` works anywhere. `step` needs `tick` [s], which is then a scenario's dt.
     `unknown_inputs` and `unknown_parameters` are names among `numbers` that observers are not told and may estimate, inputs
     first: each with a unit, or (unit, least, most). An unknown input is the scenario's signal `unknown_input`.
+    `output_residual(y, yhat)` [q] is y less yhat where that is not their difference: of an angle that wraps, the shortest way
+    from one to the other. `ekf`, `ekf-iterated`, `ukf`, `particle` and `mhe` use it; other observers take the difference.
     Raises UserError for shapes that do not fit, and where a function or its slope is not finite at the operating point.
     """
     x0, u0 = _point(operating_point)
@@ -122,6 +126,7 @@ def make_plant(
         x0=x0,
         u0=u0,
         y0=(),
+        output_residual=output_residual,
     )
     e = e._replace(y0=_tried(e, kept))
     units = [
@@ -145,6 +150,7 @@ def make_plant(
         model=PlantFunction(nonlinear.model, e) if field is not None else None,
         successor=PlantFunction(nonlinear.successor, e) if step is not None else None,
         sensor=PlantFunction(nonlinear.sensor, e),
+        output_residual=PlantFunction(nonlinear.output_residual, e) if output_residual is not None else None,
         residual=PlantFunction(nonlinear.residual, e),
         positive=tuple(positive),
         drifts="drift" in kept._fields,
@@ -251,6 +257,8 @@ def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
         for name, value in found.items():
             _require_finite(name, value, e)
         y0 = tuple(map(float, found["output"]))
+        if e.output_residual is not None:
+            _try_residual(e.output_residual, found["output"])
         try:
             linear = nonlinear.nominal(e._replace(y0=y0), numbers)
         except Exception as error:
@@ -262,6 +270,21 @@ def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
             if matrix is not None:
                 _require_finite(f"the slope of {name}", matrix, e)
     return y0
+
+
+def _try_residual(residual: Callable[[Array, Array], Any], y0: np.ndarray) -> None:
+    """Raise UserError where an output's residual is not [q], or y less itself is not 0."""
+    try:
+        same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
+    except Exception as error:
+        raise UserError(
+            f"{WHERE}: output_residual cannot be computed at the operating point: {raised(error)}; mend that line."
+        ) from None
+    if same.shape != y0.shape or np.any(same != 0):
+        raise UserError(
+            f"{WHERE}: output_residual: got {shown(same.tolist())} of an output less itself, expected {len(y0)} "
+            f"zero{'s' if len(y0) > 1 else ''}: it takes (y, yhat) and returns y less yhat, a number for each output."
+        )
 
 
 def _require_finite(name: str, value: Any, e: Equations) -> None:

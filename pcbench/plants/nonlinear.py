@@ -42,6 +42,7 @@ class Equations(NamedTuple):
     x0: tuple[float, ...]  # [n]
     u0: tuple[float, ...]  # [m]
     y0: tuple[float, ...]  # [q]
+    output_residual: Callable[[Array, Array], Any] | None = None  # (y, yhat) -> y less yhat [q]; None: their difference
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,12 @@ def sensor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]
     """Return what is measured with unknowns p."""
     numbers = knowing(equations, params, p)
     return jnp.asarray(equations.output(numbers, whole(params, now), x + params.x0)) - params.y0
+
+
+def output_residual(equations: Equations, params: Params, y: Float[Array, " q"], yhat: Float[Array, " q"]) -> Array:
+    """Return y less yhat as the plant has it; both are deviations from the operating point."""
+    residual = equations.output_residual or jnp.subtract
+    return jnp.asarray(residual(y + params.y0, yhat + params.y0))
 
 
 def unknown(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " s"]:

@@ -74,6 +74,7 @@ class DesignContext(NamedTuple):
     variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
     successor: Any = None  # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
     sensor: Any = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
+    residual: Any = None  # (y[q], yhat[q]) -> y less yhat, where outputs wrap; None: their difference
     xhat0: tuple[float, ...] = ()  # [n] the estimate at t = 0, where it is the same in all runs
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
-from pcbench.observers.parts.nonlinear_model import Gains, value_of
+from pcbench.observers.parts.nonlinear_model import Gains, nearest
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats
 from pcbench.synthesis import riccati
@@ -93,7 +93,7 @@ def by_slope(
     gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean and covariance of z once a sample is known, by a sensor's slope."""
-    value, total = value_of(gains, sample.value), unjudged()
+    value, total = nearest(gains, sample.value, sensor.y), unjudged()
     for channel in range(gains.C.shape[0]):
         r, mask, h = gains.R[channel], sample.mask[channel], sensor.H[channel]
         nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
@@ -107,7 +107,8 @@ def by_points(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
-    value, N, total = value_of(gains, sample.value), gains.P0.shape[0], unjudged()
+    N, total = gains.P0.shape[0], unjudged()
+    value = nearest(gains, sample.value, mean[N:])
     for channel in range(gains.C.shape[0]):
         r, mask, c = gains.R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r

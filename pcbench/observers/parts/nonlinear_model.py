@@ -49,6 +49,7 @@ class Gains(NamedTuple):
     room: Room  # for samples that may be overtaken
     guard: PyTree = ()  # guard.Guard, of a filter that does not take every sample for what it says
     own: PyTree = ()  # what one observer has besides
+    residual: Any = None  # (y[q], yhat[q]) -> y less yhat, of outputs such as angles that wrap; None: their difference
 
 
 class Options(assumed_noise.Options):
@@ -170,6 +171,21 @@ def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
     return value if gains.mix is None else gains.mix @ value
 
 
+def nearest(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
+    """Return `value_of` a sample with y + residual(value, y) in its place, y what is expected: of an angle the nearest turn."""
+    if gains.residual is None:
+        return value_of(gains, value)
+    expected = y if gains.mix is None else jax.scipy.linalg.solve_triangular(gains.mix, y, lower=True)
+    return y + value_of(gains, gains.residual(value, expected))
+
+
+def at_points(gains: Gains, there: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
+    """Return what is expected of a sample at several z by a sensor; outputs that wrap on the turn of the first."""
+    n = gains.C.shape[1]
+    y = jax.vmap(lambda z: gains.sensor(there, z[:n], z[n:]))(points)
+    return jax.vmap(lambda each: nearest(gains, each, value_of(gains, y[0])))(y)
+
+
 def design(
     setting: DesignContext,
     options: Options,
@@ -204,6 +220,7 @@ def design(
         high=high,
         room=setting.room,
         guard=guard,
+        residual=setting.residual,
     )
     numbers = {"R": R, **assumed_noise.option("Q", process)}
     why = "none: the slope at the estimate is no proof"
