@@ -84,7 +84,16 @@ def status(out: str | Path) -> Status:
             blocks = [b for b in there if (b.scenario, b.observer) == (scenario, observer)]
             proof = block_files.about_block(target, blocks[0]).get("certificate") if blocks else None
             certified = is_certified(proof) if proof else None
-            shares.append(Share(scenario, observer, len(cells), len(blocks), asked - lacking, asked, certified))
+            share = Share(
+                scenario=scenario,
+                observer=observer,
+                cells=len(cells),
+                blocks=len(blocks),
+                seeds=asked - lacking,
+                wanted=asked,
+                certified=certified,
+            )
+            shares.append(share)
     return Status(
         study=owned.study.name,
         shares=shares,

@@ -184,7 +184,7 @@ def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Ev
     """
     q = w.sampled.shape[1]
     none = np.zeros(q, int)
-    nothing = Event(-1, SNAPSHOT, -1, np.zeros(q), np.zeros(q, bool), none, none)
+    nothing = Event(tick=-1, what=SNAPSHOT, packet=-1, value=np.zeros(q), mask=np.zeros(q, bool), age=none, number=none)
     out = [nothing._replace(packet=i) for i in range(early)]
     for row in map(int, np.flatnonzero(w.event)):
         k = first + row

@@ -1,9 +1,8 @@
 """Gains by design: one design with its certificate, the same as a study that can be run, and trade-offs."""
 
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-import pandas as pd
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
@@ -19,6 +18,9 @@ from pcbench.study.parse import Described, one_cell
 from pcbench.study.plugins.references import absolute
 from pcbench.synthesis.certificate import Design, is_certified
 from pcbench.toml_text import TomlTable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FEW = 6  # entries of an array that a row of a trade-off shows
 NOTHING = 1e-15  # of an array's size: 0
@@ -82,7 +84,7 @@ def trade_off(
     *,
     gain: str | None = None,
     overrides: list[str] | None = None,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Return a row for each value of one option of a design: what is promised there, or why it is refused.
 
     Columns: the option, `rate` [1/s] of the decay promised (NaN: none), `margin`, `solver`, `fallback`, `refused` (empty: it
@@ -112,6 +114,8 @@ def trade_off(
         rows.append(row)
     if len(reasons) == len(rows):
         raise reasons[0]
+    import pandas as pd
+
     return pd.DataFrame(rows)
 
 

@@ -5,12 +5,12 @@ xhat(0) = xhat0,   xhat' = A xhat + B u
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
-from pcbench.observers.parts.common import no_snapshot
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import NO_GAIN, Certificate, Design, DesignContext
 
@@ -35,6 +35,11 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " n"]:
     return xhat0
 
 
+def snapshot(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, "0"]:
+    """Note nothing when a sample is taken."""
+    return jnp.zeros(0)
+
+
 def jump(gains: Gains, memory: Float[Array, " n"], now: Now, arrival: Arrival) -> Float[Array, " n"]:
     """Ignore what arrives."""
     return memory
@@ -55,7 +60,7 @@ def field(gains: Gains, memory: Float[Array, " n"], now: Now, y: Float[Array, " 
     return gains.A @ memory + gains.B @ now.u
 
 
-OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, field)
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, field)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -86,10 +86,10 @@ def test_trace_and_replay_take_all(tmp_path, monkeypatch):
     assert frame.attrs["excluded"] == {"smo": REASON}
     real = replay.prepared
 
-    def picky(cell, *given):
-        if "kf" in cell.options:
+    def picky(playback, *given):
+        if "kf" in playback.cell.options:
             raise UserError("kf has no room.")
-        return real(cell, *given)
+        return real(playback, *given)
 
     monkeypatch.setattr(replay, "prepared", picky)
     found = pcbench.replay(tmp_path / "log", STUDY, "all")
