@@ -216,7 +216,6 @@ SAMPLES = "samples at times that all runs share"
         ("helicopter/constant", ["options.scenario.input=sine"], ["path to follow"]),
         ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ekf"]),
         ("cart/white", ["options.scenario.feedforward=true"], ["no controller"]),
-        ("cart/white", ["axes.actuator_delay=0.1"], ["no controller", "leave it out"]),
         ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "take ekf"]),
     ],
     ids=lambda v: v[0] if isinstance(v, list) else v,
