@@ -309,13 +309,14 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             f"constant delay: it does not use the age of a sample; leave {label} out, or take pccebo, pco or kf."
         )
     if entry.takes == "constant delays":
-        unsteady = [f"a {name} of {_each(v)} s" for name in ("delay_jitter", "sampling_jitter") if (v := s.value(name))]
+        shifts = ("delay_jitter", "sampling_jitter", "sampling_phase")
+        unsteady = [f"a {name} of {_each(v)} s" for name in shifts if np.any(v := s.value(name))]
         unsteady += drawn
         unsteady += [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
         if unsteady:
             yield (
-                f"{', '.join(unsteady)}, expected regular samples of constant ages: it works sample by sample; leave {label} "
-                "out, or take kf."
+                f"{', '.join(unsteady)}, expected regular samples of constant ages, the first at t = 0: it works sample by "
+                f"sample; leave {label} out, or take kf."
             )
     if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
         yield (

@@ -57,6 +57,7 @@ class DesignContext(NamedTuple):
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
+    sensors: int = 1  # groups of channels whose samples are taken, delayed and lost together
     overtaking: int = 0  # K: how many newer samples may arrive before one
     spare: int = 0  # K that there is room for at least, so that cells share programs
     process_std: tuple[

@@ -103,3 +103,10 @@ def test_an_impossible_correlation_is_one_sentence(given, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
         parse.grid_of(having(**given), {}, [])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("apart", [{"sampling_phase": [0.0, 0.1, 0.1]}, {"loss": [0.0, 0.2, 0.2]}])
+def test_a_filter_of_channels_that_may_arrive_apart_takes_no_correlation(apart):
+    R = {"R": (np.outer(STD, STD) * np.array(RHO)).tolist()}
+    with pytest.raises(UserError, match="expected outputs with one period, delay and network"):
+        pcbench.run(having(rho=None, **apart) | {"options": {"kf": R}})

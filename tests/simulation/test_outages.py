@@ -6,6 +6,7 @@ from scipy.linalg import expm
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.observers import OBSERVERS
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import parse, times
 
@@ -86,6 +87,25 @@ def test_a_perfect_start_stays_perfect_through_an_outage_in_both_engines(network
     study["lti"] |= {"noise_std": 0.0, "x0": [1.0, -0.5], "xhat0": [1.0, -0.5], "prior_std": 1.0}
     for engine in ("steps", "definition"):
         assert pcbench.run(study | {"engine": engine}).runs.max_abs_error.max() < 1e-12
+
+
+ALL = [name for name, o in OBSERVERS.items() if o.knows_schedule and o.takes != "constant delays" and not o.nonlinear]
+
+
+@pytest.mark.ci
+def test_every_observer_that_knows_the_schedule_starts_perfect():
+    lti = {"C": [[1.0, 0.0]], "noise_std": 0.0, "x0": [1.0, -0.5], "xhat0": [1.0, -0.5], "prior_std": 1.0}
+    able = [name for name in ALL if name not in ("smo", "pio")]  # these need an unknown input
+    study = having(able, **lti, sampling_phase=0.2, outage_start=1.0, outage_duration=2.0) | {"seeds": 1}
+    runs = pcbench.run(study).runs
+    assert set(runs.observer) == set(able)
+    assert runs.max_abs_error.max() < 1e-12
+
+
+@pytest.mark.parametrize("observer", ["chain", "equal-delay", "no-delay"])
+def test_observers_that_count_samples_from_the_start_refuse_a_phase(observer):
+    with pytest.raises(UserError, match=r"a sampling_phase of 0.1, 0 s, expected regular samples .* the first at t = 0"):
+        parse.grid_of(having([observer], delay=0.5, sampling_phase=[0.1, 0.0]), {}, [])
 
 
 @pytest.mark.ci

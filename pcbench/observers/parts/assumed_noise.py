@@ -83,10 +83,10 @@ def independent(
         raise UserError(
             f"{where}: R: got {shown(given)}, expected every eigenvalue above 0: an output without noise would be divided by 0."
         ) from None
-    if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
+    if setting.sensors > 1 or len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(
-            f"{where}: R: got noise that is correlated between outputs, expected outputs with one period and one delay, which "
-            "are sampled together; give a number for each."
+            f"{where}: R: got noise that is correlated between outputs, expected outputs with one period, delay and network, "
+            "which are sampled together; give a number for each."
         )
     mix: Matrix = np.asarray(np.linalg.inv(L / np.diag(L)), np.float64)
     return mix, mix @ C, np.square(np.diag(L))
