@@ -104,7 +104,9 @@ def test_every_observer_that_knows_the_schedule_starts_perfect():
 
 @pytest.mark.parametrize("observer", ["chain", "equal-delay", "no-delay"])
 def test_observers_that_count_samples_from_the_start_refuse_a_phase(observer):
-    with pytest.raises(UserError, match=r"a sampling_phase of 0.1, 0 s, expected regular samples .* the first at t = 0"):
+    with pytest.raises(
+        UserError, match=r"a sampling_phase of 0.1, 0 s, expected regular samples .* the first at t = 0"
+    ):
         parse.grid_of(having([observer], delay=0.5, sampling_phase=[0.1, 0.0]), {}, [])
 
 

@@ -216,5 +216,5 @@ def overtaking(clocks: list[Clock], ticks: int) -> int:
         return span // least[other] + 1 if span >= 1 else 0
 
     many = range(len(clocks))
-    others = sum(_most(c, ticks) for c in clocks) - 1
+    others = max(sum(_most(c, ticks) for c in clocks) - 1, 0)
     return min(max(sum(ahead(own, other) for other in many) for own in many), others)

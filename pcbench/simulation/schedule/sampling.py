@@ -157,9 +157,8 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
     elif clock.profile == "periodic":
         due = [clock.period]
     else:
-        due = sorted(
-            set(np.diff(instants(clock, ticks + clock.jitter)).tolist())
-        )  # jitter may bring one in from beyond
+        last = max(ticks + clock.jitter, clock.phase)  # jitter may bring one in from beyond; the first may be beyond
+        due = sorted(set(np.diff(instants(clock, last)).tolist()))
     j = 2 * clock.jitter
     return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
 
@@ -173,7 +172,7 @@ def age(clock: Clock, arrives: int) -> int:
 def ages(clock: Clock, ticks: int) -> tuple[int, int]:
     """Return the least and the largest age of a sample when it arrives."""
     if any(clock.swing):
-        found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
+        found = sorted(age(clock, arrives) for arrives in instants(clock, max(ticks, clock.phase))[:-1])
     else:
         found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
     return found[0] + clock.earliest, found[-1] + clock.latest
