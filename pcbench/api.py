@@ -173,7 +173,8 @@ def simulate(
         out = jax.tree.map(np.asarray, out)
         digits.require_of_trace(p, out.x, [out.estimates[called] for called, _ in p.layout.observers])
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
-    signals = [name for name, _ in signals_of(p.cell.scenario)]
+    every = [name for name, _ in signals_of(p.cell.scenario)]
+    signals, own_errors = every[: out.x.shape[1]], every[out.x.shape[1] :]
     if log is not None:
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals, p.cell.times.error)
         for name, table in tables.items():
@@ -182,6 +183,9 @@ def simulate(
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
         columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        own = out.errors.get(called, np.zeros((0, 0))).T
+        columns |= {f"{name}.{signal}": each for signal, each in zip(own_errors, own, strict=False)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
         own = out.sigma.get(called)
         columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}

@@ -91,6 +91,14 @@ class Unknown(Protocol):
     def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " s"]: ...
 
 
+class OwnErrors(Protocol):
+    """Return errors of a user's own, of the state x and its estimate xhat: numbers, scored as the errors of states are."""
+
+    def __call__(
+        self, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"], /
+    ) -> Float[Array, " d"]: ...
+
+
 class OfRun(Protocol):
     """Return the numbers of one run, given what it has drawn uniformly from [0, 1)."""
 
@@ -101,7 +109,8 @@ class Plant(NamedTuple):
     """A plant as pure functions of its numbers `params`.
 
     `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
-    numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params.
+    numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params. `errors` are scored
+    beside x - xhat, of a plant without `unknown`.
     """
 
     step: Step
@@ -110,6 +119,8 @@ class Plant(NamedTuple):
     unknown: Unknown | None = None
     drawn: int = 0
     of_run: OfRun | None = None
+    errors: OwnErrors | None = None
+    scored: int = 0  # how many they are
 
 
 class Target(Protocol):

@@ -23,7 +23,7 @@ from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError, shown
 from pcbench.observers import entry_of as observer_of
 from pcbench.planning import loop_setup
-from pcbench.plants import nonlinear, signals_of, states_of
+from pcbench.plants import estimated_of, nonlinear, states_of
 from pcbench.protocols import Controller, Now
 from pcbench.scenarios import Scenario
 from pcbench.simulation import law_conformance
@@ -125,7 +125,7 @@ def numbers_are_arrays(t: Trial) -> str:
 def shapes(t: Trial) -> str:
     """A command for each input, set points of the first states, and what is kept comes back as it was."""
     n, m = t.told.model.B.shape
-    law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(signals_of(t.scenario)) - n, m))
+    law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(estimated_of(t.scenario)) - n, m))
     return f"{', '.join(functions(t))} return what they should"
 
 

@@ -27,7 +27,7 @@ from pcbench.dynamics.observability import decays, unobservable
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError, raised, shown
 from pcbench.observers import entry_of as observer_of
-from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plants import PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, states_of
 from pcbench.plants.nonlinear import REST
 from pcbench.protocols import Now
 from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
@@ -110,7 +110,7 @@ def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
         loop=Loop(input="zero"),
         sampling=Sampling((EVERY * dt,) * q, (EVERY * dt,) * q, (0.0,) * q),
         belief=Belief(start, start, unknown_std=unknowns),
-        scoring=Scoring((*start, *unknowns), np.inf, steady_start=dt),
+        scoring=Scoring((*start, *unknowns, *(1.0,) * len(entry.errors)), np.inf, steady_start=dt),
         dt=dt,
     ).having(**carried)
 
@@ -161,7 +161,7 @@ def entries_of(t: Trial, name: str) -> list[str]:
     """Return what the entries of a function's value are called."""
     if name == "output":
         return [f"output {i + 1}" for i in range(len(t.model.C))]
-    return [signal for signal, _ in signals_of(t.scenario)][len(t.states) :] if name == "unknown" else t.states
+    return [signal for signal, _ in estimated_of(t.scenario)][len(t.states) :] if name == "unknown" else t.states
 
 
 def shapes(t: Trial) -> str:

@@ -41,6 +41,7 @@ def plant(p: plants.PlantSpec) -> Description:
         "summary": p.summary,
         "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
         "unknown": [{"name": s, "unit": u} for s, u in p.unknowns],
+        "errors": [{"name": s, "unit": u} for s, u in p.errors],
         "parameters": {k: getattr(p.numbers, k) for k in parameters_of(p)},
     }
 

@@ -49,8 +49,9 @@ class CellBlocks(NamedTuple):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Return the typical sizes of its signals."""
-        return self.cell.scenario.belief.prior_std + self.cell.scenario.belief.unknown_std
+        """Return the typical sizes of its signals; of errors of a user's own their settling bands."""
+        belief, band = self.cell.scenario.belief, self.cell.scenario.scoring.settle_band
+        return (found := belief.prior_std + belief.unknown_std) + band[len(found) :]
 
 
 def of_cell(target: storage.Target, cell: Cell, blocks: Series, held: Held = NONE) -> CellBlocks:

@@ -48,7 +48,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
         law=loop.law,
         effort=loop.effort,
     )
-    size = {label: found.shape[0] for label, found in steps.estimates(layout, p, state).items()}
+    size = {label: found.shape[0] + layout.plant.scored for label, found in steps.estimates(layout, p, state).items()}
     state = state._replace(
         flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
         streams={label: metrics.start(many) for label, many in size.items()},

@@ -141,7 +141,7 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
     def one_lane(k: Array, lane: Lane, drawn: PyTree) -> dict[str, Array]:
         return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
 
-    return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories), state.drawn)
+    return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories, state.commands), state.drawn)
 
 
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:

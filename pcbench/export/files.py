@@ -20,7 +20,7 @@ from pcbench.export import replay as replaying
 from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
 from pcbench.playback.setup import Prepared, open_playback
 from pcbench.runtime import config
@@ -123,7 +123,7 @@ def _exported(
         observer=label,
         scenario=cell.scenario.name,
         dt=cell.scenario.dt,
-        signals=signals_of(cell.scenario)[: s.estimates],
+        signals=estimated_of(cell.scenario)[: s.estimates],
         inputs=m,
         outputs=q,
         rows=rows,

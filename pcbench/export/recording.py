@@ -4,7 +4,7 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.export.structs import Vector, happening
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of
 from pcbench.playback import stream
 from pcbench.playback.setup import Playback, Prepared, prepared, room_of
 
@@ -22,7 +22,7 @@ def recorded(a: Playback, tells: bool) -> tuple[Prepared, Vector]:
             "observer; take a part of the recording that has its longest delays."
         )
     p = prepared(a, room_of(a))
-    parts = [*stream.parts(a, p, [name for name, _ in signals_of(a.cell.scenario)])]
+    parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last + 1]
     events = [event for part in parts for event in happening(part.window, tells, part.first)]

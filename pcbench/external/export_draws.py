@@ -15,7 +15,7 @@ from pcbench.dynamics import linear
 from pcbench.external import runs
 from pcbench.planning import setting
 from pcbench.planning.padding import Plan
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation.schedule.common_times import NEVER
@@ -192,7 +192,7 @@ def _cell(p: Plan) -> dict[str, Any]:
         "axes": dict(p.cell.values),
         "dt": s.dt,
         "ticks": p.cell.times.ticks,
-        "signals": [{"name": name, "unit": unit} for name, unit in signals_of(s)],
+        "signals": [{"name": name, "unit": unit} for name, unit in estimated_of(s)],
         "period": list(known.period),
         "intervals": list(known.intervals),
         "delay": list(known.delay),

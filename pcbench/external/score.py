@@ -12,8 +12,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jax import Array
 from numpy.typing import NDArray
 
 from pcbench.dataset import block_files, manifest, run_study, storage, stored_code, task
@@ -26,11 +29,12 @@ from pcbench.external.entry import ONE_AT_A_TIME, REFERENCE
 from pcbench.observers import base_of
 from pcbench.planning import digits
 from pcbench.planning.padding import Plan
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation import metrics
 from pcbench.simulation.metrics import ErrorSums, SettlingState
+from pcbench.simulation.types import present
 from pcbench.study import parse
 from pcbench.study.grid import Grid
 from pcbench.study.labels import LABEL
@@ -78,7 +82,7 @@ def score(
         grid = grown(target, name)
         owned = manifest.claim(target, grid)
         cells = [cell for cell in owned.cells if name in cell.options]
-        signals = {cell.key: [s for s, _ in signals_of(cell.scenario)] for cell in cells}
+        signals = {cell.key: [s for s, _ in estimated_of(cell.scenario)] for cell in cells}
         every = list(dict.fromkeys(s for names in signals.values() for s in names))
         tables = sorted_(read(file), where, every, cells[0].key if len(cells) == 1 else None)
         seeds = _seeds(target, grid)
@@ -151,7 +155,16 @@ def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
     """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
     n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
     many = xhat.shape[-1]
-    e = np.moveaxis(x[:, :n, :many] - xhat, (0, 1, 2), (2, 0, 1))  # [N, s, runs]
+    e = x[:, :n, :many] - xhat
+    if own := p.layout.plant.errors:
+        problem = jax.tree.map(jnp.asarray, p.problem)
+
+        def errors(k: Array, x: Array, xhat: Array) -> Array:
+            return own(problem.params, present(problem, k, False), x, xhat)
+
+        each_tick = jax.vmap(jax.vmap(errors), (None, 0, 0))
+        e = np.concatenate([e, each_tick(jnp.arange(n), jnp.asarray(x[:, :n]), jnp.asarray(xhat))], -1)
+    e = np.moveaxis(e, (0, 1, 2), (2, 0, 1))  # [N, s, runs]
     size = np.abs(e)
     with np.errstate(invalid="ignore", over="ignore"):
         windows = [slice(a, b) for a, b in np.asarray(p.problem.windows)]

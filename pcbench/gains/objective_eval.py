@@ -43,7 +43,7 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
     found = jax.eval_shape(
         lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
     )
-    if aim.signal >= found.shape[0]:
+    if aim.signal >= found.shape[0] + p.layout.plant.scored:
         raise UserError(
             f"{where}: --signal: got {aim.name}, which {p.labels[0]} does not estimate, expected one that it does; name "
             "another."

@@ -249,15 +249,15 @@ def _gather(work: Work, each: list[Outcome]) -> CellMoments:
 
 def _signals(p: Plan) -> dict[str, int]:
     """How many signals each observer of a planned cell estimates."""
-    n = len(p.problem.x0)
-    if n == len(p.problem.band):
-        return {name: n for name, _ in p.layout.observers}
+    n, own = len(p.problem.x0), p.layout.plant.scored
+    if n + own == len(p.problem.band):
+        return {name: n + own for name, _ in p.layout.observers}
 
     def estimates(problem: GridPointParams) -> dict[str, Array]:
         gains, xhat0 = problem.gains, problem.xhat0
         return {name: o.estimate(gains[name], o.init(gains[name], xhat0)) for name, o in p.layout.observers}
 
-    return {name: e.shape[0] for name, e in jax.eval_shape(estimates, p.problem).items()}
+    return {name: e.shape[0] + own for name, e in jax.eval_shape(estimates, p.problem).items()}
 
 
 def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:

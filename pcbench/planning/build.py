@@ -167,9 +167,7 @@ def draft(
         spread0=np.diag(belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)),
         noise_std=np.array(measured.noise_std),
         band=np.array(s.scoring.settle_band),
-        bound=np.broadcast_to(
-            np.asarray(s.scoring.divergence_threshold, float), len(true.x0) + len(belief.unknown_std)
-        ),
+        bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), len(s.scoring.settle_band)),
         windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
@@ -211,7 +209,7 @@ def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
     """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
     schedule = problem.schedule
     room = matmul.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0
-    if not room:
+    if not room or layout.plant.errors:
         return 0
     bare = layout._replace(observers=(), width=1, ring=1)
     shapes = tuple(np.shape(a) for a in jax.tree.leaves((problem.params, problem.inputs, problem.process_std)))

@@ -42,6 +42,7 @@ def require(p: Plan, outcome: RunSums) -> None:
 
 def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
     """Raise DigitsError if rounding decides errors of mean size `steady_mae` [s, runs]; `actual` is [n + s, runs]."""
+    steady_mae = steady_mae[: len(actual)]  # without errors of a user's own
     size = np.abs(actual[: len(steady_mae)])
     overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a loop that is the estimate's doing
     lost = overflows | (np.isfinite(size) & (EPS * size > PART * steady_mae))

@@ -52,9 +52,14 @@ def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     return scenario.scoring.signals or entry_of(scenario).signals
 
 
-def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+def estimated_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (signal, unit) of all that observers may estimate: the states, and what the plant has of unknowns."""
     return states_of(scenario) + (scenario.scoring.unknowns or entry_of(scenario).unknowns)
+
+
+def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+    """Return (signal, unit) of all whose errors are scored: what observers may estimate, and the plant's own errors."""
+    return estimated_of(scenario) + entry_of(scenario).errors
 
 
 def numbers_of(scenario: Scenario) -> Any:

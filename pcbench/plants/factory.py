@@ -38,6 +38,7 @@ from pcbench.signal_names import names_and_units, unit
 
 WHERE = "pcbench.make_plant"
 Function = Callable[[Any, Now, Array], Any]  # (numbers, now, x[n]) -> an array, or a list of its entries
+ErrorFunction = Callable[[Any, Now, Array, Array], Any]  # (numbers, now, x[n], xhat[n]) -> a number
 Range = str | tuple[str, float, float]  # a unit, or (unit, least, most) where observers look for the value
 
 
@@ -66,6 +67,7 @@ class PlantSpec(NamedTuple):
     residual: Callable[[Any], np.ndarray] | None = None
     operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
     tick: float | None = None  # s, of a plant given by its step; None: any
+    errors: tuple[tuple[str, str], ...] = ()  # (an error of one's own, unit), as `plant.errors` returns them
 
 
 class NoNumbers(NamedTuple):
@@ -85,6 +87,7 @@ def make_plant(
     unknown_parameters: Mapping[str, Range] | None = None,
     positive: Sequence[str] = (),
     output_residual: Callable[[Array, Array], Any] | None = None,
+    errors: Mapping[str, ErrorFunction] | None = None,
     summary: str = "a plant of one's own",
 ) -> PlantSpec:
     """Return a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(...), and y = output(...).
@@ -97,6 +100,9 @@ def make_plant(
     first: each with a unit, or (unit, least, most). An unknown input is the scenario's signal `unknown_input`.
     `output_residual(y, yhat)` [q] is y less yhat where that is not their difference: of an angle that wraps, the shortest way
     from one to the other. `ekf`, `ekf-iterated`, `ukf`, `particle` and `mhe` use it; other observers take the difference.
+    `errors` are errors of your own, by name with unit: "distance [m]" of (numbers, now, x, xhat), of whole x and xhat, is one
+    number at each tick, 0 where they agree. Tables have every metric of it, as they have of the error of a state: its mean
+    absolute value, root mean square, largest value, settling time. Not beside unknown inputs or parameters.
     Raises UserError for shapes that do not fit, and where a function or its slope is not finite at the operating point.
     """
     x0, u0 = _point(operating_point)
@@ -127,18 +133,27 @@ def make_plant(
         u0=u0,
         y0=(),
         output_residual=output_residual,
+        errors=tuple((errors or {}).values()),
     )
     e = e._replace(y0=_tried(e, kept))
     units = [
         (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
         for name, each in (pushed | sought).items()
     ]
+    own_errors = names_and_units([*states, *(errors or {})], f"{WHERE}: errors")[len(signals) :]
+    if own_errors and units:
+        raise UserError(
+            f"{WHERE}: errors: got errors of your own and {units[0][0]}, which is unknown, expected one of the two; leave the "
+            "errors out, or give the number to the observers."
+        )
     return PlantSpec(
         plant=Plant(
             step=PlantFunction(nonlinear.step, e),
             output=PlantFunction(nonlinear.output, e),
             field=PlantFunction(nonlinear.field, e) if field is not None else None,
             unknown=PlantFunction(nonlinear.unknown, e) if units else None,
+            errors=PlantFunction(nonlinear.errors, e) if own_errors else None,
+            scored=len(own_errors),
         ),
         signals=signals,
         numbers=kept,
@@ -157,6 +172,7 @@ def make_plant(
         ranges=tuple(_range(name, each) for name, each in (pushed | sought).items()),
         operating_point=(x0, u0),
         tick=tick,
+        errors=own_errors,
     )
 
 
@@ -259,6 +275,8 @@ def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
         y0 = tuple(map(float, found["output"]))
         if e.output_residual is not None:
             _try_residual(e.output_residual, found["output"])
+        for i, own_error in enumerate(e.errors):
+            _try_error(own_error, i, given, now, x)
         try:
             linear = nonlinear.nominal(e._replace(y0=y0), numbers)
         except Exception as error:
@@ -284,6 +302,21 @@ def _try_residual(residual: Callable[[Array, Array], Any], y0: np.ndarray) -> No
         raise UserError(
             f"{WHERE}: output_residual: got {shown(same.tolist())} of an output less itself, expected {len(y0)} "
             f"zero{'s' if len(y0) > 1 else ''}: it takes (y, yhat) and returns y less yhat, a number for each output."
+        )
+
+
+def _try_error(own_error: ErrorFunction, i: int, numbers: Any, now: Now, x: Array) -> None:
+    """Raise UserError where an error of a user's own is not a number, or not 0 where x and xhat agree."""
+    try:
+        same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
+    except Exception as error:
+        raise UserError(
+            f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: {raised(error)}; mend that line."
+        ) from None
+    if same.shape or same != 0:
+        raise UserError(
+            f"{WHERE}: errors: number {i + 1} is {shown(same.tolist())} where x and xhat agree, expected 0: it takes (numbers, "
+            "now, x, xhat) and returns one number."
         )
 
 

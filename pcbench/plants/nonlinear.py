@@ -43,6 +43,7 @@ class Equations(NamedTuple):
     u0: tuple[float, ...]  # [m]
     y0: tuple[float, ...]  # [q]
     output_residual: Callable[[Array, Array], Any] | None = None  # (y, yhat) -> y less yhat [q]; None: their difference
+    errors: tuple[Callable[[Any, Now, Array, Array], Any], ...] = ()  # [d] (numbers, now, x, xhat) -> a number
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,14 @@ def output_residual(equations: Equations, params: Params, y: Float[Array, " q"],
     """Return y less yhat as the plant has it; both are deviations from the operating point."""
     residual = equations.output_residual or jnp.subtract
     return jnp.asarray(residual(y + params.y0, yhat + params.y0))
+
+
+def errors(
+    equations: Equations, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"]
+) -> Float[Array, " d"]:
+    """Return the user's own errors of an estimate."""
+    there, x, xhat = whole(params, now), x + params.x0, xhat + params.x0
+    return jnp.stack([jnp.asarray(f(params.numbers, there, x, xhat), float) for f in equations.errors])
 
 
 def unknown(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " s"]:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of, signals_of
 from pcbench.playback import innovation_tests, replay_metrics, smoother, step_block, stream
 from pcbench.playback.innovation_tests import Judged, Sums
 from pcbench.playback.setup import Playback, Prepared, open_playback, prepared, room_of
@@ -104,7 +104,7 @@ def stamps_that_go_back(survey: Survey) -> list[str]:
 
 def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
     """Run all parts of a log, and write estimates."""
-    signals, q = signals_of(a.cell.scenario), len(a.log.channels)
+    signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
     scored = [name for name, _ in signals] if a.log.truth else []
     runners = stream.begun(p, bool(scored), seed)
     out_from = int((1 - innovation_tests.HELD_OUT) * a.last)

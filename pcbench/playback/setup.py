@@ -12,7 +12,7 @@ import numpy as np
 from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
-from pcbench.plants import signals_of
+from pcbench.plants import estimated_of
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
 from pcbench.recordings.log import Log
@@ -121,7 +121,7 @@ def prepared(a: Playback, room: Room) -> Prepared:
             "write a longer horizon."
         )
     known = planning.setting(cell)
-    m, signals = known.model.B.shape[1], len(signals_of(s))
+    m, signals = known.model.B.shape[1], len(estimated_of(s))
     if a.log.inputs is not None and len(a.log.inputs.names) != m:
         raise UserError(
             f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "

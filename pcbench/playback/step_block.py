@@ -50,7 +50,7 @@ def begun(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tupl
     if not scored:
         return run, None
     ((label, o),) = layout.observers
-    n = o.estimate(p.gains[label], run.memories[label]).shape[0]
+    n = o.estimate(p.gains[label], run.memories[label]).shape[0] + layout.plant.scored
     return run, Score(
         metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros(2)
     )

@@ -19,7 +19,7 @@ from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
-from pcbench.plants import signals_of
+from pcbench.plants import entry_of, estimated_of
 from pcbench.plots import frames, observer_costs
 from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
@@ -148,7 +148,7 @@ def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
     def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
 
-    for i, (signal, _) in enumerate(signals_of(scenario)):
+    for i, (signal, _) in enumerate(estimated_of(scenario)):
         yield frame(signal, plant, "truth", made.x[:, i, 0])
         for label, name in names.items():
             estimates = made.estimates[name]
@@ -165,6 +165,11 @@ def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
             yield frame(signal, "target", "target", made.target[:, i])
         if signal in shown and not closed:
             yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
+    for i, (signal, _) in enumerate(entry_of(scenario).errors):
+        for label, name in names.items():
+            yield frame(signal, label, "error", made.errors[name][:, i, 0])
+            for kind, values in _spread(made.errors[name][:, i]).items():
+                yield frame(signal, label, kind, values)
     for label, name in names.items():
         if name in made.nees:
             for kind, values in _mean_nees(*made.nees[name]).items():

@@ -110,8 +110,10 @@ class Belief(NamedTuple):
 class Scoring(NamedTuple):
     """What runs are judged by: the signals, and when one has settled or diverged."""
 
-    settle_band: tuple[float, ...]  # [n + s] a run has settled when |e| stays within
-    divergence_threshold: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all, or [n + s]
+    settle_band: tuple[float, ...]  # [n + s + d], d errors of a user's own: a run has settled when |e| stays within
+    divergence_threshold: (
+        float | tuple[float, ...]
+    )  # a run has diverged when an |e| leaves it; one for all, or [n + s + d]
     steady_start: float = 3.0  # s, where the tail starts
     signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where they differ from the plant's own
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit), likewise

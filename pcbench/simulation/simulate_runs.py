@@ -190,7 +190,10 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
     notes = take_notes(layout, p, jnp.asarray(0, int), memories, loop.commands)
     ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
     windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
-    sizes = {label: o.estimate(p.gains[label], memories[label]).shape[0] for label, o in layout.observers}
+    sizes = {
+        label: o.estimate(p.gains[label], memories[label]).shape[0] + layout.plant.scored
+        for label, o in layout.observers
+    }
     return Run(
         x=x,
         memories=memories,
@@ -278,10 +281,21 @@ def jump(
 
 
 def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
-    """Return e of every observer at tick k, of all that it estimates."""
+    """Return e of every observer at tick k, of all that it estimates; then the plant's own errors, where it has some."""
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
-    return {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
+    e = {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
+    own = own_errors(layout, p, params, k, run)
+    return {label: jnp.concatenate([e[label], own[label]]) for label in e} if own else e
+
+
+def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
+    """Return the plant's own errors of every observer at tick k, [d]; empty where it has none."""
+    if layout.plant.errors is None:
+        return {}
+    now = present(p, k, False, run.commands)
+    estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
+    return {label: layout.plant.errors(params, now, run.x, xhat) for label, xhat in estimates.items()}
 
 
 def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> Run:

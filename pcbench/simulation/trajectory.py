@@ -24,6 +24,7 @@ class Recording(NamedTuple):
     brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
     target: Array  # [N+1, r] the set point of a closed loop
     sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if there is consistency
+    errors: dict[str, Array]  # [N+1, d] the plant's own errors; empty where it has none
 
 
 class Thinned(NamedTuple):
@@ -35,6 +36,7 @@ class Thinned(NamedTuple):
     target: Array  # [K, r] the set point of a closed loop
     sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if there is consistency
     nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
+    errors: dict[str, Array]  # [K, d, L] the plant's own errors; empty where it has none
 
 
 def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
@@ -51,6 +53,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
             brought=brought,
             target=closed_loop.aims(layout, p, k),
             sigma=_sigma(layout, p, k, run),
+            errors=simulate_runs.own_errors(layout, p, params, k, run),
         )
 
     ticks = jnp.arange(p.schedule.event.shape[0])
@@ -75,6 +78,7 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
                 target=closed_loop.aims(layout, p, k),
                 sigma=_sigma(layout, p, k, run),
                 nees={label: (each.whole, each.states) for label, each in squares.items()},
+                errors=simulate_runs.own_errors(layout, p, params, k, run),
             )
 
         def step(carry: tuple[Run, Array, Thinned], k: Array) -> tuple[tuple[Run, Array, Thinned], None]:
@@ -90,7 +94,7 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
         end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
         return jax.tree.map(lambda a: a[:rows], end[2])
 
-    return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1))(seeds)  # type: ignore[arg-type]
+    return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1, -1))(seeds)  # type: ignore[arg-type]
 
 
 def _started(

@@ -52,8 +52,8 @@ class GridPointParams(NamedTuple):
     xhat0: Leaf  # [n]
     spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
     noise_std: Leaf  # [q]
-    band: Leaf  # [n + s] settling band of |e|
-    bound: Leaf  # [n + s] beyond it a run has diverged
+    band: Leaf  # [n + s + d], d errors of a user's own: settling band of |e|
+    bound: Leaf  # [n + s + d] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
     process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import PLANTS, PlantSpec, entry_of, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plants import PLANTS, PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.signal_names import names_and_units, require_different
@@ -31,9 +31,9 @@ SIZES = {
     "assumed_noise_std": ("q", True),
     "assumed_process_std": ("n", True),
     "initial_box": ("n", True),
-    "settle_band": ("n + s", False),
+    "settle_band": ("signal", False),
 }
-EACH = {"n": "state", "s": "unknown", "q": "output", "n + s": "state and unknown"}
+EACH = {"n": "state", "s": "unknown", "q": "output", "signal": "signal"}
 AS_GIVEN = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
 
 
@@ -53,14 +53,16 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     times.ticks_of(s.duration, s.dt, where)
     s = _of_plant(s, given, where, own)
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
-    many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}
-    many["n + s"] = many["n"] + many["s"]
+    many = {"n": len(model.A), "s": len(estimated_of(s)) - len(states_of(s)), "q": len(model.C)}
+    many["signal"] = len(signals_of(s))
     for key, (size, _) in SIZES.items():
         if key in given and not isinstance(given[key], list):
             given[key] = [float(given[key])] * many[size]
     s = s.having(**{key: tuple(given[key]) for key in (*SIZES, "delay_sine", "headline") if key in given})
     if table.base is None:
-        s = with_defaults(s, many["n"], many["s"]).having(steady_start=round(0.3 * s.duration / s.dt) * s.dt)
+        s = with_defaults(s, many["n"], many["s"], len(entry.errors)).having(
+            steady_start=round(0.3 * s.duration / s.dt) * s.dt
+        )
         s = s if "controller" in given or "input" in given else s.having(input="sine")
         linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
         usual = linear if entry.model is None else ("ekf", *linear)
@@ -80,12 +82,13 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     return s
 
 
-def with_defaults(s: Scenario, n: int, unknowns: int) -> Scenario:
-    """Return a scenario with numbers for all of its n states and its unknowns where it has none, but for x(0)."""
+def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenario:
+    """Return a scenario with numbers for all of its n states, its unknowns and errors where it has none, but for x(0)."""
     x0, xhat0 = s.truth.x0, s.belief.xhat0 or (0.0,) * n
     apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
     prior, size = s.belief.prior_std or apart, s.belief.unknown_std or (1.0,) * unknowns
-    usual = zip((*prior, *size), (*apart, *size), strict=False)
+    rest = (*size, *(1.0,) * errors)
+    usual = zip((*prior, *rest), (*apart, *rest), strict=False)
     band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in usual)
     return s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
 
@@ -207,7 +210,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
             raise UserError(
                 f"{here}: got {shown(pushing)} for {s.plant}, expected none: it has no unknown input; leave it out."
             )
-        many = len(signals_of(s)) - len(states_of(s))
+        many = len(estimated_of(s)) - len(states_of(s))
         found = sources(pushing, many, SINGLE, horizon, "unknown inputs", here)
         s = s.having(unknown_input=pushing if isinstance(pushing, str) else found)
     return s
@@ -238,10 +241,10 @@ def _require_fit(s: Scenario, many: dict[str, int], where: str) -> None:
                 f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]} of {s.plant}."
             )
     bound, tail = s.scoring.divergence_threshold, s.scoring.steady_start
-    if isinstance(bound, tuple) and len(bound) != many["n + s"]:
+    if isinstance(bound, tuple) and len(bound) != many["signal"]:
         raise UserError(
-            f"{where}.divergence_threshold: got {len(bound)} numbers, expected one, or {many['n + s']}, one for each state and "
-            "unknown."
+            f"{where}.divergence_threshold: got {len(bound)} numbers, expected one, or {many['signal']}, one for each "
+            "signal."
         )
     if not 0 <= tail < s.duration:
         raise UserError(f"{where}.steady_start: got {tail:g} s, expected less than the duration of {s.duration:g} s.")

@@ -125,7 +125,7 @@ class ScenarioTable(BaseModel):
     )
     # what runs are judged by
     settle_band: Size | list[Size] | None = Field(
-        None, description="[n + s] |e| of a settled run; default: 5 % of the prior"
+        None, description="for each signal, |e| of a settled run; default: 5 % of the prior"
     )
     divergence_threshold: Positive | list[Positive] | None = Field(
         None, description="a run has diverged when an |e| leaves it"

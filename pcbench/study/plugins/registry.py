@@ -38,7 +38,7 @@ class InModule(NamedTuple):
 
 
 def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
-    for name, unit in found.signals + found.unknowns:
+    for name, unit in found.signals + found.unknowns + found.errors:
         pair(name, unit, f"{where}: {name}")
     return found
 

@@ -45,6 +45,7 @@ def facts(entry: PlantSpec) -> TomlTable:
         "signals": [list(each) for each in entry.signals],
         "unknowns": [list(each) for each in entry.unknowns],
         "numbers": {name: plain(value) for name, value in entry.numbers._asdict().items()},
+        **({"errors": [list(each) for each in entry.errors]} if entry.errors else {}),
         "positive": list(entry.positive),
         "drifts": entry.drifts,
         "discrete": linear.discrete,
@@ -68,13 +69,20 @@ def absent(reference: str, code: Code, known: TomlTable) -> Own:
     numbers = namedtuple("Numbers", known["numbers"])(**{k: _tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
     there = PlantSpec(
-        plant=Plant(step=nothing, output=nothing, field=nothing if known["field"] else None),
+        plant=Plant(
+            step=nothing,
+            output=nothing,
+            field=nothing if known["field"] else None,
+            errors=nothing if "errors" in known else None,
+            scored=len(known.get("errors", ())),
+        ),
         signals=tuple(pair(name, unit, reference) for name, unit in known["signals"]),
         numbers=numbers,
         nominal=lambda numbers: model,
         prepare=nothing,
         summary=ABSENT,
         unknowns=tuple(pair(name, unit, reference) for name, unit in known["unknowns"]),
+        errors=tuple(pair(name, unit, reference) for name, unit in known.get("errors", ())),
         model=told["model"],
         successor=told["successor"],
         sensor=told["sensor"],
