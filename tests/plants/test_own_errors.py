@@ -115,6 +115,7 @@ def test_an_error_that_is_a_states_has_its_numbers(study):
         assert (found[label]["rmse"][3] > found[label]["rmse"][2]).all()
 
 
+@pytest.mark.ci
 def test_states_keep_their_bits(study):
     """Runs of a plant with own errors have the states' numbers of the plant without."""
     bare = runs_of(study(spring(errors=None), {"settle_band": TABLE["settle_band"][:2]}))
@@ -127,6 +128,7 @@ def test_states_keep_their_bits(study):
             )
 
 
+@pytest.mark.ci
 def test_an_affine_error_is_exact_and_another_is_refused(study):
     """The exact moments of an own x - xhat are the state's; those of a distance are refused in one sentence."""
     linear = {"same [m]": ERRORS["same [m]"], "sum [m]": lambda p, now, x, xhat: x[0] - xhat[0] + 2 * (x[1] - xhat[1])}
