@@ -57,19 +57,41 @@ def run(
     progress: Progress = SILENT,
     say: Say | None = None,
 ) -> Result:
-    """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
+    """Run a study and return its tables.
 
-    `observers` "all" stands for every observer of pcbench that can run in all cells; the result's `study.excluded` has the
-    reasons of the others. `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study;
-    the arguments up to `evaluation` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in
-    `out` is not done again, unless `overwrite`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of
-    every observer is that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a
-    scheduler's address, or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB":
-    what results may take at a time; by default a quarter of the machine's). `progress` hears how far it is
-    (`runtime.progress`), `say` of damaged files and of loops that do not settle; without it the latter are Python's warnings.
-    Arrays, tuples, ranges and NumPy's numbers are as good as lists and numbers.
-    A study's `tuning` is done first: `gains.gain_variants`; of several the result has a table `fair`. Raises UserError, one
-    sentence, for whatever the user can mend.
+    Give `out` to keep the results in a folder: the same call then continues a run that was stopped, and does not repeat
+    what is finished. Arrays, tuples, ranges and NumPy numbers may be given instead of lists and numbers.
+
+    Args:
+        study: a built-in study, a scenario's name, a TOML file, a dict of the same shape, or a Study.
+        seeds: number of seeds (one run each) per grid point and observer.
+        first_seed: index of the first seed.
+        observers: names of observers. "all" selects those that support all grid points;
+            `result.study.excluded` has the reasons for the others.
+        axes: values of each axis by name, such as {"delay": [0.1, 0.2]} [s].
+        options: options by observer.
+        root_seed: root of all random numbers. Two studies with the same root share their noise.
+        evaluation: "runs", "exact" or "both".
+        out: folder or URI for the dataset. Default: a temporary folder that lives as long as the result.
+        overrides: changes of the study as texts, such as "axes.noise_std=0.1".
+        overwrite: delete what is in `out` first.
+        until_se: "METRIC=VALUE" adds seeds to each grid point until each observer's standard error is at most VALUE.
+        max_seeds: maximum seeds per grid point with `until_se`.
+        devices: number of devices that compute at the same time. No effect on any number, as for the next four.
+        dask: address of a Dask scheduler, or "local".
+        workers: number of workers with dask="local".
+        block_size: seeds per file.
+        memory: bytes that results may take at a time, or a text such as "2GiB". Default: a quarter of the machine's memory.
+        progress: is called with the progress (see `runtime.progress`).
+        say: is called with each warning. Default: Python warnings.
+
+    Returns:
+        The result: `.stats`, `.pairs` and `.runs` are pandas frames. If the study compares several tunings, `.fair` is a
+        frame too.
+
+    Raises:
+        UserError: a mistake in the study, an argument or the folder, in one sentence.
+        DigitsError: a state grows so large that float64 leaves fewer than two digits of the errors.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
@@ -116,12 +138,27 @@ def exact_moments(
     schedules: int = 64,
     progress: Progress = SILENT,
 ) -> "Exact":
-    """Return what a study's numbers are over infinitely many seeds, where they have an exact answer: no seed is simulated.
+    """Return means and variances of the errors over infinitely many seeds, without simulating any.
 
-    Arguments are those of `run`. The answer is exact where plant, observer and controller are affine in the noise, given the
-    schedule; that is tried in every cell, and where it fails `stats` says so and by how much. `schedules` is over how many of
-    its runs' schedules a random cell is averaged. `.stats` is like a result's, `.moments()` are mean and standard deviation of
-    the errors over time, `.covariance()` is of all errors of a cell together.
+    The answer is exact if plant, observer and controller are affine in the noise for a given schedule. This is checked in
+    each grid point. If the check fails, the `reason` column of `stats` explains why.
+
+    Args:
+        study: as in `run`, like the next five.
+        observers: names of observers.
+        axes: values of each axis by name.
+        options: options by observer.
+        root_seed: root of all random numbers, here of the schedules.
+        overrides: changes of the study as texts.
+        schedules: number of schedules to average over if each run has its own, 2 or more.
+        progress: is called with the progress.
+
+    Returns:
+        `.stats` is like that of a result; `.moments()` has mean and standard deviation of the errors over time;
+        `.covariance()` is the joint covariance of all errors of a grid point.
+
+    Raises:
+        UserError: a mistake in the study or an argument, in one sentence.
     """
     from pcbench.dataset.moments_frames import Exact  # with pandas
 
@@ -142,17 +179,27 @@ def simulate(
     overrides: list[str] | None = None,
     log: str | Path | None = None,
 ) -> "pd.DataFrame":
-    """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
+    """Simulate one run and return it tick by tick, ticks 0 .. N.
 
-    Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
-    estimate, and where the study asks for consistency, <observer>.<signal>.sigma, the standard deviation that they believe.
-    A trace of a closed loop is of one observer, and has the set point too: target.<signal>. `observers` "all" are those that
-    can run; `attrs["excluded"]` of the frame has the reasons of the others.
+    Estimates are those of the present, after the measurements that arrive at the tick have been used.
 
-    `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
-    Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before. `log` is
-    a folder for what was measured, put in and true, as a log that `pcbench.replay` reads.
-    Raises DigitsError where rounding decides the errors of an observer, as `run` does.
+    Args:
+        scenario: a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one grid point.
+        observers: names of observers, or "all". A closed loop takes one.
+        seed: index of the seed.
+        overrides: changes of the study as texts, such as "scenario.delay=0.2".
+        log: folder for measurements, inputs and truth as a recording for `pcbench.replay`. Default: none is written.
+
+    Returns:
+        A frame with t [s], each signal (states, then the plant's unknown inputs or parameters), OBSERVER.SIGNAL for each
+        estimate, OBSERVER.ERROR for each of the plant's own errors, u1.. (input held over the tick), and y1.. (newest
+        measurement that has arrived; NaN before the first). With the option `consistency` also OBSERVER.SIGNAL.sigma, the
+        assumed standard deviation; in a closed loop target.SIGNAL, the set point. `attrs["excluded"]` has the reasons why
+        observers of "all" are missing.
+
+    Raises:
+        UserError: a mistake in the study or an argument, in one sentence.
+        DigitsError: a state grows so large that float64 leaves fewer than two digits of the errors.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
     if not 0 <= seed < 2**32:
@@ -204,9 +251,19 @@ def simulate(
 def operation_counts(
     study: Described, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
 ) -> "pd.DataFrame":
-    """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
+    """Count the multiplications of observers.
 
-    Multiplications of a sample and of a tick of one run, and bytes kept from tick to tick (`planning/operation_counts`).
+    Args:
+        study: as in `run`.
+        observers: names of observers. Default: the study's.
+        overrides: changes of the study as texts.
+
+    Returns:
+        A frame with one row per grid point and observer: `sample` and `tick` are multiplications per measurement and per
+        tick of one run, `memory` is bytes kept from tick to tick (see `planning/operation_counts`).
+
+    Raises:
+        UserError: a mistake in the study or an argument, in one sentence.
     """
     import pandas as pd
 
@@ -238,10 +295,21 @@ def _held(arrived: np.ndarray) -> np.ndarray:
 def design(
     scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> Design:
-    """Return an observer's gains in a scenario with the certificate that proves them; `gain` as `pcbench design` has it.
+    """Compute an observer's gains in a scenario, with the certificate that proves them.
 
-    The certificate says the inequality, its margin, the solver and whether it was a fallback, and the decay rate promised.
-    Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
+    Args:
+        scenario: a scenario's name, or a study with one scenario and one grid point.
+        observer: name of the observer.
+        gain: how gains are computed, as in `pcbench design --gain`. Default: the study's.
+        overrides: changes of the study as texts.
+
+    Returns:
+        The gains, and the certificate: inequality, margin, solver, whether it was a fallback, and the guaranteed decay rate
+        [1/s].
+
+    Raises:
+        UserError: a mistake in the study or an argument, in one sentence.
+        DesignError: the gains are not certified; the sentence has the margin.
     """
     with config.float64():
         from pcbench.gains import design
@@ -261,12 +329,22 @@ def tune(
     start: float | None = None,
     **how: Any,
 ) -> "Tuning | LogTuning":
-    """Tune an observer's free parameters on simulated runs, or its noise intensities on the recording `log`.
+    """Tune an observer's free parameters on simulated runs, or its noise intensities on a recording.
 
-    `how` is budget, only, out, overrides and progress, and without a log objective, signal, optimizer, exact_objective,
-    training and judges: see `gains.tune.tune`. `delay` [s] and `start` [s] are those of a recording: see
-    `playback.tuning.tune_log`.
-    Raises UserError for whatever the user can mend.
+    Args:
+        scenario: a scenario's name, or a study with one scenario and one grid point.
+        observer: name of the observer.
+        log: a recording (see `replay`). Default: simulated runs.
+        delay: delay of every measurement [s], for a recording without arrival times.
+        start: time of tick 0 in the recording [s]. Default: its first time.
+        **how: budget, only, out, overrides and progress; without a recording also objective, signal, optimizer,
+            exact_objective, training and judges. See `gains.tune.tune` and `playback.tuning.tune_log`.
+
+    Returns:
+        The tuned options, and what they reach on seeds, or on a part of the recording, that were not used for tuning.
+
+    Raises:
+        UserError: a mistake in the study, the recording or an argument, in one sentence.
     """
     if log is None:
         if delay is not None or start is not None:

@@ -26,9 +26,16 @@ TOGETHER = "pcbench_together"  # the name by which simulations know a function t
 
 
 def vmap_as_unit(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Return f, to be carried over runs in one piece, by vmap: one that is large, or has arrays of hundreds of entries.
+    """Mark a function to be vectorized over runs as a whole, by `jax.vmap`.
 
-    Other functions are carried over entry by entry, which is faster where arrays are small, and compiles slowly where not.
+    Use it for functions that are large, or that have arrays of hundreds of entries. Other functions are vectorized entry by
+    entry, which is faster for small arrays, but slow to compile for large ones.
+
+    Args:
+        f: a function of arrays, of one run.
+
+    Returns:
+        The same function, marked.
     """
 
     def whole(*args: Any) -> Any:

@@ -21,7 +21,17 @@ if TYPE_CHECKING:
 
 
 def open_result(out: str | Path) -> "Result":
-    """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
+    """Open the result of a finished study.
+
+    Args:
+        out: folder or URI, as given to `run`.
+
+    Returns:
+        The result, as `run` returned it.
+
+    Raises:
+        UserError: there is no finished study, or a file is damaged.
+    """
     target = storage.target(str(out))
     owned = manifest.opened(target)
     if not close.is_closed(target, block_files.settled(block_files.present(target))):

@@ -37,9 +37,17 @@ class Model(NamedTuple):
 
 
 def discretize_zoh(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
-    """Return Phi = e^{A h} and Gamma = int_0^h e^{A s} ds B, exact for an input held over h seconds; A may be singular.
+    """Discretize x' = A x + B u exactly, for an input held over h seconds (zero-order hold).
 
-    Remembered, as cells of one study ask for the same again and again.
+    Results are cached in memory.
+
+    Args:
+        A: [n, n], may be singular.
+        B: [n, m].
+        h: time step [s].
+
+    Returns:
+        Phi = e^(A h) [n, n], and Gamma [n, m], the integral of e^(A s) over s = 0 .. h, times B.
     """
     n, m = B.shape
     block = np.zeros((n + m, n + m))

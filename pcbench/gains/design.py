@@ -85,11 +85,23 @@ def trade_off(
     gain: str | None = None,
     overrides: list[str] | None = None,
 ) -> "pd.DataFrame":
-    """Return a row for each value of one option of a design: what is promised there, or why it is refused.
+    """Design gains for several values of one option.
 
-    Columns: the option, `rate` [1/s] of the decay promised (NaN: none), `margin`, `solver`, `fallback`, `refused` (empty: it
-    stands), `certified` (see `certificate.is_certified`), and the certificate's numbers, small arrays entry by entry. Raises
-    UserError where every value is refused.
+    Args:
+        scenario: a scenario's name, or a study with one scenario and one grid point.
+        observer: name of the observer.
+        option: name of the option.
+        values: its values.
+        gain: how gains are computed, as in `design`.
+        overrides: changes of the study as texts.
+
+    Returns:
+        A frame with one row per value: the option, `rate` [1/s] of the guaranteed decay (NaN: none), `margin`, `solver`,
+        `fallback`, `refused` (why there are no gains; empty: there are), `certified`, and the certificate's numbers, one
+        column for each entry.
+
+    Raises:
+        UserError: there is no such option, or every value is refused.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     observer = label_of(observer)

@@ -60,22 +60,36 @@ def find_limit(
     progress: Progress = SILENT,
     say: Say = lambda sentence: None,
 ) -> pd.DataFrame:
-    """Return for each observer the largest value of `axis` at which `metric` surely stays below a limit.
+    """Find for each observer the largest value of an axis at which a metric is significantly below a threshold.
 
-    A row an observer; columns: `pcbench.statistics.limit_verdicts.table`. `study` is of one scenario, every other axis with one
-    value; `axis` is any axis of numbers, such as "sampling_period", "plant.lam", or "delay[0]", the first channel's alone.
-    `threshold` is in the metric's unit. The axis is searched `between` two values (default: the ends of the study's own, or
-    what the scenario suggests) to the precision `tol`, in its unit (default: a twentieth of the value, at least a tick).
-    Intervals that hold the limit get more seeds, `max_seeds` a value at most (default: 16 times the study's). What was run
-    stands in the folder `out`, a study like any other, and is used again: for another limit or metric, more seeds, a wider
-    range; stopped, it goes on. The frame's `attrs` say what was asked. Raises UserError, one sentence, for whatever the user
-    can mend.
+    A value passes if the whole 95 % interval of the metric is below the threshold and no run has diverged. If the interval
+    contains the threshold, more seeds are run.
 
-    Two axes, such as ["sampling_period", "delay"], return their frontier: for each value of the first axis the largest value
-    of the second. The first axis takes the study's values or, `between` two, five values and those of the study within.
-    The frame then has a row for each value and observer, with the value in a column of the axis' name. `between` is then the
-    range of the first axis, or a list of two ranges, of which None is the default one. Each value has a folder of its own in
-    `out`.
+    Args:
+        study: as in `run`, with one scenario and one value of every other axis.
+        axis: an axis of numbers, such as "sampling_period", "plant.lam" or "delay[0]" (the first channel). Two axes give a
+            frontier: for each value of the first, the largest value of the second.
+        threshold: the limit, in the metric's unit.
+        metric: a metric of the tables.
+        signal: the signal. Default: the first of the closing table.
+        between: range of the axis (low, high), of two axes of the first, or a list of two ranges (None: the default).
+            Default: the ends of the study's own values, or what the scenario suggests.
+        tol: precision, in the axis' unit. Default: 5 % of the value, at least one tick.
+        seeds: number of seeds per value.
+        max_seeds: maximum seeds per value. Default: 16 times the study's.
+        observers: names of observers.
+        out: folder or URI for the runs, which are used again by later calls. Default: a temporary folder.
+        overrides: changes of the study as texts.
+        overwrite: delete what is in `out` first.
+        progress: is called with the progress.
+        say: is called with each remark.
+
+    Returns:
+        A frame with one row per observer (of two axes, per value and observer); for the columns see
+        `pcbench.statistics.limit_verdicts.table`. `attrs` has the question.
+
+    Raises:
+        UserError: a mistake in the study or an argument, in one sentence.
     """
     named = [axis] if isinstance(axis, str) else list(axis)
     if len(named) not in (1, 2):

@@ -90,20 +90,34 @@ def make_plant(
     errors: Mapping[str, ErrorFunction] | None = None,
     summary: str = "a plant of one's own",
 ) -> PlantSpec:
-    """Return a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(...), and y = output(...).
+    """Make a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(numbers, now, x).
 
-    `states` are names with units, such as "angle [rad]". `numbers` is a NamedTuple of floats (each is an axis, `plant.<name>`)
-    and lists; the functions get it with arrays, and write jax.numpy. `operating_point` is (x0 [n], u0 [m]): signals, inputs and
-    measured outputs of the benchmark are deviations from it, the functions see whole ones. Where it is an equilibrium, linear
-    observers work on the Jacobians there; `ekf` works anywhere. `step` needs `tick` [s], which is then a scenario's dt.
-    `unknown_inputs` and `unknown_parameters` are names among `numbers` that observers are not told and may estimate, inputs
-    first: each with a unit, or (unit, least, most). An unknown input is the scenario's signal `unknown_input`.
-    `output_residual(y, yhat)` [q] is y less yhat where that is not their difference: of an angle that wraps, the shortest way
-    from one to the other. `ekf`, `ekf-iterated`, `ukf`, `particle` and `mhe` use it; other observers take the difference.
-    `errors` are errors of your own, by name with unit: "distance [m]" of (numbers, now, x, xhat), of whole x and xhat, is one
-    number at each tick, 0 where they agree. Tables have every metric of it, as they have of the error of a state: its mean
-    absolute value, root mean square, largest value, settling time. Not beside unknown inputs or parameters.
-    Raises UserError for shapes that do not fit, and where a function or its slope is not finite at the operating point.
+    Signals, inputs and measured outputs of a study are deviations from the operating point. The functions get the full
+    values. Linear observers use the Jacobians at the operating point, if it is an equilibrium. `ekf` works anywhere.
+
+    Args:
+        output: measured y [q] = output(numbers, now, x). Functions are written in jax.numpy, for one run.
+        states: names with units, such as "angle [rad]"; n of them.
+        operating_point: (x0 [n], u0 [m]).
+        field: dx/dt [n]; give this or `step`.
+        step: x one tick later [n].
+        tick: time step of `step` [s], which is then the scenario's `dt`.
+        numbers: a NamedTuple of floats (each is an axis, `plant.NAME`) and lists. The functions get it with arrays.
+        unknown_inputs: inputs that observers may estimate, by their names among `numbers`: a unit, or (unit, least, most).
+            The scenario's `unknown_input` is their signal.
+        unknown_parameters: parameters that observers may estimate, likewise.
+        positive: names of numbers that must be greater than 0.
+        output_residual: y - yhat [q] as a function (y, yhat), if it is not their difference: of an angle that wraps, the
+            shortest way. `ekf`, `ekf-iterated`, `ukf`, `particle` and `mhe` use it; other observers take the difference.
+        errors: your own errors by name with unit, such as "distance [m]": functions (numbers, now, x, xhat) of one number,
+            which is 0 if x and xhat agree. Tables have every metric of them. Not with unknown inputs or parameters.
+        summary: one line that `pcbench list` shows.
+
+    Returns:
+        The plant. A scenario names it by `plant = "FILE.py:NAME"`.
+
+    Raises:
+        UserError: shapes do not fit, or a function or its slope is not finite at the operating point.
     """
     x0, u0 = _point(operating_point)
     signals = names_and_units(states, f"{WHERE}: states")

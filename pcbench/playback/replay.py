@@ -56,13 +56,24 @@ def replay(
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
 ) -> Replayed:
-    """Run observers of a plant on a log, and return what can be known of them; with `out`, a folder, estimates are there.
+    """Run observers on a recording.
 
-    `log` is a folder or file of tables, or a TOML that says what of a bag is which channel (`pcbench.recordings`); `plant` a
-    study of one scenario and one cell, whose outputs are the log's channels in their order. `delay` [s] stands for arrivals
-    that the log does not have, `start` [s] is the log's time of tick 0, by default its first. `seed` is for observers that draw
-    numbers. `progress` hears of ticks.
-    Raises UserError, with the row, for whatever the user can mend.
+    Args:
+        log: folder or file of tables, or a TOML file that maps a bag's fields to channels (see `pcbench.recordings`).
+        plant: a study of one scenario and one grid point. Its outputs are the recording's channels, in the same order.
+        observers: names of observers, or "all".
+        out: folder for estimates and tables. Default: none are written.
+        delay: delay of every measurement [s], for a recording without arrival times.
+        start: time of tick 0 in the recording [s]. Default: its first time.
+        seed: index of the seed, for observers that draw random numbers.
+        overrides: changes of the study as texts.
+        progress: is called with the progress, in ticks.
+
+    Returns:
+        Estimates, innovation tests and, if the recording has the truth, metrics.
+
+    Raises:
+        UserError: a mistake in the recording, the study or an argument; the sentence names the row.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
     with config.float64(), ending.temporary_folder() as spare:

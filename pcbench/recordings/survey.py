@@ -179,10 +179,17 @@ def _row(name: str, c: Channel) -> dict[str, object]:
 
 
 def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
-    """Return what is in a log, a row a channel: rate, gaps and delays [s], samples out of order or doubled, stamps that drift.
+    """Summarize a recording: rates, gaps, delays, order and clock of each channel.
 
-    `name` is a folder or file of tables, or a TOML that says what of a bag is which channel; `delay` [s] stands for arrivals
-    that it does not have. `info(...).attrs["survey"]` has what the picture `plots.delays` shows. Raises UserError with the row.
+    Args:
+        name: folder or file of tables, or a TOML file that maps a bag's fields to channels.
+        delay: delay of every measurement [s], for a recording without arrival times.
+
+    Returns:
+        A frame with one row per channel. `attrs["survey"]` has what the figure `plots.delays` shows.
+
+    Raises:
+        UserError: the recording cannot be read; the sentence names file and row.
     """
     import pandas as pd
 

@@ -16,11 +16,11 @@ ISA = "--xla_cpu_max_isa"  # the instruction set; AVX is the last one of x86 wit
 
 
 def setup() -> None:
-    """Give this process to pcbench: float64, compiled programs remembered between processes, linear algebra on one thread.
+    """Set up JAX for pcbench in this process: float64, a compilation cache on disk, linear algebra on one thread.
 
-    The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
-    own jax configuration leaves it out: pcbench then computes the same, from jax 0.11 on but for the last bit
-    (`without_fma`), and compiles anew in every process.
+    The command line does this. In a notebook, call it before anything else uses JAX. A program with a JAX configuration of
+    its own does not need it: pcbench then computes the same (from jax 0.11 on, except for the last bit, see `without_fma`),
+    and compiles again in every process.
     """
     thread_pools.one()
     if flags := without_fma(os.environ.get("XLA_FLAGS", "")):

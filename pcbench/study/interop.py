@@ -23,13 +23,23 @@ from pcbench.toml_text import TomlTable
 
 
 def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
-    """Return a study of a linear plant, to be given to `run`, `trace` or `design`.
+    """Make a study of a linear plant, for `run`, `simulate` or `design`.
 
-    `system` is a scipy.signal.StateSpace, dlti (any representation with `to_ss`) or control.StateSpace; n states, m inputs,
-    q outputs. Continuous systems are simulated exactly under an input held over `tick` (default 0.001 s), discrete ones at
-    their own dt. `experiment` holds the keys of a study's `[lti]` table: sampling_period, delay and noise_std must be given
-    (one number, or one for each output), others such as input, x0, horizon, observers may be. State names are taken from
-    control's labels where they are plain names. Raises UserError where the system's time base is unknown or a key does not fit.
+    A continuous system is simulated exactly under an input held over `tick` (default 0.001 s), a discrete one at its own
+    time base.
+
+    Args:
+        system: a scipy.signal.StateSpace or dlti, a control.StateSpace, or any representation with `to_ss`; n states, m
+            inputs, q outputs.
+        name: name of the study.
+        **experiment: keys of a study's `[lti]` table. Required: sampling_period [s], delay [s] and noise_std [unit of the
+            output], one number or one per output. Optional: input, x0, duration, observers and others.
+
+    Returns:
+        The study. Its states have the labels of a control.StateSpace if these are plain names.
+
+    Raises:
+        UserError: the system has no known time base or no state space, or a key does not fit.
     """
     matrices = _state_space(system)
     for key in experiment:
@@ -43,7 +53,17 @@ def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
 
 
 def to_scipy(study: Study) -> Any:
-    """Return a study's own plant as scipy.signal's StateSpace (continuous) or dlti (discrete)."""
+    """Convert a study's own linear plant for SciPy.
+
+    Args:
+        study: a study with an `[lti]` table, or one made by `lti`.
+
+    Returns:
+        scipy.signal's StateSpace of a continuous plant, or a dlti.
+
+    Raises:
+        UserError: the study has no such plant.
+    """
     from scipy import signal
 
     matrices, dt, _ = _plant(study)
@@ -51,7 +71,17 @@ def to_scipy(study: Study) -> Any:
 
 
 def to_control(study: Study) -> Any:
-    """Return a study's own plant as control.StateSpace with its state names; needs `pip install "pcbench[control]"`."""
+    """Convert a study's own linear plant for python-control.
+
+    Args:
+        study: a study with an `[lti]` table, or one made by `lti`.
+
+    Returns:
+        A control.StateSpace with the names of the states.
+
+    Raises:
+        UserError: the study has no such plant, or python-control is not installed (pip install "pcbench[control]").
+    """
     try:
         import control
     except ImportError:

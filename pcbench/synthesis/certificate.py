@@ -112,7 +112,19 @@ class DesignContext(NamedTuple):
 
 
 def require_certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
-    """Return the certificate; raise DesignError where its margin is not above `least` (a NaN is not)."""
+    """Check a certificate's margin.
+
+    Args:
+        certificate: the certificate.
+        where: what is designed and for which scenario, for the error message.
+        least: the margin must be greater.
+
+    Returns:
+        The certificate.
+
+    Raises:
+        DesignError: the margin is not greater than `least`, or is NaN.
+    """
     if not certificate.margin > least:
         raise DesignError(
             f"{where}: the gain is not certified: {certificate.inequality} has margin {certificate.margin:.3g}, "
@@ -123,7 +135,14 @@ def require_certified(certificate: Certificate, where: str, least: float = 0.0) 
 
 
 def no_certificate(why: str) -> Certificate:
-    """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
+    """Make the certificate of gains without a proof.
+
+    Args:
+        why: the reason, which tables and `design` show.
+
+    Returns:
+        A certificate that is not certified.
+    """
     return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status=UNCERTIFIED)
 
 

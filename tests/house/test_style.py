@@ -1,6 +1,7 @@
 """Style that a test can read: records of many fields are filled by keyword, as what stands in place seven nobody knows."""
 
 import ast
+import inspect
 import re
 from pathlib import Path
 
@@ -40,3 +41,25 @@ def test_no_module_has_the_name_of_what_its_package_offers():
         offered = set(re.findall(r'"(\w+)"', text[1])) & names if text and package.parent != ROOT else set()
         modules = {path.stem for path in package.parent.glob("*.py")}
         assert not offered & modules, package
+
+
+PUBLIC = [name for name in pcbench.__all__ if inspect.isfunction(getattr(pcbench, name))]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_functions_document_each_argument_and_what_they_return(name):
+    function = getattr(pcbench, name)
+    text, signature = inspect.getdoc(function), inspect.signature(function)
+    sections = dict(re.findall(r"^(Args|Returns|Raises):\n((?:    .*\n?|\n(?=    ))*)", text, re.M))
+    documented = re.findall(r"^    \*{0,2}(\w+): ", sections.get("Args", ""), re.M)
+    assert documented == list(signature.parameters)
+    assert ("Returns" in sections) == (signature.return_annotation not in (None, "None"))
+    raised = set(re.findall(r"raise (UserError|DesignError)\(", inspect.getsource(function)))
+    assert all(error in sections.get("Raises", "") for error in raised)
+
+
+def test_their_annotations_are_complete():
+    for name in PUBLIC:
+        signature = inspect.signature(getattr(pcbench, name))
+        assert signature.return_annotation is not inspect.Signature.empty, name
+        assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values()), name

@@ -31,9 +31,15 @@ class StrictOptions(BaseModel):
 
 
 def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any) -> Any:
-    """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly.
+    """Declare a field of an observer's options that `tune` may change. Gains must depend on it smoothly.
 
-    `between` are the numbers within which it lies, where both bound it. With gt=0 or ge=0 alone it stays positive.
+    Args:
+        default: its default.
+        between: least and greatest value. With gt=0 or ge=0 instead, it stays positive.
+        **how: further arguments of pydantic's `Field`, such as ge, gt and description.
+
+    Returns:
+        The field.
     """
     return Field(default, json_schema_extra={TUNABLE: list(between or ())}, **how)
 
