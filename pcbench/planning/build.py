@@ -4,6 +4,7 @@ The least error that any causal estimator can have in a cell.
 """
 
 from collections.abc import Callable, Container, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import jax
@@ -55,9 +56,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     key = memo.key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = memo.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
     steps = ask("steps", alike, riccati.no_steps)
-    moved: tuple[linear.Matrix, linear.Matrix] = ask(
-        "moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std)
-    )
+    moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
 
     def least() -> NDArray[np.float64]:
         _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
@@ -65,8 +64,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
         tail = range(cell.times.tail, known.ticks)
         return np.sqrt(riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps))
 
-    found: NDArray[np.float64] = ask("bound", key, least)
-    return found
+    return ask("bound", key, least)
 
 
 def _over_ticks(known: DesignContext, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
@@ -139,7 +137,10 @@ def draft(
     s, known = cell.scenario, known or setting(cell, ask)
     true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
-    designs = {o: memo.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
+    designs = {
+        o: ask("designs", (cell.key, o), partial(memo.designed, o, cell.entry(o), known, given))
+        for o, given in options.items()
+    }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers: dict[str, Any] = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
     numbers |= cell.parameters
@@ -213,8 +214,7 @@ def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
         return 0
     bare = layout._replace(observers=(), width=1, ring=1)
     shapes = tuple(np.shape(a) for a in jax.tree.leaves((problem.params, problem.inputs, problem.process_std)))
-    goes: bool = ask("lifted", (bare, shapes), lambda: plant_goes(bare, problem._replace(gains={})))
-    return room if goes else 0
+    return room if ask("lifted", (bare, shapes), lambda: plant_goes(bare, problem._replace(gains={}))) else 0
 
 
 def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:
@@ -229,7 +229,7 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
         return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     n = cell.times.ticks
     t = s.dt * np.arange(n + 1, dtype=float)
-    u: NDArray[np.float64] = ask("inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, t, m))
+    u = ask("inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, t, m))
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "

@@ -10,7 +10,7 @@ Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depe
 
 from bisect import bisect
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -87,7 +87,19 @@ class CovarianceRun(NamedTuple):
 def multirate(
     doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
 ) -> CovarianceRun:
-    """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on."""
+    """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on.
+
+    Remembered, as observers and cells of one study ask for the same again and again.
+    """
+    numbers = [np.ascontiguousarray(a, float) for a in (doubled, noise, C, R, P0)]
+    return _multirate(tuple((a.tobytes(), a.shape) for a in numbers), period, ticks)
+
+
+@lru_cache(maxsize=256)
+def _multirate(
+    numbers: tuple[tuple[bytes, tuple[int, ...]], ...], period: tuple[int, ...], ticks: int
+) -> CovarianceRun:
+    doubled, noise, C, R, P0 = (np.frombuffer(bits).reshape(shape) for bits, shape in numbers)
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
     over = cache(lambda gap: _over(doubled, noise, gap))  # the same gaps come again and again
     innovation, least = np.inf, np.inf
