@@ -1,8 +1,7 @@
 """The rows of stats and pairs of cells, from their blocks, which are read chunk by chunk."""
 
-from collections.abc import Hashable, Iterator, Mapping
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -16,20 +15,10 @@ from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import is_certified
+from pcbench.toml_text import TomlTable
 
 FEW = 1024  # runs of a cell whose rows are made together with those of others: of more, most of the time is theirs
 Chunk = dict[str, statistics.Results]  # by observer
-
-
-class BlockRuns(NamedTuple):
-    """What a block holds."""
-
-    about: dict[str, Any]  # what it says of itself
-    results: statistics.Results
-
-
-Held = Mapping[str, BlockRuns]  # blocks by name
-NONE: Held = MappingProxyType({})
 
 
 class CellBlocks(NamedTuple):
@@ -38,8 +27,7 @@ class CellBlocks(NamedTuple):
     target: storage.Target
     cell: Cell
     blocks: dict[str, list[Block]]
-    about: dict[str, dict[str, Any]]
-    held: Held = NONE  # of these blocks, what is at hand
+    about: dict[str, TomlTable]
 
     @property
     def bounds(self) -> dict[str, statistics.Values | None]:
@@ -54,14 +42,11 @@ class CellBlocks(NamedTuple):
         return (found := belief.prior_std + belief.unknown_std) + band[len(found) :]
 
 
-def of_cell(target: storage.Target, cell: Cell, blocks: Series, held: Held = NONE) -> CellBlocks:
-    """Return what there is of a cell; blocks that are `held` are not read again."""
+def of_cell(target: storage.Target, cell: Cell, blocks: Series) -> CellBlocks:
+    """Return what there is of a cell."""
     mine = {name: blocks[*cell.key, name] for name in cell.options if blocks.get((*cell.key, name))}
-    first = {name: each[0] for name, each in mine.items()}
-    about = {
-        name: held[b.name].about if b.name in held else block_files.about_block(target, b) for name, b in first.items()
-    }
-    return CellBlocks(target, cell, mine, about, held)
+    about = {name: block_files.about_block(target, each[0]) for name, each in mine.items()}
+    return CellBlocks(target, cell, mine, about)
 
 
 def rows_of(study: str, c: CellBlocks, within: Seeds | None = None) -> tuple[pa.Table, pa.Table]:
@@ -96,7 +81,7 @@ def _tables(
     return stats, table_builder.pairs_table(heads, facts, signals, compared)
 
 
-def _facts(about: dict[str, Any]) -> dict[str, bool | None]:
+def _facts(about: TomlTable) -> dict[str, bool | None]:
     return {"predicts_unknown_input": about["predicts_unknown_input"], "certified": is_certified(about["certificate"])}
 
 
@@ -144,8 +129,7 @@ def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Itera
         start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
             continue
-        held = c.held.get(block.name)
-        results = results_of(block_files.read(c.target, block)) if held is None else held.results
+        results = results_of(block_files.read(c.target, block))
         while start < stop:
             chunk = start // statistics.CHUNK
             if parts and chunk != at:
@@ -166,7 +150,7 @@ def results_of(table: pa.Table) -> statistics.Results:
     """Return the metrics that a block holds, [what the observer estimates, seeds]; `diverged` [seeds]."""
     about = block_files.about(table)
 
-    def square(name: str) -> NDArray[Any]:
+    def square(name: str) -> NDArray[np.generic]:
         return table[name].to_numpy().reshape(about["last"] - about["first"], -1).T
 
     out = {m: square(m)[:many] for m, many in about["metrics"].items()}

@@ -6,10 +6,10 @@ as they grow, compressed, so that memory hardly grows with the number of cells.
 
 import hashlib
 import json
-from collections import deque
-from itertools import groupby, islice
+from collections.abc import Iterator, Mapping
+from itertools import groupby
 from operator import itemgetter
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -23,47 +23,109 @@ from pcbench.dataset.seed_ranges import joined
 from pcbench.runtime import provenance
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
+from pcbench.toml_text import TomlTable
 
 PROVENANCE = "provenance.json"
 Key = tuple[str, int]  # a cell's
+ByObserver = dict[str, dict[str, TomlTable]]  # a record by scenario and observer
 TOGETHER = 32  # cells whose rows are made at a time
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 EXACT = "exact"  # the kind of cells without runs
 
 
-def close(
-    target: storage.Target, owned: Owned, there: list[Block], about: dict[str, Any], begun: "Closing | None" = None
-) -> None:
-    """Write stats.parquet and pairs.parquet of these blocks, and provenance.json with what is said `about` the run.
+class ClosingTables(NamedTuple):
+    """What follows from the blocks of a dataset."""
 
-    `begun` are tables that have grown while the blocks came, if they are of these.
-    """
-    mine = begun if begun and begun.made_of == {FROM: made_from(target, there)} else Closing(target, owned, there)
-    stats, pairs = mine.content()
-    storage.put(target, "stats.parquet", stats)
-    storage.put(target, "pairs.parquet", pairs)
+    blocks: int
+    stats: pa.Buffer  # the bytes of their files
+    pairs: pa.Buffer
+    certificates: ByObserver  # the weakest, by scenario and observer
+    flow: dict[str, dict[str, str]]  # how observers went: lifted, stepped, or both
+
+
+def close(target: storage.Target, owned: Owned, tables: ClosingTables, about: Mapping[str, object]) -> None:
+    """Write stats.parquet and pairs.parquet, and provenance.json with what is said `about` the run."""
+    storage.put(target, "stats.parquet", tables.stats)
+    storage.put(target, "pairs.parquet", tables.pairs)
     study = {
         "schema": columns.SCHEMA,
         "study": owned.study.name,
         "study_sha256": digest(owned.study, owned.cells),
         "root_seed": owned.study.root_seed,
-        "blocks": len(there),
+        "blocks": tables.blocks,
         **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
         **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),
     }
-    digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
-    derived = {"certificates": mine.weakest, "flow": mine.ways, "digests": digests}
-    record = provenance.describe() | study | about | derived
+    digests = {"stats.parquet": digest_of(tables.stats), "pairs.parquet": digest_of(tables.pairs)}
+    derived = {"certificates": tables.certificates, "flow": tables.flow, "digests": digests}
+    record = provenance.describe() | study | dict(about) | derived
     storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
 
-def record(target: storage.Target) -> dict[str, Any] | None:
+def closing_tables(target: storage.Target, owned: Owned, there: list[Block]) -> ClosingTables:
+    """Return the tables of all cells in the order of the study; where a file's parts end depends on the study alone."""
+    mark = {FROM: made_from(target, there)}
+    stats, pairs = GrowingTable(mark), GrowingTable(mark)
+    exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.settled(there))
+    weakest: ByObserver = {}
+    ways: dict[str, dict[str, str]] = {}
+    for first in range(0, len(owned.cells), TOGETHER):
+        cells = [aggregate.of_cell(target, cell, blocks) for cell in owned.cells[first : first + TOGETHER]]
+        for c in cells:
+            for name, about in c.about.items():
+                proof: TomlTable = about["certificate"]
+                proofs = weakest.setdefault(c.cell.scenario.name, {})
+                proofs[name] = min(proofs.get(name, proof), proof, key=_strength)
+                went, way = ways.setdefault(c.cell.scenario.name, {}), about["flow"]
+                went[name] = way if went.get(name, way) == way else "both"
+        for some_stats, some_pairs in _rows(owned.study.name, cells, exact):
+            stats.add(some_stats)
+            pairs.add(some_pairs)
+    return ClosingTables(len(there), stats.content(), adjusted(pairs.content(), mark), weakest, ways)
+
+
+def _rows(
+    study: str, cells: list[aggregate.CellBlocks], exact: dict[Key, pa.Table]
+) -> Iterator[tuple[pa.Table, pa.Table]]:
+    """Yield the rows of stats and pairs of some cells, those of one kind that follow upon each other together."""
+    each = []
+    for c in cells:
+        runs = aggregate.only_chunk(c) if c.blocks and c.cell.key not in exact else None
+        if c.blocks or c.cell.key in exact:
+            each.append(((runs and aggregate.kind(c, runs)) if c.blocks else EXACT, c, runs))
+    for kind, group in groupby(each, key=itemgetter(0)):
+        _, alike, runs_of_cells = zip(*group, strict=True)
+        if kind is None:
+            yield from (_with_exact(study, c, exact.get(c.cell.key)) for c in alike)
+        elif kind == EXACT:
+            rows = pa.concat_tables([exact[c.cell.key] for c in alike])
+            yield rows, moments_tables.pairs(rows)
+        else:
+            yield aggregate.rows_of_cells(study, list(alike), list(runs_of_cells))
+
+
+def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> tuple[pa.Table, pa.Table]:
+    """The rows of a cell by itself, of which some observers may be exact: those of runs say why they are not."""
+    stats, pairs = aggregate.rows_of(study, c)
+    if exact is None:
+        return stats, pairs
+    each = zip(*(exact[name].to_pylist() for name in ("observer", "metric", "reason")), strict=True)
+    why = {observer: reason for observer, metric, reason in each if metric == "mse"}
+    stats = parquet_io.with_column(stats, "reason", [why.get(name) for name in stats["observer"].to_pylist()])
+    without = pa.array([name not in c.blocks for name in exact["observer"].to_pylist()])
+    rows = pa.concat_tables([exact.filter(without), stats])
+    place = {name: i for i, name in enumerate(c.cell.options)}
+    order = np.argsort([place[name] for name in rows["observer"].to_pylist()], kind="stable")
+    return rows.take(order), pa.concat_tables([pairs, moments_tables.pairs(exact)])
+
+
+def record(target: storage.Target) -> TomlTable | None:
     """Return what provenance.json says; None where it is not there, or not as it was written."""
     said = storage.document(target, PROVENANCE)
     return said if said and said.get("digest") == _digest(said) else None
 
 
-def _digest(record: dict[str, Any]) -> str:
+def _digest(record: TomlTable) -> str:
     text = json.dumps({k: v for k, v in record.items() if k != "digest"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -71,85 +133,6 @@ def _digest(record: dict[str, Any]) -> str:
 def digest_of(content: pa.Buffer) -> str:
     """Return the digest of a file's bytes."""
     return hashlib.sha256(content).hexdigest()[:32]
-
-
-class Closing:
-    """The closing tables as they grow, some cells at a time in the order of the study: while others are computed."""
-
-    def __init__(
-        self, target: storage.Target, owned: Owned, there: list[Block], lacking: dict[Key, int] | None = None
-    ) -> None:
-        """Begin with the blocks that are, or will be, `there`; cells still lack so many runs."""
-        self.target, self.study, self.lacking = target, owned.study.name, dict(lacking or {})
-        self.made_of = {FROM: made_from(target, there)}
-        self.stats, self.pairs = GrowingTable(self.made_of), GrowingTable(self.made_of)
-        self.exact = moments_tables.rows_by_cell(target)
-        self.weakest: dict[str, dict[str, Any]] = {}  # certificates by scenario and observer
-        self.ways: dict[str, dict[str, str]] = {}  # how observers went: lifted, stepped, or both
-        self.left = deque(owned.cells)
-        self.held: dict[Key, aggregate.Held] = {}  # of cells whose turn is still to come
-        self.blocks = block_files.series(block_files.settled(there))
-
-    def done(self, key: Key, runs: int, held: aggregate.Held) -> None:
-        """Take in the cells whose turn it is, once these runs of one are there; `held` are blocks that they stand in."""
-        if runs == self.lacking[key]:  # of a cell that comes in parts nothing is held
-            self.held[key] = held
-        self.lacking[key] -= runs
-        while self.left and not any(self.lacking.get(c.key) for c in islice(self.left, TOGETHER)):
-            self._add_some()
-
-    def content(self) -> tuple[pa.Buffer, pa.Buffer]:
-        """Return stats and pairs of all cells, in the order of the study, as the bytes of their files."""
-        while self.left:
-            self._add_some()
-        return self.stats.content(), adjusted(self.pairs.content(), self.made_of)
-
-    def _add_some(self) -> None:
-        """Add the next TOGETHER cells, whatever is there of them: where a file's parts end depends on the study alone."""
-        each = []
-        for cell in [self.left.popleft() for _ in range(min(TOGETHER, len(self.left)))]:
-            c = aggregate.of_cell(self.target, cell, self.blocks, self.held.pop(cell.key, aggregate.NONE))
-            self._note(c)
-            runs = aggregate.only_chunk(c) if c.blocks and cell.key not in self.exact else None
-            if c.blocks or cell.key in self.exact:
-                each.append(((runs and aggregate.kind(c, runs)) if c.blocks else EXACT, c, runs))
-        for kind, group in groupby(each, key=itemgetter(0)):
-            _, cells, runs_of_cells = zip(*group, strict=True)
-            if kind is None:
-                for c in cells:
-                    self._add(*self._with_exact(c))
-            elif kind == EXACT:
-                rows = pa.concat_tables([self.exact[c.cell.key] for c in cells])
-                self._add(rows, moments_tables.pairs(rows))
-            else:
-                self._add(*aggregate.rows_of_cells(self.study, list(cells), list(runs_of_cells)))
-
-    def _add(self, stats: pa.Table, pairs: pa.Table) -> None:
-        self.stats.add(stats)
-        self.pairs.add(pairs)
-
-    def _with_exact(self, c: aggregate.CellBlocks) -> tuple[pa.Table, pa.Table]:
-        """The rows of a cell by itself, of which some observers may be exact: those of runs say why they are not."""
-        stats, pairs = aggregate.rows_of(self.study, c)
-        exact = self.exact.get(c.cell.key)
-        if exact is None:
-            return stats, pairs
-        each = zip(*(exact[name].to_pylist() for name in ("observer", "metric", "reason")), strict=True)
-        why = {observer: reason for observer, metric, reason in each if metric == "mse"}
-        stats = parquet_io.with_column(stats, "reason", [why.get(name) for name in stats["observer"].to_pylist()])
-        without = pa.array([name not in c.blocks for name in exact["observer"].to_pylist()])
-        rows = pa.concat_tables([exact.filter(without), stats])
-        place = {name: i for i, name in enumerate(c.cell.options)}
-        order = np.argsort([place[name] for name in rows["observer"].to_pylist()], kind="stable")
-        return rows.take(order), pa.concat_tables([pairs, moments_tables.pairs(exact)])
-
-    def _note(self, c: aggregate.CellBlocks) -> None:
-        """Note certificates and ways."""
-        for name, about in c.about.items():
-            mine = self.weakest.setdefault(c.cell.scenario.name, {})
-            mine[name] = min(mine.get(name, about["certificate"]), about["certificate"], key=_strength)
-            went, way = self.ways.setdefault(c.cell.scenario.name, {}), about["flow"]
-            went[name] = way if went.get(name, way) == way else "both"
 
 
 def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
@@ -174,7 +157,7 @@ def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
     return out.content()
 
 
-def _strength(certificate: dict[str, Any]) -> float:
+def _strength(certificate: TomlTable) -> float:
     """What orders certificates: gains that nothing proves are weaker than all that something does."""
     margin = certificate["margin"]
     return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin

@@ -103,7 +103,8 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     there, lacking = block_files.present(into), run_missing.count_missing(into, whole)
     if not lacking:  # every observer has the same seeds
         engines = sorted({str(owned.study.engine) for owned in holdings})
-        close.close(into, whole, there, {"merged": [target.name for target in targets], "engines": engines})
+        about = {"merged": [target.name for target in targets], "engines": engines}
+        close.close(into, whole, close.closing_tables(into, whole, there), about)
     return MergeReport(len(there), doubled, lacking)
 
 

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from pcbench import planning
-from pcbench.dataset import aggregate, block_files, manifest, moments_tables, storage, task
+from pcbench.dataset import block_files, manifest, moments_tables, storage, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.executors import Executor
@@ -37,9 +37,6 @@ DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, 
 AHEAD = 16  # tasks that wait for the program after theirs
 SeedsOf = Callable[[Cell], Seeds]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
-Key = tuple[str, int]  # a cell's
-Heard = Callable[[Key, int, aggregate.Held], None]  # of which cell, how many of its runs are there now, in which blocks
-Close = Callable[[list[Block], dict[Key, int]], Heard]
 
 
 class Sizes(NamedTuple):
@@ -203,13 +200,11 @@ def run_blocks(
     wanted: SeedsOf,
     sizes: Sizes,
     progress: Progress = SILENT,
-    close: Close | None = None,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> Cost:
     """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be.
 
-    `say` gets a sentence for each program whose calls take long. `close` is told which blocks there will be and what cells lack
-    of them, and returns who hears of runs that are there.
+    `say` gets a sentence for each program whose calls take long.
     """
     todo = missing_seeds(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
     if not todo:
@@ -225,8 +220,6 @@ def run_blocks(
     progress.note("compiling")
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
-    lacks = {key: runs_in({key: labels}) for key, labels in todo.items()}
-    heard = close([*there, *new], lacks) if close else None
     for report in execute(work, took.each("planning", plan.tasks(wanted))):
         _require_versions(report)
         cost = added(cost, report.cost)
@@ -235,13 +228,9 @@ def run_blocks(
                 say(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.cost.runs)
-        if heard:
-            with took("closing"):
-                heard(report.cell, report.cost.runs, report.held)
         progress.note("simulating")
     storage.sync(target, {str(Path(b.name).parent) for b in new})
-    seconds = took.seconds
-    return cost._replace(planning_seconds=seconds["planning"], closing_seconds=seconds["closing"])
+    return cost._replace(planning_seconds=took.seconds["planning"])
 
 
 def _require_simulated(owned: Owned, todo: Gaps) -> None:

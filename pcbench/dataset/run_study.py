@@ -74,28 +74,22 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
             owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
             cost = Cost(exact_seconds=perf_counter() - exact_start)
         left = moments_tables.simulated(target, owned)
-        closing: list[close.Closing] = []
-
-        def close_meanwhile(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> run_missing.Heard:
-            closing.append(close.Closing(target, owned, blocks, lacking))
-            return closing[0].done
-
-        meanwhile = None if goal else close_meanwhile  # more seeds would make its tables anew
         wanted = run_missing.everything(left, there, how.more)
-        cost = added(
-            cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, meanwhile, say)
-        )
+        cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
         for wanted in adaptive_seeds.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say=say))
+            cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not close.is_closed(target, there):
             progress.note("statistics")
+            closing = perf_counter()
+            tables = close.closing_tables(target, owned, there)
             seconds = {"wall_seconds": perf_counter() - start, "compile_seconds": cost.compile_seconds}
             seconds |= {name: getattr(cost, name) for name in cost._fields[2:]}
+            seconds["closing_seconds"] = perf_counter() - closing
             about = {"started": began.isoformat(timespec="seconds"), "runs_added": cost.runs, "until_se": how.until_se}
             about |= {name: round(value, 3) for name, value in seconds.items()}
-            close.close(target, owned, there, about, closing[0] if closing else None)
+            close.close(target, owned, tables, about)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)

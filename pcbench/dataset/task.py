@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import statistics
-from pcbench.dataset import aggregate, block_files, columns, storage, table_builder, timing
+from pcbench.dataset import block_files, columns, storage, table_builder, timing
 from pcbench.dataset.executors import Hold
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.serialize import pack, unpack
@@ -27,7 +27,6 @@ from pcbench.runtime import config, provenance
 from pcbench.study.grid import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
-FEW_ROWS = 10_000  # of a task: 3 MB
 
 
 class Work(NamedTuple):
@@ -71,7 +70,6 @@ class Report(NamedTuple):
     cell: tuple[str, int]  # its key
     cost: timing.Cost
     versions: dict[str, str]  # of what computed it
-    held: aggregate.Held  # its blocks, where they have few rows: whoever wants them need not read them
     call: Call | None = None  # of a task that is timed
 
 
@@ -83,17 +81,15 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         computing = perf_counter() - began
     start, target = perf_counter(), storage.target(work.out)
     blocks = {} if call else dict(files(work, task, p, results, program.ways))
-    for name, (table, _) in blocks.items():
+    for name, table in blocks.items():
         storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
-    few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
     cost = timing.Cost(
         runs=task.runs,
         compiled={(config.name(), program.number): program.compile_seconds},
         computing_seconds=computing,
         writing_seconds=perf_counter() - start,
     )
-    held = {name: runs for name, (_, runs) in blocks.items()} if few else {}
-    return Report(p.cell.key, cost, provenance.versions(), held, call)
+    return Report(p.cell.key, cost, provenance.versions(), call)
 
 
 def simulated(
@@ -120,8 +116,8 @@ def simulated(
 
 def files(
     work: Work, task: Task, p: Plan, results: run_local.Results, ways: dict[str, str]
-) -> Iterator[tuple[str, tuple[pa.Table, aggregate.BlockRuns]]]:
-    """Yield the blocks of a task: name, rows, and these as a closing table takes them; `ways` by the program's observers."""
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the blocks of a task: name and rows; `ways` by the program's observers."""
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
     for seeds, labels in task.pieces:
@@ -140,7 +136,7 @@ def block(
     seeds: Seeds,
     way: str,
     common: dict[int, dict[str, pa.Array]] | None = None,
-) -> tuple[str, tuple[pa.Table, aggregate.BlockRuns]]:
+) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
 
     `common` has the columns that blocks of these seeds have in common, by how many signals they are of; it is added to.
@@ -168,8 +164,7 @@ def block(
         common[many] = table_builder.common_columns(head, np.arange(*seeds), signals)
     table = table_builder.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
-    mine = {m: results[m] for m in (*statistics.RUN_METRICS, "diverged", "unsettled") if m in results}
-    return name, (block_files.sealed(table, about), aggregate.BlockRuns(about, mine))
+    return name, block_files.sealed(table, about)
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:

@@ -44,7 +44,6 @@ class Cost(NamedTuple):
     planning_seconds: float = 0.0  # of this thread: designs, and the laying out of cells
     computing_seconds: float = 0.0  # of all threads that compute
     writing_seconds: float = 0.0  # of all that write
-    closing_seconds: float = 0.0  # of this thread, beside the others
     exact_seconds: float = 0.0  # of what has an exact answer, from planning to files; 0: there was nothing to do
 
     @property

@@ -169,9 +169,8 @@ def _closing_differs(target: storage.Target, owned: Owned, kept: list[Block]) ->
     if not close.is_closed(target, kept):
         yield "stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."
         return
-    for name, content in zip(
-        ("stats.parquet", "pairs.parquet"), close.Closing(target, owned, kept).content(), strict=True
-    ):
+    tables = close.closing_tables(target, owned, kept)
+    for name, content in (("stats.parquet", tables.stats), ("pairs.parquet", tables.pairs)):
         there = close.table(target, name)
         if there is None or not there.equals(parquet_io.parsed(content)):
             yield f"{name}: does not follow from the blocks; run the study again to have it made anew."
@@ -219,7 +218,7 @@ def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: exe
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, program, _ = task.simulated(work, one, device)
-    blocks = [(block_files.block_of(name), rows) for name, (rows, _) in task.files(work, one, p, results, program.ways)]
+    blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, one, p, results, program.ways)]
     return len(blocks), [s for b, now in blocks if b for s in _difference(b, block_files.read(target, b), now)]
 
 

@@ -54,7 +54,7 @@ def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkey
     pcbench.run(study, seeds=40, out=tmp_path / "out")
     assert opened == [Seeds(0, before)] * bool(before)
     place = storage.target(tmp_path / "out")
-    stats, pairs = close.Closing(place, manifest.opened(place), block_files.present(place)).content()
+    stats, pairs = close.closing_tables(place, manifest.opened(place), block_files.present(place))[1:3]
     assert storage.get(place, "stats.parquet") == stats
     assert storage.get(place, "pairs.parquet") == pairs
 
@@ -75,7 +75,7 @@ def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monke
     tables = []
     for many in (1, 2, 32):
         monkeypatch.setattr(close, "TOGETHER", many)
-        tables.append([parquet_io.parsed(content) for content in close.Closing(place, owned, there).content()])
+        tables.append([parquet_io.parsed(content) for content in close.closing_tables(place, owned, there)[1:3]])
     stats = tables[0][0].to_pandas()
     assert set(stats[stats.diverged > 0].cell) == {2}
     assert stats.diverged.max() < 20

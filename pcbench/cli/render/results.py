@@ -295,7 +295,7 @@ def timings(result: Result, seconds: float) -> list[str]:
             ("planning", p["planning_seconds"], "designs, schedules, bounds"),
             ("computing", p["computing_seconds"], programs),
             ("writing", p["writing_seconds"], "on all threads"),
-            ("closing tables, beside", p["closing_seconds"], "while others compute"),
+            ("closing tables", p["closing_seconds"], "statistics of the runs"),
         ]
     rows.append(("the study in all", p["wall_seconds"], f"{p['runs_added']:,} runs" if cost.runs else ""))
     return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, took, how in rows]
