@@ -13,6 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+import jax
+
 from pcbench import planning
 from pcbench.dataset import block_files, manifest, moments_tables, storage, task
 from pcbench.dataset.block_files import Block
@@ -22,7 +24,7 @@ from pcbench.dataset.manifest import Owned
 from pcbench.dataset.seed_ranges import Seeds, counted, gaps
 from pcbench.dataset.timing import Cost, added
 from pcbench.errors import UserError
-from pcbench.planning import memo, padding, plan_cache
+from pcbench.planning import memo, padding
 from pcbench.planning.padding import Plan
 from pcbench.runtime import provenance
 from pcbench.runtime.progress import SILENT, Progress, Stopwatch
@@ -34,6 +36,7 @@ LONG = 60.0  # [s] a call that takes longer is announced
 HOUR = 3600.0  # [s]
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
+LEAF = 200  # bytes that an array takes besides its numbers
 AHEAD = 16  # tasks that wait for the program after theirs
 SeedsOf = Callable[[Cell], Seeds]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
@@ -117,40 +120,41 @@ def runs_in(todo: Gaps) -> int:
 
 
 class Planned(NamedTuple):
-    """What is to be done: designed and checked. Of many cells those that are not kept are laid out again as tasks are drawn."""
+    """What is to be done: designed and checked. Cells whose drafts are not kept are laid out again as their tasks are drawn."""
 
     owned: Owned
     todo: Gaps
-    room: padding.Capacity
+    wanted: SeedsOf
     ask: memo.Once  # has the designs
+    room: padding.Capacity = padding.Capacity()
     kept: tuple[Plan, ...] = ()  # drafts of the first cells
     cells: int = 0  # how many cells those are
 
-    def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
-        """Yield the cells' drafts; of those that are kept the ones of a program together, which is made once then."""
+    def drafts(self, skip: int = 0) -> Iterator[Plan]:
+        """Lay out every cell but the first `skip`."""
+        many = lambda cell: self.wanted(cell).many  # noqa: E731
+        return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, apart=True)
+
+    def tasks(self) -> Iterator[task.Task]:
+        """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
+
+        Of the drafts that are kept those of a program come together, so that it is made once. The first task of a program comes
+        after one that makes it and estimates how long a call takes (see `interleave`).
+        """
         programs: dict[Hashable, list[Plan]] = {}
         for p in self.kept:
             programs.setdefault(padding.key_of(padding.fitted(p, self.room, self.ask)), []).append(p)
-        yield from chain.from_iterable(programs.values())
-        if self.cells < len(self.owned.cells):
-            many = lambda cell: wanted(cell).many  # noqa: E731
-            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells, apart=True)
-
-    def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
-
-        The first task of a program comes after one that makes it and estimates how long a call takes (see `interleaved`).
-        """
         cells = {cell.key: cell for cell in self.owned.cells}
         begun: set[Hashable] = set()
         for expensive in sorted(
             {cells[key].entry(label).expensive for key, mine in self.todo.items() for label in mine}
         ):
-            yield from interleave(self._tasks(wanted, expensive, begun))
+            rest = self.drafts(self.cells) if self.cells < len(cells) else ()
+            yield from interleave(self._tasks(chain(*programs.values(), rest), expensive, begun))
 
-    def _tasks(self, wanted: SeedsOf, expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
+    def _tasks(self, drafts: Iterable[Plan], expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
         """Yield the tasks of observers that are expensive, or are not; of a program that is not `begun`, one that times it."""
-        for p in self.drafts(wanted):
+        for p in drafts:
             ranges = {
                 label: each
                 for label, each in self.todo.get(p.cell.key, {}).items()
@@ -186,10 +190,23 @@ def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.
 
 
 def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
-    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be."""
-    first, keep = Planned(owned, todo, padding.Capacity(), memo.once()), plan_cache.Drafts(DRAFTS)
-    room = padding.needed(keep.passing(padding.checked(first.drafts(wanted))))
-    return first._replace(room=room, kept=keep.whole(), cells=keep.cells)
+    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be.
+
+    Drafts are kept, in the order of their cells, until they take DRAFTS bytes. What several have in common counts once.
+    """
+    plan, room, left = Planned(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
+    kept: list[Plan] = []
+    seen: set[int] = set()  # arrays, all alive in drafts that are kept
+    for p in padding.checked(plan.drafts()):
+        room = padding.larger(room, padding.room_of(p))
+        if left >= 0:
+            new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in seen}
+            left -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())
+            kept.append(p)
+            seen.update(new)
+    if left < 0:  # the last cell may lack drafts: a closed loop has one for each observer
+        kept = [p for p in kept if p.cell.key != kept[-1].cell.key]
+    return plan._replace(room=room, kept=tuple(kept), cells=len({p.cell.key for p in kept}))
 
 
 def run_blocks(
@@ -220,7 +237,7 @@ def run_blocks(
     progress.note("compiling")
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
-    for report in execute(work, took.each("planning", plan.tasks(wanted))):
+    for report in execute(work, took.each("planning", plan.tasks())):
         _require_versions(report)
         cost = added(cost, report.cost)
         if report.call:

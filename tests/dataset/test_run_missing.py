@@ -27,10 +27,10 @@ CLOSED = {
 
 
 def planned(study, place):
-    """What is planned of a study, and how often a draft is made of its cells."""
+    """What is planned of a study."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
     wanted = run_missing.everything(owned, [])
-    return run_missing.planned(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted), wanted
+    return run_missing.planned(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted)
 
 
 class Task(NamedTuple):
@@ -67,8 +67,8 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
         monkeypatch.setattr(run_missing, "DRAFTS", room)
         made.clear()
         with config.float64():
-            plan, wanted = planned(study, storage.target(tmp_path / "out"))
-            tasks = [t for t in plan.tasks(wanted) if not t.timed]
+            plan = planned(study, storage.target(tmp_path / "out"))
+            tasks = [t for t in plan.tasks() if not t.timed]
         many = len(study["axes"]["noise_std"]) * (len(study["observers"]) if study is CLOSED else 1)
         assert len(tasks) == many
         assert len(made) == 2 * many - len(plan.kept)
@@ -87,8 +87,8 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
 def test_schedules_of_cells_that_differ_in_period_are_fitted_each(tmp_path):
     study = OPEN | {"axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 0.2]}}
     with config.float64():
-        plan, wanted = planned(study, storage.target(tmp_path / "out"))
-        a, b, c, d = (t.parcel.problem.schedule for t in plan.tasks(wanted) if not t.timed)
+        plan = planned(study, storage.target(tmp_path / "out"))
+        a, b, c, d = (t.parcel.problem.schedule for t in plan.tasks() if not t.timed)
     assert a is b
     assert c is d
     assert a.event.sum() * 2 - 1 <= c.event.sum() <= a.event.sum() * 2 + 1
