@@ -7,7 +7,7 @@ which cell and options it is.
 
 import re
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pcbench import toml_text
 from pcbench.dataset import block_files, storage, stored_code
@@ -18,6 +18,7 @@ from pcbench.errors import UserError
 from pcbench.study import Study, parse
 from pcbench.study.grid import Cell, Grid, channels_apart, numbered, with_engine
 from pcbench.study.serialize import to_toml
+from pcbench.toml_text import TomlTable
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
@@ -82,38 +83,31 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
 
     Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
     """
-    here: dict[str, list[Cell]] = {}
-    for cell in grid.cells:
-        here.setdefault(cell.scenario.name, []).append(cell)
-    numbers: dict[str, dict[int, str]] = {}
+    study, numbers = grid.study, {name: dict[int, str]() for name in grid.study.scenarios}
     for b in blocks:
-        about = block_files.about_block(target, b)
-        if wrong := next(_foreign(grid.study, here.get(b.scenario, []), b, about), None):
+        about, cells = block_files.about_block(target, b), [c for c in grid.cells if c.scenario.name == b.scenario]
+        options = {label: digest for c in cells[:1] for label, digest in c.told.items()}
+        wrong = {
+            "it cannot be read": not about,
+            f"study: {about.get('study')} there, {study.name} here": about.get("study") != study.name,
+            f"root_seed: {about.get('root_seed')} there, {study.root_seed} here": about.get("root_seed")
+            != study.root_seed,
+            f"{b.observer} in {b.scenario}": b.observer not in options,
+            f"options of {b.observer}": about.get("options") != options.get(b.observer),
+            "axes": about.get("cell") not in [c.digest for c in cells] or b.cell >= len(cells),
+        }
+        if any(wrong.values()):
+            first = next(phrase for phrase, is_so in wrong.items() if is_so)
             raise UserError(
-                f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
+                f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({first}), expected the "
                 "study that these blocks are of; run that, or give a new folder with --out."
             )
-        numbers.setdefault(b.scenario, {})[b.cell] = about["cell"]
+        numbers[b.scenario][b.cell] = about["cell"]
     order = {}
     for scenario, digests in numbers.items():
-        rest = iter(c.digest for c in here[scenario] if c.digest not in digests.values())
-        order[scenario] = [digests.get(i) or next(rest) for i in range(max(digests) + 1)]
+        rest = (c.digest for c in grid.cells if c.scenario.name == scenario and c.digest not in digests.values())
+        order[scenario] = [digests.get(i) or next(rest) for i in range(max(digests, default=-1) + 1)]
     return numbered(grid.cells, order)
-
-
-def _foreign(study: Study, cells: list[Cell], b: Block, about: dict[str, Any]) -> Iterator[str]:
-    """Yield what tells a block from those of a study, a phrase each."""
-    if not about:
-        yield "it cannot be read"
-    for key, ours in (("study", study.name), ("root_seed", study.root_seed)):
-        if about.get(key) != ours:
-            yield f"{key}: {about.get(key)} there, {ours} here"
-    if not cells or b.observer not in cells[0].told:
-        yield f"{b.observer} in {b.scenario}"
-    elif about.get("options") != cells[0].told[b.observer]:
-        yield f"options of {b.observer}"
-    elif about.get("cell") not in [c.digest for c in cells] or b.cell >= len(cells):
-        yield "axes"
 
 
 def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
@@ -176,11 +170,11 @@ def renew(target: storage.Target, owned: Owned) -> None:
         storage.put(target, TEXT, owned.text.encode())
 
 
-def _unresolved(there: dict[str, Any]) -> dict[str, Any]:
+def _unresolved(there: TomlTable) -> TomlTable:
     return {k: v for k, v in there.items() if k != "resolved"}
 
 
-def _reshaped(target: storage.Target, there: dict[str, Any], study: Study) -> Iterator[str]:
+def _reshaped(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
     where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
     old = parse.described(_unresolved(there) | {"seeds": 1}, where, gate)
@@ -188,7 +182,7 @@ def _reshaped(target: storage.Target, there: dict[str, Any], study: Study) -> It
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 
-def read_text(target: storage.Target, text: bytes) -> dict[str, Any]:
+def read_text(target: storage.Target, text: bytes) -> TomlTable:
     """Return what a study's text says; raise UserError where it is damaged."""
     if (there := _parsed(text)) is not None:
         return there
@@ -201,7 +195,7 @@ def read_text(target: storage.Target, text: bytes) -> dict[str, Any]:
     raise UserError(f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; {anew}")
 
 
-def _parsed(text: bytes) -> dict[str, Any] | None:
+def _parsed(text: bytes) -> TomlTable | None:
     """What a study's text says; None where that is not of the kinds that are written."""
     try:
         there = toml_text.parse(text)
