@@ -15,7 +15,6 @@ from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import is_certified
-from pcbench.toml_text import TomlTable
 
 FEW = 1024  # runs of a cell whose rows are made together with those of others: of more, most of the time is theirs
 Chunk = dict[str, statistics.Results]  # by observer
@@ -27,7 +26,7 @@ class CellBlocks(NamedTuple):
     target: storage.Target
     cell: Cell
     blocks: dict[str, list[Block]]
-    about: dict[str, TomlTable]
+    about: dict[str, storage.Json]
 
     @property
     def bounds(self) -> dict[str, statistics.Values | None]:
@@ -81,7 +80,7 @@ def _tables(
     return stats, table_builder.pairs_table(heads, facts, signals, compared)
 
 
-def _facts(about: TomlTable) -> dict[str, bool | None]:
+def _facts(about: storage.Json) -> dict[str, bool | None]:
     return {"predicts_unknown_input": about["predicts_unknown_input"], "certified": is_certified(about["certificate"])}
 
 

@@ -7,7 +7,7 @@ remembered: what is on disk is done. Ranges need not be of one size: a gap is a 
 import json
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote, unquote
 
 import pyarrow as pa
@@ -85,18 +85,18 @@ def _table(target: storage.Target, block: Block) -> pa.Table | str:
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
 
-def about(table: pa.Table) -> dict[str, Any]:
+def about(table: pa.Table) -> storage.Json:
     """Return what a block says of itself; nothing where that cannot be read."""
     return _about(table.schema.metadata)
 
 
-def about_block(target: storage.Target, block: Block) -> dict[str, Any]:
+def about_block(target: storage.Target, block: Block) -> storage.Json:
     """Return the same from a block's footer alone."""
     footer = storage.footer(target, block.name)
     return _about(footer.metadata) if footer else {}
 
 
-def _about(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
+def _about(metadata: Mapping[bytes, bytes] | None) -> storage.Json:
     try:
         return dict(json.loads((metadata or {}).get(ABOUT, b"{}")))
     except ValueError:

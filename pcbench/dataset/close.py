@@ -23,11 +23,10 @@ from pcbench.dataset.seed_ranges import joined
 from pcbench.runtime import provenance
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
-from pcbench.toml_text import TomlTable
 
 PROVENANCE = "provenance.json"
 Key = tuple[str, int]  # a cell's
-ByObserver = dict[str, dict[str, TomlTable]]  # a record by scenario and observer
+ByObserver = dict[str, dict[str, storage.Json]]  # a record by scenario and observer
 TOGETHER = 32  # cells whose rows are made at a time
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 EXACT = "exact"  # the kind of cells without runs
@@ -73,7 +72,7 @@ def closing_tables(target: storage.Target, owned: Owned, there: list[Block]) -> 
         cells = [aggregate.of_cell(target, cell, blocks) for cell in owned.cells[first : first + TOGETHER]]
         for c in cells:
             for name, about in c.about.items():
-                proof: TomlTable = about["certificate"]
+                proof: storage.Json = about["certificate"]
                 proofs = weakest.setdefault(c.cell.scenario.name, {})
                 proofs[name] = min(proofs.get(name, proof), proof, key=_strength)
                 went, way = ways.setdefault(c.cell.scenario.name, {}), about["flow"]
@@ -119,13 +118,13 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
     return rows.take(order), pa.concat_tables([pairs, moments_tables.pairs(exact)])
 
 
-def record(target: storage.Target) -> TomlTable | None:
+def record(target: storage.Target) -> storage.Json | None:
     """Return what provenance.json says; None where it is not there, or not as it was written."""
     said = storage.document(target, PROVENANCE)
     return said if said and said.get("digest") == _digest(said) else None
 
 
-def _digest(record: TomlTable) -> str:
+def _digest(record: storage.Json) -> str:
     text = json.dumps({k: v for k, v in record.items() if k != "digest"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -157,7 +156,7 @@ def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
     return out.content()
 
 
-def _strength(certificate: TomlTable) -> float:
+def _strength(certificate: storage.Json) -> float:
     """What orders certificates: gains that nothing proves are weaker than all that something does."""
     margin = certificate["margin"]
     return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
 
 from pcbench.errors import UserError
 
@@ -77,7 +78,7 @@ def with_metadata(table: pa.Table, more: dict[bytes, bytes]) -> pa.Table:
     return table.replace_schema_metadata(metadata(table) | more)
 
 
-def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+def with_column(table: pa.Table, name: str, values: pa.Array | ArrayLike) -> pa.Table:
     """Return a table with other values in one of its columns, which keeps its type and what it says of itself."""
     field = table.schema.field(name)
     values = values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)

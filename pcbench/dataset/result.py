@@ -3,7 +3,7 @@
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
@@ -72,7 +72,7 @@ class Result:
     ):
         self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.gain_variants`
-        self.provenance: dict[str, Any] = close.record(target) or {}
+        self.provenance: storage.Json = close.record(target) or {}
 
     @cached_property
     def stats(self) -> "pd.DataFrame":

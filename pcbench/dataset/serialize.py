@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from itertools import chain
 from types import FunctionType, MappingProxyType, ModuleType
-from typing import Any
 
 from pcbench import plants
 from pcbench.observers import base_of
@@ -60,7 +59,7 @@ def unpack(parcel: bytes | Plan) -> Plan:
 class _Pickler(pickle.Pickler):
     """Writes a function without a name, which a user's own code has made, as its number among those."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[Any, object]) -> None:
+    def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
         self.numbers = {id(f): i for i, f in enumerate(_nameless(own))}
 
@@ -71,7 +70,7 @@ class _Pickler(pickle.Pickler):
 class _Unpickler(pickle.Unpickler):
     """Reads them again."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[Any, object]) -> None:
+    def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
         self.functions = _nameless(own)
 
@@ -79,7 +78,7 @@ class _Unpickler(pickle.Unpickler):
         return self.functions[number]
 
 
-def _nameless(own: Mapping[Any, object]) -> list[FunctionType]:
+def _nameless(own: Mapping[tuple[str, str], object]) -> list[FunctionType]:
     """The functions that cannot be found by name among what a user's own code has made, always in the same order."""
     seen: set[int] = set()
     return [f for where in sorted(own) for f in _functions(own[where], seen) if "<" in f.__qualname__]

@@ -34,6 +34,7 @@ PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
 _COUNT = itertools.count()
+Json = dict[str, Any]  # an object: texts, numbers, lists and objects by key
 
 
 class Target(NamedTuple):
@@ -192,7 +193,7 @@ def sync(target: Target, folders: Iterable[str]) -> None:
         _sync_folder(Path(target.root) / folder)
 
 
-def document(target: Target, name: str) -> dict[str, Any] | None:
+def document(target: Target, name: str) -> Json | None:
     """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
     try:
         content = json.loads(text(target, name) or b"null")

@@ -6,7 +6,6 @@ A file stands as code/DIGEST/FILE, with the files beside it that it imports. A r
 import hashlib
 import re
 from pathlib import PurePosixPath
-from typing import Any
 
 from pydantic.errors import PydanticUserError
 
@@ -18,6 +17,7 @@ from pcbench.study.plugins import registry, user_code, user_controllers, user_ob
 from pcbench.study.plugins.references import SCENARIO, Gate, Named
 from pcbench.study.plugins.user_code import Own
 from pcbench.study.serialize import codes
+from pcbench.toml_text import TomlTable
 
 COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py")
 
@@ -31,7 +31,7 @@ def keep(target: storage.Target, study: Study) -> None:
                 storage.put(target, path, text)
 
 
-def files_in(target: storage.Target, there: dict[str, Any]) -> Files:
+def files_in(target: storage.Target, there: TomlTable) -> Files:
     """Return the digests of the copies of users' code that the study whose text is `there` was made with."""
     folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in there["resolved"].get("code", {}).items()}
     return {
@@ -68,7 +68,7 @@ def copy(target: storage.Target, into: storage.Target) -> None:
             storage.put(into, name, text)
 
 
-def gate(target: storage.Target, there: dict[str, Any], run: bool) -> Gate:
+def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
     """Return what the study whose text is `there` may reach: no file, and code only where it is to be `run`.
 
     Without it observers and controllers have the options that the text says they had, and plants the facts. Scenarios are
@@ -100,7 +100,7 @@ def gate(target: storage.Target, there: dict[str, Any], run: bool) -> Gate:
     return Gate(load, files=False)
 
 
-def _absent(named: Named, code: user_code.Code, resolved: dict[str, Any]) -> Own:
+def _absent(named: Named, code: user_code.Code, resolved: TomlTable) -> Own:
     """What stands for a user's own whose code is left alone, by what a study's text says of it."""
     key = named.key if named.kind == "observer" else f"{named.kind} {code.name}"
     code = code._replace(digest=code.digest or resolved.get("code", {}).get(key, ""))
@@ -109,7 +109,7 @@ def _absent(named: Named, code: user_code.Code, resolved: dict[str, Any]) -> Own
     if named.kind == "controller":
         return user_controllers.absent(named.reference, code)
     every = [resolved["options"].get(scenario, {}) for scenario in resolved["observers"]]
-    options: dict[str, Any] = next((each[named.key] for each in every if named.key in each), {})
+    options: TomlTable = next((each[named.key] for each in every if named.key in each), {})
     return user_observers.absent(named.reference, code, options)
 
 

@@ -2,19 +2,18 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from pcbench.dataset.seed_ranges import common, counted
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.references import Named, renamed
+from pcbench.toml_text import TomlTable
 
-Tables = dict[str, Any]  # a study as it is written, or a part
 Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest of each file
 GROWS = "seeds first_seed evaluation schedules axes observers excluded tuned custom_observers scenarios scenario tables options"
 GROWN = {*GROWS.split(), "lti", "resolved"}
 
 
-def changes(there: Tables, here: Tables, files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
+def changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
     """Yield what differs between a study on disk and one that is to go on there, a phrase each.
 
     `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
@@ -50,13 +49,13 @@ def changes(there: Tables, here: Tables, files: tuple[Files, Files] = ({}, {})) 
         yield from _lost(there, here)
 
 
-def _tuned_cells(study: Tables) -> dict[str, Tables]:
+def _tuned_cells(study: TomlTable) -> dict[str, TomlTable]:
     """The options of the cells that were tuned each for itself, by the values of the axes there."""
     cells = (study.get("tuned") or {}).get("cells") or []
     return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
 
 
-def _recoded(there: Tables, here: Tables, files: tuple[Files, Files]) -> Iterator[str]:
+def _recoded(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> Iterator[str]:
     """Yield what has other code, with the files that have changed where they are known."""
     old, new = (study["resolved"].get("code", {}) for study in (there, here))
     for name, digest in old.items():
@@ -77,7 +76,7 @@ def _undated(each: Named) -> str:
     return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
 
 
-def _lost(there: Tables, here: Tables) -> Iterator[str]:
+def _lost(there: TomlTable, here: TomlTable) -> Iterator[str]:
     """Yield, where cells were lost, the axes that lost a value or are new."""
     old, new = ({s: set(digests) for s, digests in each["resolved"].get("cells", {}).items()} for each in (there, here))
     if all(digests <= new.get(s, set()) for s, digests in old.items()):
@@ -90,7 +89,7 @@ def _lost(there: Tables, here: Tables) -> Iterator[str]:
         yield "cells: some that stand there are not of this study"
 
 
-def _deep(where: str, old: Tables, new: Tables, names: list[str] | None = None) -> Iterator[str]:
+def _deep(where: str, old: TomlTable, new: TomlTable, names: list[str] | None = None) -> Iterator[str]:
     for key in sorted(names if names is not None else old.keys() | new.keys()):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):

@@ -104,11 +104,10 @@ def program(layout: Layout, job: Job, device: jax.Device | None = None) -> Progr
         )
     leaves, tree = jax.tree.flatten(arguments(job, layout.width))
     made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
-    found: Program = _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
-    return found
+    return _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
 
 
-_PROGRAMS = program_cache.Programs()
+_PROGRAMS: program_cache.Programs[Program] = program_cache.Programs()
 _NUMBERS = itertools.count(1)
 
 

@@ -1,6 +1,7 @@
 """Gains by design: one design with its certificate, the same as a study that can be run, and trade-offs."""
 
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import tomli_w
@@ -80,7 +81,7 @@ def trade_off(
     scenario: Described,
     observer: str,
     option: str,
-    values: list[Any],
+    values: Sequence[object],
     *,
     gain: str | None = None,
     overrides: list[str] | None = None,

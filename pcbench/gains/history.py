@@ -138,7 +138,7 @@ def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> li
 
 def finish(target: storage.Target, about: str, tuned: Any) -> None:
     """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
-    said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    said: TomlTable = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
     said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
     said |= {"exact": True} if tuned.exact else {}
     said |= {} if tuned.certified is None else {"certified": tuned.certified}

@@ -6,7 +6,6 @@ observer's own design by central differences, as those over runs do.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
@@ -25,6 +24,7 @@ from pcbench.moments.exactness import refusal
 from pcbench.moments.realisations import Realised
 from pcbench.planning import run_local
 from pcbench.planning.padding import Plan
+from pcbench.protocols import Gains
 from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.statistics import POOLED
 
@@ -70,7 +70,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: s
 
 
 def evaluator(
-    how: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Any]
+    how: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Gains]
 ) -> Evaluate:
     """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers
@@ -128,7 +128,7 @@ def exact_cell(aim: Objective, p: Plan, where: str) -> Realised:
 
 
 def exact_evaluator(
-    p: Plan, one: Realised, aim: Objective, many: int, design: Callable[[Vector], Any], where: str
+    p: Plan, one: Realised, aim: Objective, many: int, design: Callable[[Vector], Gains], where: str
 ) -> Evaluate:
     """Return what evaluates a point of `many` free parameters: infinite where its gains are refused, or nothing is exact.
 

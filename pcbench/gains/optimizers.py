@@ -11,12 +11,13 @@ the gains leads the observer's own design, in NumPy: of so few numbers central d
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.stages import Compiled
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -25,6 +26,7 @@ from pcbench.errors import UserError
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Plan
+from pcbench.protocols import Gains, Leaf
 from pcbench.runtime import thread_pools
 from pcbench.simulation import reverse_mode
 from pcbench.simulation.types import GridPointParams
@@ -79,15 +81,15 @@ def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
 # the mean of an objective's base over runs, its derivative by each array of gains, whether a run is lost
-Slope = tuple[float, list[Any], bool]
+Slope = tuple[float, list[Vector], bool]
 
 
-def numbers(gains: Any) -> list[Any]:
+def numbers(gains: Gains) -> list[Leaf]:
     """Return the arrays of real numbers among gains: those to differentiate by."""
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Any], Slope]:
+def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Gains], Slope]:
     """Return a function of the gains of a planned cell's one observer: the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
@@ -95,7 +97,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     tree = jax.tree.structure(p.problem.gains[label])
 
     def mean(
-        reals: list[Array], others: list[Any], problem: GridPointParams, seeds: Array, weights: Array
+        reals: list[Array], others: list[Leaf], problem: GridPointParams, seeds: Array, weights: Array
     ) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
@@ -109,9 +111,9 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     bare = p.problem._replace(gains={})
     calls = [_padded(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)]
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
-    compiled: list[Any] = []
+    compiled: list[Compiled] = []
 
-    def at(gains: Any) -> Slope:
+    def at(gains: Gains) -> Slope:
         reals = numbers(gains)
         others = [a for a, real in zip(jax.tree.leaves(gains), which, strict=True) if not real]
         if not compiled:
@@ -125,13 +127,13 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     return at
 
 
-def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vector:
+def chain(slopes: list[Vector], design: Callable[[Vector], Gains], at: Vector) -> Vector:
     """Return the derivative by the free parameters, by the chain rule through `design`, from that by the gains."""
     each = directions(design, at)
     return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in each])
 
 
-def directions(design: Callable[[Vector], Any], at: Vector) -> list[list[Any]]:
+def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vector]]:
     """Return for each free parameter the derivatives of the gains' numbers by it, NaN where all around is refused."""
     out = []
     for step in STEP * np.eye(len(at)):
@@ -144,7 +146,7 @@ def directions(design: Callable[[Vector], Any], at: Vector) -> list[list[Any]]:
     return out
 
 
-def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
+def _allowed(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | None:
     """The gains at a point as numbers; None where its design refuses."""
     try:
         return numbers(design(at))
@@ -157,6 +159,6 @@ def _padded(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np
     return np.resize(seeds, width), weights
 
 
-def _read(call: Any, *arguments: Any) -> Slope:
+def _read(call: Compiled, *arguments: PyTree) -> Slope:
     (value, lost), slopes = call(*arguments)
     return float(value), [np.asarray(s) for s in slopes], bool(lost)

@@ -7,7 +7,7 @@ design, which certifies them or refuses.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import annotated_types
 import numpy as np
@@ -18,6 +18,8 @@ from pydantic.fields import FieldInfo
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import TUNABLE, extra
+from pcbench.protocols import Leaf
+from pcbench.toml_text import TomlTable
 
 Vector = NDArray[np.float64]
 NOTHING = 1e-15  # of a matrix' size: 0
@@ -56,7 +58,7 @@ def start(
     label: str,
     entry: ObserverSpec,
     options: BaseModel,
-    designed: Mapping[str, Any],
+    designed: Mapping[str, object],
     names: list[str] | None,
     where: str,
 ) -> tuple[list[Free], Vector]:
@@ -102,7 +104,7 @@ def start(
     return free, np.concatenate(values)
 
 
-def _free(entry: ObserverSpec, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Free, Vector]:
     """One parameter, bounded as its option's declaration says, and its numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
     bounds, edges = [*field.metadata, *_inside(field.annotation)], extra(field)[TUNABLE]
@@ -116,7 +118,7 @@ def _free(entry: ObserverSpec, name: str, value: Any, first: int) -> tuple[Free,
     return one, _unbounded(number, one).ravel()
 
 
-def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Any]]) -> list[str]:
+def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
     """Return the names of those that the `gains` depend on at a point; not all do in every way of finding them."""
     here, out = gains(at), []
     for f in found:
@@ -140,7 +142,7 @@ def put(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
     return type(options).model_validate(options.model_dump() | written(free, at))
 
 
-def written(free: list[Free], at: Vector) -> dict[str, Any]:
+def written(free: list[Free], at: Vector) -> TomlTable:
     """Return the free parameters as a study's TOML writes them."""
     out = {}
     for f in free:
@@ -178,7 +180,7 @@ def _unbounded(value: Vector, f: Free) -> Vector:
     return np.asarray(value / f.scale)
 
 
-def _inside(annotation: Any) -> list[Any]:
+def _inside(annotation: object) -> list[object]:
     """The declarations of each type that an option's value, or an entry of it, may have."""
     declared = getattr(annotation, "__metadata__", ())
     own = [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]

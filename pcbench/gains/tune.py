@@ -4,7 +4,7 @@ Or `exact`, of what infinitely many runs would give: then there are no draws, an
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel
@@ -21,6 +21,7 @@ from pcbench.gains.parameters import Vector
 from pcbench.gains.validation import against, judge
 from pcbench.observers import ObserverSpec
 from pcbench.planning import padding
+from pcbench.protocols import Gains, Leaf
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, given, parse
@@ -105,7 +106,7 @@ def tune(
         options, entry = cell.options[observer], cell.entry(observer)
         every, start = freed(observer, entry, known, options, designed, only, where)
 
-        def design(at: Vector) -> Any:
+        def design(at: Vector) -> Gains:
             return planning.designed(observer, entry, known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
@@ -157,7 +158,7 @@ def freed(
     numbers = designed.certificate.numbers
     every, at = parameters.start(observer, entry, options, numbers, only, where)
 
-    def gains(there: Vector) -> list[Any]:
+    def gains(there: Vector) -> list[Leaf]:
         return optimizers.numbers(
             planning.designed(observer, entry, known, parameters.put(options, every, there)).gains
         )

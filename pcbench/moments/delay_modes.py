@@ -22,7 +22,7 @@ import itertools
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -153,7 +153,7 @@ def _schedules(
 
     newest = np.searchsorted(taken, np.arange(ticks + 1), "right") - 1
 
-    def by_interval(*each: NDArray[Any]) -> NDArray[Any]:  # what has no ticks is the same in all
+    def by_interval(*each: NDArray[np.generic]) -> NDArray[np.generic]:  # what has no ticks is the same in all
         return each[0] if len(each[0]) != ticks + 1 else np.stack(each)[newest % length, np.arange(ticks + 1)]
 
     def of(mode: tuple[int, ...]) -> Schedule:

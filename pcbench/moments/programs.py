@@ -65,4 +65,4 @@ def _pad_schedules(each: list[Realised]) -> list[Realised]:
     return [one._replace(problem=one.problem._replace(schedule=s)) for one, s in zip(each, wide, strict=True)]
 
 
-_PROGRAMS = program_cache.Programs()
+_PROGRAMS: program_cache.Programs[Callable[..., PyTree]] = program_cache.Programs()

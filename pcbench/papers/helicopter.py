@@ -7,7 +7,6 @@ Single runs are recorded one by one, and those of the observer as its text reads
 
 from collections.abc import Iterator
 from math import isfinite, isnan
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,19 +25,21 @@ from pcbench.protocols import Arrival, Now
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import trajectory
+from pcbench.statistics.aggregate import Row
 from pcbench.study import Choices, Study, options_of
 from pcbench.study.grid import cell_of
 from pcbench.synthesis import lqr
 from pcbench.synthesis.lqr import limit
+from pcbench.toml_text import TomlTable
 
 SEEDS = 256
-RANDOM: dict[str, dict[str, Any]] = {"scenario": {"random_initial_state": True}}
+RANDOM: dict[str, TomlTable] = {"scenario": {"random_initial_state": True}}
 NAMES = {"high-gain": "printed", "high-gain-robust": "robust"}
 HEAVY = {"robust": "heavy", "ekf": "heavy, ekf"}
 VISCOSITY = np.array([0.8, 0.318])
 TAIL = 10_000  # tick
 FULL = {"feedforward": True, "predictor": True}
-CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {  # name: scenario, observer, choices, changes
+CASES: dict[str, tuple[str, str, TomlTable, TomlTable]] = {  # name: scenario, observer, choices, changes
     "constant": ("constant", "high-gain", {}, {}),
     "varying": ("varying", "high-gain", {}, {}),
     "robust": ("constant", "high-gain-robust", {}, {}),
@@ -165,7 +166,7 @@ def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
     yield found("linear limit of Theta Ts", f"{limit():.4f}")
 
 
-def _rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
+def _rows(frame: pd.DataFrame) -> list[Row]:
     return [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]
 
 
@@ -207,7 +208,7 @@ def record() -> dict[str, Flight]:
     return {name: Flight(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
 
-def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Plan:
+def _draft(name: str, observer: str, choices: TomlTable, changes: TomlTable) -> Plan:
     parameters = {k: v for k, v in changes.items() if k == "m"}
     s = SCENARIOS["helicopter/" + name].having(**{k: v for k, v in changes.items() if k not in parameters})
     options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)

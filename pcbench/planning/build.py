@@ -5,7 +5,6 @@ The least error that any causal estimator can have in a cell.
 
 from collections.abc import Callable, Container, Iterable, Iterator
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -34,6 +33,7 @@ from pcbench.study.grid import Cell, cells_of
 from pcbench.study.times import whole
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
+from pcbench.toml_text import TomlTable
 
 
 def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
@@ -67,7 +67,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     return ask("bound", key, least)
 
 
-def _over_ticks(known: DesignContext, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
+def _over_ticks(known: DesignContext, process_std: tuple[float, ...]) -> tuple[linear.Matrix, linear.Matrix]:
     """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     added = known._replace(process_std=process_std).process_noise
@@ -142,7 +142,7 @@ def draft(
         for o, given in options.items()
     }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
-    numbers: dict[str, Any] = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
+    numbers: TomlTable = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
     numbers |= cell.parameters
     if "sensor_delay" in plant.numbers._fields:  # of samples [s]; the mean where it varies
         clock = cell.times.clocks[0]
@@ -151,7 +151,7 @@ def draft(
     around = choices.random_initial_state and bool(belief.initial_box)
     drawn = choices.random_initial_state and not around
     chance, scale, step = measured.outlier_probability, measured.outlier_scale, measured.quantization_step
-    outliers: Any = ()
+    outliers: Outliers | tuple[()] = ()
     if chance:
         many = len(measured.delay) if isinstance(chance, tuple) or isinstance(scale, tuple) else 0
         outliers = Outliers(*(np.asarray(per_channel(a, many) if many else a) for a in (chance, scale)))

@@ -1,7 +1,6 @@
 """What a designer is told of a cell: the model, the times, the noise."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -11,20 +10,21 @@ from pcbench.dynamics import linear
 from pcbench.errors import unknown
 from pcbench.planning import memo
 from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_in, varied
+from pcbench.protocols import Params
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import common_times, random_times, sampling
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import DesignContext
 
 
-def prepared(plant: PlantSpec, numbers: Any, dt: float, ticks: int, ask: memo.Once) -> Any:
+def prepared(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask: memo.Once) -> Params:
     """Return a plant's numbers for the ticks of a horizon."""
     try:
         key = plant.prepare, memo.key_of(numbers), dt, ticks
     except TypeError:
         return plant.prepare(numbers, dt, ticks)
 
-    def make() -> Any:  # jax's own arrays are fetched once, not for every cell
+    def make() -> Params:  # jax's own arrays are fetched once, not for every cell
         own = lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf  # noqa: E731
         return jax.tree.map(own, plant.prepare(numbers, dt, ticks))
 

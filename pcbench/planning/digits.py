@@ -12,15 +12,16 @@ of the noise of an output. An error that decays to the rounding of a small state
 In a stabilised loop the state stays small, but observers that predict by the response to the input (`gains.motion`) keep it.
 """
 
-from typing import Any
-
 import jax
 import numpy as np
+from jax import Array
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from pcbench.errors import DigitsError
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
+from pcbench.protocols import Gains
 from pcbench.runtime import program_cache
 from pcbench.simulation.types import GridPointParams, Layout, RunSums, present
 
@@ -82,7 +83,7 @@ def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floa
     return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
-def _require_response(p: Plan, label: str, gains: Any, steady_mae: Floats) -> None:
+def _require_response(p: Plan, label: str, gains: Gains, steady_mae: Floats) -> None:
     """Raise DigitsError where an observer in a loop sums the input's response without the feedback, and that grows too large.
 
     In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
@@ -125,7 +126,7 @@ def _matters(p: Plan, size: Floats) -> bool:
     )
 
 
-def _output(layout: Layout, p: GridPointParams, x: Any) -> Any:
+def _output(layout: Layout, p: GridPointParams, x: Float[Array, " n"]) -> Float[Array, " q"]:
     """What is measured of a state at the last tick, without noise: [q]."""
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
 

@@ -1,6 +1,6 @@
 """What closes a loop: the controller with its numbers, the way of its commands, and room for what a schedule can ask for."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -13,7 +13,7 @@ from pcbench.controllers.parts.common import Options, matrix
 from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
-from pcbench.protocols import Controller
+from pcbench.protocols import Controller, Params
 from pcbench.simulation import command_network, law_conformance, metrics
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import controller_table, times
@@ -74,7 +74,7 @@ def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
     )
 
 
-def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, command_network.Line]:
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network.Line]:
     """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end.
 
     Raises UserError where a law of a user's own does not keep to the protocol.
@@ -107,7 +107,7 @@ def pending(cell: Cell) -> int:
     return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0
 
 
-def network(cell: Cell) -> Any:
+def network(cell: Cell) -> command_network.Numbers | tuple[()]:
     """Return the numbers of the network to the plant; () where there is none."""
     s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
@@ -122,7 +122,7 @@ def network(cell: Cell) -> Any:
     )
 
 
-def weights(cell: Cell) -> Any:
+def weights(cell: Cell) -> metrics.Weights | tuple[()]:
     """Return the weights of the cost; () of an open loop, and of one whose effort no table shows."""
     s = cell.scenario
     if not controller_table.held(s):

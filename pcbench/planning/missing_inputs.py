@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 
 from pcbench.planning import padding
 from pcbench.planning.build import alone, drafts
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Now, Observer
 from pcbench.simulation import trajectory
+from pcbench.study import Study
 from pcbench.study.grid import Cell, Grid
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Report = Callable[[Any, Any], None]  # (age [ticks], whether the input of that age is missing)
+Report = Callable[[Array, Array], None]  # (age [ticks], whether the input of that age is missing)
 
 
 def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Iterator[str]:
@@ -49,13 +50,13 @@ def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Itera
             )
 
 
-def oldest_missing_input(cell: Cell, label: str, study: Any) -> int | None:
+def oldest_missing_input(cell: Cell, label: str, study: Study) -> int | None:
     """Return the age [ticks] of the oldest input that an observer asks for in one run and does not get; None: it gets all."""
     planned = next(p for p in padding.fit(list(drafts([cell]))) if label in p.labels)
     p: Plan = alone(planned, study.root_seed, study.first_seed)
     ages: list[int] = []
 
-    def report(age: Any, missing: Any) -> None:
+    def report(age: Array, missing: Array) -> None:
         if missing:  # under vmap the callback runs for every element
             ages.append(int(age))
 
@@ -70,7 +71,7 @@ def _reporting(o: Observer, report: Report) -> Observer:
     """Return an observer with the same numbers that reports the inputs it asks for and does not get."""
 
     def watch(now: Now) -> Now:
-        def past_u(age: Any) -> Any:
+        def past_u(age: Array) -> Array:
             u = now.past_u(age)
             missing = jnp.isnan(u).any()
             lax.cond(missing, lambda: jax.debug.callback(report, age, missing), lambda: None)

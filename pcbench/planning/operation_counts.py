@@ -17,15 +17,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import ArrayLike
+from jaxtyping import PyTree
 
 from pcbench.engine import batching_rules, jaxpr_compat
+from pcbench.engine.jaxpr_compat import Eqn, Jaxpr
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Gains, Memory, Observer
-from pcbench.simulation.types import present
+from pcbench.simulation.types import GridPointParams, present
 
 ONCE = {"mul", "div", "rem", "sqrt", "rsqrt", "cbrt", "square", "integer_pow", "pow", "exp", "exp2", "expm1", "log"}
 ONCE |= {"log1p", "logistic", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
-Value = Callable[[], Any]  # computed when it is asked for
+Value = Callable[[], ArrayLike]  # computed when it is asked for
 CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as it solves
 
 
@@ -43,7 +46,7 @@ def costs(p: Plan) -> dict[str, Cost]:
 
 
 def _of(p: Plan, name: str, o: Observer) -> Cost:
-    problem: Any = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
+    problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains, q, clocks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     period = max(clock.period for clock in clocks)
@@ -53,23 +56,23 @@ def _of(p: Plan, name: str, o: Observer) -> Cost:
     snapshot = o.snapshot(gains, memory, present(problem, k - age, False))
     decided, open_ = (present(problem, k, known) for known in (True, False))
 
-    def sample(gains: Gains, memory: Memory, value: Array) -> Any:
+    def sample(gains: Gains, memory: Memory, value: Array) -> PyTree:
         told = o.on_sample(gains, memory, open_, jnp.ones(q, bool)) if o.on_sample else memory
         return o.snapshot(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, snapshot))
 
-    def tick(gains: Gains, memory: Memory) -> Any:
+    def tick(gains: Gains, memory: Memory) -> PyTree:
         return o.flow(gains, memory, decided), o.estimate(gains, memory)
 
     size = sum(np.size(leaf) * np.asarray(leaf).dtype.itemsize for leaf in jax.tree.leaves(memory))
     return Cost(counted(sample, gains, memory, jnp.ones(q)), counted(tick, gains, memory), size)
 
 
-def _arrival(value: Any, age: int, snapshot: Any) -> Arrival:
+def _arrival(value: Array, age: int, snapshot: Array) -> Arrival:
     q = len(value)
     return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), snapshot, jnp.asarray(1))
 
 
-def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -> Any:
+def _worn(o: Observer, p: GridPointParams, last: int, age: int, period: int, name: str, q: int) -> Memory:
     """The memory of the start, its whole numbers as they are before sample number `last` arrives."""
     gains = p.gains[name]
     leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, o.init(gains, p.xhat0)))
@@ -77,11 +80,11 @@ def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -
     if not any(whole):
         return jax.tree.unflatten(tree, leaves)
 
-    def with_(ticks: Sequence[Any]) -> Any:
+    def with_(ticks: Sequence[Array]) -> Memory:
         new = iter(ticks)
         return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(whole, leaves, strict=True)])
 
-    def after(number: Any, ticks: Sequence[Any]) -> list[Any]:
+    def after(number: Array, ticks: Sequence[Array]) -> list[Array]:
         memory, now = with_(ticks), present(p, age + number * period, False)
         snapshot = o.snapshot(gains, memory, present(p, number * period, False))
         told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
@@ -92,17 +95,17 @@ def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -
     return with_(jax.jit(lambda before: lax.fori_loop(0, last, after, before))(before))
 
 
-def counted(f: Any, *args: Any) -> int:
+def counted(f: Callable[..., PyTree], *args: PyTree) -> int:
     """Return the multiplications of a function at these arguments."""
     closed = jax.make_jaxpr(f)(*args)
     return _walked(closed.jaxpr, [*map(_known, closed.consts)], [*map(_known, jax.tree.leaves(args))])[0]
 
 
-def _known(value: Any) -> Value:
+def _known(value: ArrayLike) -> Value:
     return lambda: value
 
 
-def _walked(jaxpr: Any, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
+def _walked(jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
     """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed."""
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
@@ -117,19 +120,19 @@ def _walked(jaxpr: Any, consts: Sequence[Value], args: Sequence[Value]) -> tuple
     return total, [*map(read, jaxpr.outvars)]
 
 
-def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
+def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
     if name in jaxpr_compat.CALLS:
         program = jaxpr_compat.called(eqn.params)
         return _walked(program.jaxpr, [*map(_known, program.consts)], given)
     if name == "cond":
-        program = jaxpr_compat.branches(eqn.params)[int(given[0]())]
+        program = jaxpr_compat.branches(eqn.params)[int(np.asarray(given[0]()))]
         return _walked(program.jaxpr, [*map(_known, program.consts)], given[1:])
     if name == "while":
         return _while(eqn, given)
 
     @cache
-    def made() -> Any:  # what the operation makes, once somebody asks for it
+    def made() -> Sequence[ArrayLike]:  # what the operation makes, once somebody asks for it
         out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
         return out if eqn.primitive.multiple_results else [out]
 
@@ -142,7 +145,7 @@ def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     return _products(eqn), out
 
 
-def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
+def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, state = given[:first], given[first : first + second], given[first + second :]
     held, inside = [*map(_known, cond.consts)], [*map(_known, body.consts)]
@@ -154,7 +157,7 @@ def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     return total, state
 
 
-def _products(eqn: Any) -> int:
+def _products(eqn: Eqn) -> int:
     """How many products one operation takes."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     if not jnp.issubdtype(out.dtype, jnp.floating):

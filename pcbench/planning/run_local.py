@@ -1,11 +1,12 @@
 """Running planned cells in this process: seeds in calls of one width, and the metrics of each run."""
 
 from collections.abc import Hashable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench import statistics
 from pcbench.engine import runner
 from pcbench.planning import digits, padding
 from pcbench.planning.build import alone
@@ -15,7 +16,7 @@ from pcbench.simulation.types import RunSums
 from pcbench.study import Study
 
 # by observer and metric: [what it estimates, seeds], of divergence [seeds]
-Results = dict[str, dict[str, NDArray[Any]]]
+Results = dict[str, statistics.Results]
 
 
 class CellResults(NamedTuple):
@@ -37,7 +38,7 @@ def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ru
 
 def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:
     """Return the metrics that the outcomes of one cell's jobs hold, joined; raise DigitsError where rounding decides them."""
-    parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
+    parts: dict[str, list[statistics.Results]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
     falls = bool((planned.problem.jumps < n).any())
     weights = planned.problem.weights

@@ -130,14 +130,14 @@ def output_units(scenario: Scenario) -> list[str]:
     return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
-def said(axis: str, value: Any) -> str:
+def said(axis: str, value: object) -> str:
     """Return an axis' name with a value and its unit: "delay 0.2 s"."""
     unit = AXIS_UNITS.get(axis, "")
     text = f"{axis.removeprefix('plant.').replace('_', ' ')} {layout.word(value)}"
     return f"{text} {unit}" if unit == "s" and not isinstance(value, str) else text
 
 
-def fixed(part: pd.DataFrame, free: list[str], at: dict[str, Any] | None = None) -> pd.DataFrame:
+def fixed(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:
     """Return the rows in which every varying axis but the `free` has one value: as `at` says, or else its first.
 
     Raises UserError where `at` names no axis or no value of one.
@@ -247,7 +247,7 @@ def map_axes(part: pd.DataFrame) -> tuple[str, str]:
     return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
 
 
-def values_at(part: pd.DataFrame, cell: int) -> dict[str, Any]:
+def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:
     """Return the values of the axes that vary, in one cell."""
     here = part[part.cell == cell].iloc[0]
     return {name: here[name] for name in varying(part)}

@@ -5,9 +5,9 @@ Pictures as files: SVG and PDF whose text is text, PNG; and as a part of a page.
 
 import io
 import re
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import pandas as pd
@@ -53,7 +53,7 @@ def title_of_scenario(result: Result, scenario: str) -> str:
     return result.study.name if scenario == LTI else scenario
 
 
-def about(result: Result, part: pd.DataFrame, at: dict[str, Any]) -> str:
+def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return what a picture is of: the scenario, the values of the axes it does not show, how many runs."""
     many = int((part.n + part.diverged).max())
     said = [title_of_scenario(result, part.scenario.iloc[0]), *(frames.said(axis, value) for axis, value in at.items())]
@@ -81,7 +81,7 @@ IDENTITY = re.compile(
 def saved(figure: Figure, kind: str) -> bytes:
     """Return a figure as a file's content. Text stays text in SVG and PDF; the same figure gives the same bytes."""
     out = io.BytesIO()
-    about: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
+    about: dict[str, None] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "pcbench", "pdf.fonttype": 42}):
         figure.savefig(out, format=kind, dpi=DPI, metadata=about)
     return TIP.sub(rb"<g><title>\1</title>", out.getvalue()) if kind == "svg" else out.getvalue()

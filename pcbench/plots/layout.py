@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from math import ceil, floor, inf, isfinite, log10
+from math import ceil, floor, isfinite, isinf, log10
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import UserError
 from pcbench.plots.palette import GRID, INK, SOFT
@@ -121,7 +121,13 @@ def sheet(
 
 
 def _lay_out(
-    figure: Figure, grid: Any, title: str, height: float, width: float, keys: Sequence[Artist], paper: Paper
+    figure: Figure,
+    grid: NDArray[np.object_],
+    title: str,
+    height: float,
+    width: float,
+    keys: Sequence[Artist],
+    paper: Paper,
 ) -> None:
     """Add the legend under the title, and choose the figure's height so that axes have theirs."""
     axes = figure.axes
@@ -244,11 +250,11 @@ class EqualDigits(Formatter):
         return ["0" if abs(v) <= 1e-9 * largest else f"{v:.{digits}f}" for v in values]
 
 
-def word(value: Any) -> str:
+def word(value: object) -> str:
     """Return a value of a study's axis as a picture says it; "own" where it is the scenario's own."""
     if value is None or value != value:
         return "own"
-    if value in (inf, -inf):
+    if isinstance(value, float) and isinf(value):
         return "∞" if value > 0 else "-∞"
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 

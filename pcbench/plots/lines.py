@@ -6,7 +6,6 @@ What an observer is worth against what it costs.
 """
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.plots import frames
 from pcbench.plots.labels import about, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, is_wide, set_limits, set_range, set_values, sheet
-from pcbench.plots.palette import SOFT, styles
+from pcbench.plots.palette import SOFT, LineLook, styles
 
 APART = 2.2  # points of the page, between points of observers at one value
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed
@@ -62,7 +61,7 @@ def curves(
     scenario: str | None = None,
     signal: str | None = None,
     metric: str = frames.METRIC,
-    at: dict[str, Any] | None = None,
+    at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.
@@ -128,7 +127,7 @@ def convergence(
     return figure
 
 
-def lines(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def lines(names: Iterable[str]) -> dict[str, LineLook]:
     """Return how matplotlib draws each observer's line: the first is broadest and lowest, so that none hides another."""
     look = styles(names)
     widths = 1.3 + min(0.45, 1.6 / max(len(look), 1)) * np.arange(len(look))[::-1]

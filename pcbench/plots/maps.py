@@ -3,7 +3,7 @@
 A cell is a coloured rectangle with what fits into it. Maps of many cells are an image each, with labelled lines of equal value.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from math import ceil, isfinite
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, named, times, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import INK, SOFT, Style, on, pale, styles
+from pcbench.statistics.aggregate import Row
 
 FINE = 24  # values of an axis beyond which a map is an image
 SIDE = 2.2  # inches of an image
@@ -55,7 +56,7 @@ class Side(NamedTuple):
     values: list[Any]
 
 
-Cells = Mapping[tuple[Any, Any], Cell]  # by the values of both axes
+Cells = Mapping[tuple[Hashable, Hashable], Cell]  # by the values of both axes
 
 
 def heatmaps(
@@ -66,7 +67,7 @@ def heatmaps(
     scenario: str | None = None,
     signal: str | None = None,
     metric: str = frames.METRIC,
-    at: dict[str, Any] | None = None,
+    at: dict[str, object] | None = None,
     marks: Marks = MappingProxyType({}),
     paper: Paper = PAPER,
 ) -> Figure:
@@ -84,7 +85,7 @@ def heatmaps(
         values, unit, colours = 100 * values, "%", LOST
         norm, title = Normalize(0, 100), "diverged runs [%]"
 
-    def cell(row: dict[str, Any]) -> Cell:
+    def cell(row: Row) -> Cell:
         value = row["value"]
         if not isfinite(value):
             return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
@@ -108,7 +109,7 @@ def divergence(
     y: str | None = None,
     *,
     scenario: str | None = None,
-    at: dict[str, Any] | None = None,
+    at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
     """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
@@ -123,7 +124,7 @@ def winners(
     scenario: str | None = None,
     signal: str | None = None,
     metric: str = frames.METRIC,
-    at: dict[str, Any] | None = None,
+    at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
     """Return a map over two axes of who wins, in its colour, and by which factor it is ahead of the second.
@@ -161,7 +162,7 @@ def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str
     return (chosen[0], chosen[1]) if x or y else frames.map_axes(part)
 
 
-def _standing(look: dict[str, Style], row: dict[str, Any]) -> Cell:
+def _standing(look: dict[str, Style], row: Row) -> Cell:
     if not row["best"]:
         return Cell(NOTHING, ("all diverge", "-"), "all runs diverge")
     colour, factor = look[row["best"]].colour, row["factor"]
@@ -173,7 +174,7 @@ def _standing(look: dict[str, Style], row: dict[str, Any]) -> Cell:
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 
 
-def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> Cells:
+def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> Cells:
     return {(row[x], row[y]): cell({str(k): v for k, v in row.items()}) for row in rows.to_dict("records")}
 
 

@@ -5,8 +5,9 @@ What pictures need besides the tables: made once, kept in the folder `examples` 
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 import pyarrow as pa
@@ -26,7 +27,7 @@ class Thing(NamedTuple):
 
     name: str
     cell: Cell
-    about: list[Any]
+    about: Sequence[object]
 
     @property
     def path(self) -> str:

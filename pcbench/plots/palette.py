@@ -8,7 +8,7 @@ another shade, its dashes with a dot more, and a marker of its own. The truth is
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 from pcbench.observers import base_of
 
@@ -27,6 +27,15 @@ class Style(NamedTuple):
     def line(self) -> str | tuple[int, tuple[float, ...]]:
         """Return the dashes as matplotlib takes them."""
         return (0, self.dash) if self.dash else "solid"
+
+
+class LineLook(TypedDict):
+    """How matplotlib draws a line."""
+
+    label: str
+    color: str
+    linestyle: str | tuple[int, tuple[float, ...]]
+    linewidth: float
 
 
 LOOKS = {

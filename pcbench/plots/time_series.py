@@ -4,7 +4,6 @@ Over time too: whether observers know how wrong they are, and the delays of a re
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,7 @@ from pcbench.plots import frames, layout, one_run
 from pcbench.plots.labels import title_of_scenario
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
-from pcbench.plots.palette import GRID, MEASURED, PLANT, SOFT, pale
+from pcbench.plots.palette import GRID, MEASURED, PLANT, SOFT, LineLook, pale
 from pcbench.recordings.survey import Survey
 from pcbench.study import scenarios_of
 
@@ -120,7 +119,7 @@ def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) ->
     return pd.concat([part[~replaced], *rows], ignore_index=True)
 
 
-def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, dict[str, Any]]) -> None:
+def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> None:
     low, high = ax.get_ylim()
     for (series, kind), mine in part.groupby(["series", "kind"], sort=False):
         observer = str(series).removeprefix("plant under ")
@@ -138,7 +137,7 @@ def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, dict[str, Any]
             ax.plot(mine.t, near, **look[observer])
 
 
-def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, dict[str, Any]], log: bool) -> None:
+def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log: bool) -> None:
     """Draw errors of every observer: with their band, or on a logarithmic axis as their size."""
     floor = ax.get_ylim()[0] if log else -np.inf
     for observer, line in look.items():

@@ -4,39 +4,41 @@ import ctypes
 from collections.abc import Callable, Hashable, Iterator
 from functools import cache, wraps
 from threading import Lock, Semaphore
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import jax
 
+R = TypeVar("R")  # what a function returns; a program
 MOST = 16  # programs that one cache keeps
 AT_ONCE = 2  # programs that are made side by side: a compiler may take gigabytes for one
 MAPPINGS = 10_000  # of memory, that these have together: a program has 130 to 5,000, and Linux allows a process 65,530
 
 
-def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., Any]:
+def bounded(function: Callable[..., R], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., R]:
     """Return a function compiled once for each shape and static argument; after `MOST` programs it drops them all."""
     jitted: Any = jax.jit(function, static_argnums=static_argnums)
 
     @wraps(function)
-    def call(*arguments: Any) -> Any:
+    def call(*arguments: object) -> R:
         if jitted._cache_size() >= MOST:
             jitted.clear_cache()
-        return jitted(*arguments)
+        out: R = jitted(*arguments)
+        return out
 
     call._cache_size = jitted._cache_size  # type: ignore[attr-defined]
     return call
 
 
-class Made:
+class Made(Generic[R]):
     """A program, or the place of one that is being made by the thread that holds its lock."""
 
     def __init__(self) -> None:
         self.lock = Lock()
-        self.program: Any = None
+        self.program: R | None = None
         self.mappings = 0  # of memory, as far as it was made within `ask`
 
 
-class Programs:
+class Programs(Generic[R]):
     """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`.
 
     Threads that ask for different ones make `AT_ONCE` of them side by side; who asks for one that is being made waits for it.
@@ -45,7 +47,7 @@ class Programs:
 
     def __init__(self) -> None:
         self.made = 0  # so far
-        self._kept: dict[Hashable, Made] = {}
+        self._kept: dict[Hashable, Made[R]] = {}
         self._lock, self._room = Lock(), Semaphore(AT_ONCE)
 
     def __iter__(self) -> Iterator[Hashable]:
@@ -54,7 +56,7 @@ class Programs:
     def __len__(self) -> int:
         return len(self._kept)
 
-    def ask(self, key: Hashable, new: Callable[[], Any]) -> Any:
+    def ask(self, key: Hashable, new: Callable[[], R]) -> R:
         """Return the program of a key, made by `new` if there is none."""
         with self._lock:
             self._kept[key] = one = self._kept.pop(key, None) or Made()
@@ -82,7 +84,7 @@ def _release() -> None:
 
 
 @cache
-def _libc() -> Any:
+def _libc() -> ctypes.CDLL | None:
     """The C library of this process; None where it has none that can be asked, as on Windows."""
     try:
         return ctypes.CDLL(None)

@@ -7,10 +7,10 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 
-def _ignore(*said: Any) -> None:
+def _ignore(*said: object) -> None:
     """Hear and do nothing."""
 
 

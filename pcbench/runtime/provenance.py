@@ -6,7 +6,6 @@ import subprocess
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -35,7 +34,7 @@ def compiler() -> str:
     return " ".join([*sorted(flags), *told]) or "defaults"
 
 
-def describe() -> dict[str, Any]:
+def describe() -> dict[str, object]:
     """Return what a reader needs to know of the machine and the libraries."""
     device = jax.devices()[0]
     return {
@@ -48,7 +47,7 @@ def describe() -> dict[str, Any]:
     }
 
 
-def _git() -> dict[str, Any] | None:
+def _git() -> dict[str, str | bool] | None:
     """The state of the checkout pcbench runs from; None where it runs from an installed copy."""
     here = Path(__file__).parent.parent
 

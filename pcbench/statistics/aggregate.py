@@ -22,7 +22,7 @@ from pcbench.statistics.confidence_intervals import (
 from pcbench.statistics.metric_matrix import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
 from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
 
-Row = dict[str, Any]
+Row = dict[str, Any]  # of stats or pairs, by column
 DESCRIBED = (
     *RUN_METRICS,
     *POOLED,

@@ -5,7 +5,7 @@ it the observer is over-confident, below it cautious. Within 1, 2, 3 sigma lie .
 Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ def exact_band() -> Band:
     return Band(1 - ROUNDING, 1 + ROUNDING)
 
 
-def inside(signal: NDArray[Any]) -> NDArray[np.int64]:
+def inside(signal: Values) -> NDArray[np.int64]:
     """Return how many normalised squares [signals, n] lie within each of SIGMAS, [3, signals]."""
     return np.stack([(signal <= k * k).sum(-1) for k in SIGMAS])
 

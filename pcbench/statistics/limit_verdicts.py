@@ -5,13 +5,14 @@ interval lies above, or where runs diverged (their errors left the scenario's di
 Between the two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
 """
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import estimate
 
 SUFFICES, EXCEEDS, DIVERGES, UNDECIDED = "suffices", "exceeds", "diverges", "undecided"
@@ -43,7 +44,7 @@ class Answer(NamedTuple):
     points: tuple[Point, ...]  # all, by value
 
 
-def point(row: Any, value: float, limit: float) -> Point:
+def point(row: Mapping[Hashable, Any], value: float, limit: float) -> Point:
     """Return what a row of stats says of a value of the axis."""
     mean, low, high, n, lost = (float(row[k]) for k in ("mean", "ci_low", "ci_high", "n", "diverged"))
     known = Point(value, UNDECIDED, mean, low, high, int(n + lost))
@@ -103,7 +104,7 @@ def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
     return pd.DataFrame([_row(observer, a, axis) for observer, a in found.items()])
 
 
-def _row(observer: str, a: Answer, axis: str) -> dict[str, Any]:
+def _row(observer: str, a: Answer, axis: str) -> Row:
     def ends(p: Point | None, name: str, prefix: str) -> dict[str, float]:
         value, mean, low, high = (p.value, p.mean, p.low, p.high) if p else (nan,) * 4
         return {name: value, f"{prefix}mean": mean, f"{prefix}ci_low": low, f"{prefix}ci_high": high}

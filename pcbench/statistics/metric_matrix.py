@@ -1,7 +1,7 @@
 """The metrics of runs, and all those of one observer as the rows of one array. NumPy, no jax."""
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ Results = dict[str, NDArray[Any]]  # of one observer: metric -> [signals, n], `d
 Chunks = Callable[
     [], Iterable[dict[str, Results]]
 ]  # a pass over a cell's runs: by observer, the same seeds for all, in order
+Scalar = TypeVar("Scalar", bound=np.generic)
 SignalMetric = tuple[str, int]  # a metric of a signal (by its number)
 
 
@@ -79,6 +80,6 @@ def joined(stacks: list[Stack]) -> Stack:
     )
 
 
-def kept(values: NDArray[Any], keep: NDArray[np.bool_]) -> NDArray[Any]:
+def kept(values: NDArray[Scalar], keep: NDArray[np.bool_]) -> NDArray[Scalar]:
     """Return the columns of values [K, n] to keep [n]."""
     return values if keep.all() else np.take(values, np.flatnonzero(keep), axis=-1)  # C order, unlike values[:, keep]

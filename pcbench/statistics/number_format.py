@@ -18,7 +18,7 @@ UNPROVEN = "* Nothing proves"  # with which the sentence below a table begins
 LEAN = 1.25  # an interval leans where one side is longer than the other by more
 
 
-def marked(observer: str, certified: Iterable[Any]) -> str:
+def marked(observer: str, certified: Iterable[object]) -> str:
     """Return an observer's name, with a mark where nothing proves its gains in one of some cells; None and NaN are unknown."""
     return observer + MARK if any(each in (False,) for each in certified) else observer
 

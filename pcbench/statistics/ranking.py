@@ -2,16 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import pandas as pd
 
-from pcbench.statistics.aggregate import columns
+from pcbench.statistics.aggregate import Row, columns
 from pcbench.statistics.confidence_intervals import wilson
 
 ALPHA = 0.05
-Row = dict[str, Any]  # of stats or pairs, by column
 
 
 class Standing(NamedTuple):
@@ -63,7 +62,7 @@ def most_often(leaders: Iterable[tuple[str, ...]]) -> tuple[list[str], int]:
     return sorted(observer for observer, count in many.items() if count == most), most
 
 
-def _rank(row: Row) -> tuple[Any, ...]:
+def _rank(row: Row) -> tuple[float, bool, float]:
     """What rows are ordered by, the best first: the fewest diverged runs, then the least mean, last those without one."""
     return row["diverged"], bool(np.isnan(row["mean"])), row["mean"]
 
@@ -80,7 +79,7 @@ def _records(rows: pd.DataFrame) -> list[Row]:
     return cast(list[Row], rows.to_dict("records"))
 
 
-def diverges_more(best: Any, other: Any) -> bool:
+def diverges_more(best: "Row | pd.Series", other: "Row | pd.Series") -> bool:
     """Say whether one row of stats surely has more diverged runs than another."""
     if not other["diverged"]:
         return False

@@ -5,13 +5,14 @@ row an observer, a column a value. Else: a row a cell, a column an observer. Amo
 with those that are as good.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
 from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
 from pcbench.plots import frames
+from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import estimate
 from pcbench.statistics.ranking import standing
 
@@ -28,7 +29,7 @@ class Head(NamedTuple):
 class Entry(NamedTuple):
     """An estimate in its place."""
 
-    row: dict[str, Any]  # of stats
+    row: Row  # of stats
     best: bool  # no other observer is significantly better
 
     @property
@@ -123,7 +124,7 @@ def _axis(name: str) -> Head:
     return Head(_words(name.removeprefix("plant.")), "" if " " in unit or unit == "1" else unit)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -137,7 +138,7 @@ def _entries(result: Result, cell: pd.DataFrame, metric: str) -> list[Entry]:
         & (pairs.cell == first.cell)
     ]
     leaders = standing(cell, met).leaders if len(cell) > 1 else ()
-    rows: list[dict[str, Any]] = cell.to_dict("records")  # type: ignore[assignment]
+    rows: list[Row] = cell.to_dict("records")  # type: ignore[assignment]
     return [Entry(row, row["observer"] in leaders) for row in rows]
 
 
