@@ -43,23 +43,6 @@ def test_chunks_of_seeds_that_begin_elsewhere_end_at_the_same_seeds(tmp_path, mo
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("before", [0, 20])
-def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkeypatch, before):
-    """And with the tables that blocks give; those that stood before are read."""
-    study = {"name": "few", "scenarios": ["cart/slow"], "observers": ["kfbo"]}
-    if before:
-        pcbench.run(study, seeds=before, out=tmp_path / "out")
-    opened, read = [], block_files.read
-    monkeypatch.setattr(block_files, "read", lambda _, block: opened.append(block.seeds) or read(_, block))
-    pcbench.run(study, seeds=40, out=tmp_path / "out")
-    assert opened == [Seeds(0, before)] * bool(before)
-    place = storage.target(tmp_path / "out")
-    stats, pairs = close.closing_tables(place, manifest.opened(place), block_files.present(place))[1:3]
-    assert storage.get(place, "stats.parquet") == stats
-    assert storage.get(place, "pairs.parquet") == pairs
-
-
-@pytest.mark.ci
 def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monkeypatch):
     """With a cell whose runs diverge, which is taken by itself, and one that has fewer seeds."""
     study = {
