@@ -5,12 +5,13 @@ never by one matrix exponential over a long interval, which overflows silently (
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+
+from pcbench.value_cache import cached_by_value
 
 Matrix = NDArray[np.float64]
 
@@ -52,14 +53,14 @@ def discretize_zoh(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
-    whole = _exponential(block.tobytes(), n + m, h)
+    whole = _exponential(block, h)
     return whole[:n, :n], whole[:n, n:]
 
 
-@lru_cache(maxsize=256)
-def _exponential(A: bytes, n: int, h: float) -> Matrix:
+@cached_by_value
+def _exponential(A: Matrix, h: float) -> Matrix:
     """e^{A h}."""
-    out: Matrix = expm(np.frombuffer(A).reshape(n, n) * h)
+    out: Matrix = expm(A * h)
     out.flags.writeable = False
     return out
 
@@ -75,13 +76,12 @@ def bits_for(ticks: int) -> int:
 
 
 def doublings(model: Model, h: float, bits: int) -> Matrix:
-    """Return the model's map over 2^b ticks without input, b = 0 .. bits - 1, as [bits, n, n]; remembered."""
-    return _doublings(np.ascontiguousarray(model.A, float).tobytes(), len(model.A), model.discrete, h, bits)
+    """Return the model's map over 2^b ticks without input, b = 0 .. bits - 1, as [bits, n, n]; cached."""
+    return _doublings(model.A, model.discrete, h, bits)
 
 
-@lru_cache(maxsize=256)
-def _doublings(A: bytes, n: int, discrete: bool, h: float, bits: int) -> Matrix:
-    one = np.frombuffer(A).reshape(n, n)
+@cached_by_value
+def _doublings(one: Matrix, discrete: bool, h: float, bits: int) -> Matrix:
     if discrete:
         maps = [one]
         for _ in range(bits - 1):
@@ -99,17 +99,16 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     A tick in which a fast mode dies is halved until |A| h is at most 1, for e^{-Ah} would overflow, and doubled again.
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978).
     """
-    A, Qc = (np.ascontiguousarray(M, float) for M in (A, Qc))
-    return _noise_over_tick(A.tobytes(), Qc.tobytes(), len(A), h).copy()
+    return _noise_over_tick(A, Qc, h).copy()
 
 
-@lru_cache(maxsize=256)
-def _noise_over_tick(of_A: bytes, of_Qc: bytes, n: int, h: float) -> Matrix:
-    A, Qc = (np.frombuffer(M).reshape(n, n) for M in (of_A, of_Qc))
+@cached_by_value
+def _noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
+    n = len(A)
     size = float(np.linalg.norm(A, 2)) * h
     halvings = int(np.ceil(np.log2(size))) if size > 1 else 0
     short = h / 2**halvings
-    whole = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]).tobytes(), 2 * n, short)
+    whole = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]), short)
     E = whole[n:, n:].T
     Q = E @ whole[:n, n:]
     for _ in range(halvings):
@@ -140,17 +139,17 @@ def noise_doublings(model: Model, Q: Matrix, h: float, bits: int) -> Matrix:
 
 
 def powers(model: Model, h: float, ticks: int) -> Matrix:
-    """Return the model's maps over i R^level ticks without input, as [2, R, n, n], R^2 > `ticks`; remembered.
+    """Return the model's maps over i R^level ticks without input, as [2, R, n, n], R^2 > `ticks`; cached.
 
     See `integrate.after`.
     """
-    return _powers(np.ascontiguousarray(model.A, float).tobytes(), len(model.A), model.discrete, h, ticks)
+    return _powers(model.A, model.discrete, h, ticks)
 
 
-@lru_cache(maxsize=256)
-def _powers(A: bytes, n: int, discrete: bool, h: float, ticks: int) -> Matrix:
-    half = -(-bits_for(ticks) // 2)
-    doubled = _doublings(A, n, discrete, h, 2 * half)
+@cached_by_value
+def _powers(A: Matrix, discrete: bool, h: float, ticks: int) -> Matrix:
+    half, n = -(-bits_for(ticks) // 2), len(A)
+    doubled = _doublings(A, discrete, h, 2 * half)
     levels = []
     for level in range(2):
         table = np.eye(n)[None]

@@ -13,13 +13,12 @@ A plant is detectable if every unobservable mode decays: Re lam < 0, or |lam| < 
 Source: staircase form (Van Dooren 1981; Paige 1981); the scaling is ours.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.linalg import block_diag, hessenberg
 
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import UserError
+from pcbench.value_cache import cached_by_value
 
 RANK = 1e-11  # a singular value, or a coupling, below this part of the largest is zero
 ROUNDING = 1e-14  # of A, in its modes; the m-th root of it where m of them may be one
@@ -36,17 +35,16 @@ def rank(M: Matrix) -> int:
 
 
 def unobservable(A: Matrix, C: Matrix) -> list[complex]:
-    """Return the modes of A [n, n] that C [q, n] does not see; remembered, as cells of a study have few plants."""
-    A, C = (np.ascontiguousarray(M, float) for M in (A, C))
-    return list(_unobservable(A.tobytes(), C.tobytes(), len(A)))
+    """Return the modes of A [n, n] that C [q, n] does not see; cached, as grid points of a study have few plants."""
+    return list(_unobservable(A, C))
 
 
-@lru_cache(256)
-def _unobservable(of_A: bytes, of_C: bytes, n: int) -> tuple[complex, ...]:
-    A, C = np.frombuffer(of_A).reshape(n, n), np.frombuffer(of_C).reshape(-1, n)
+@cached_by_value
+def _unobservable(A: Matrix, C: Matrix) -> tuple[complex, ...]:
+    n, whole = len(A), _rate(A)
     for i in range(len(C)):
         A, C = _hidden(A, C, i)
-    hidden, whole, m = np.linalg.eigvals(A).astype(complex), _rate(np.frombuffer(of_A).reshape(n, n)), max(len(A), 1)
+    hidden, m = np.linalg.eigvals(A).astype(complex), max(len(A), 1)
     noise, own = ROUNDING * max(n, 1) * whole, _rate(A)
     return tuple(_exact(complex(mode), noise if own <= noise else own * (noise / own) ** (1 / m)) for mode in hidden)
 

@@ -34,6 +34,7 @@ from pcbench.study.times import whole
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
 from pcbench.toml_text import TomlTable
+from pcbench.value_cache import key_of
 
 
 def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
@@ -53,8 +54,8 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
         return None
     known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
     sees = known.model, known.dt, known.ticks, known.noise_covariance, known.P0, s.truth.process_std
-    key = memo.key_of((*sees, cell.times.tail)), tuple(clocks)
-    alike = memo.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
+    key = key_of((*sees, cell.times.tail)), tuple(clocks)
+    alike = key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
     steps = ask("steps", alike, riccati.no_steps)
     moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
 

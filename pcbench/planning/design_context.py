@@ -15,12 +15,13 @@ from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import common_times, random_times, sampling
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import DesignContext
+from pcbench.value_cache import key_of
 
 
 def prepared(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask: memo.Once) -> Params:
     """Return a plant's numbers for the ticks of a horizon."""
     try:
-        key = plant.prepare, memo.key_of(numbers), dt, ticks
+        key = plant.prepare, key_of(numbers), dt, ticks
     except TypeError:
         return plant.prepare(numbers, dt, ticks)
 

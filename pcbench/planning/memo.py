@@ -8,12 +8,8 @@ import inspect
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from functools import partial
-from types import FunctionType
 from typing import Any, Protocol, TypeVar
 
-import jax
-import numpy as np
 from pydantic import BaseModel
 
 from pcbench.errors import UserError, is_ours, line_of, raised
@@ -70,21 +66,3 @@ def designed(label: str, entry: ObserverSpec, known: DesignContext, options: Bas
     if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
         raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; mend it.")
     return found
-
-
-def key_of(what: object) -> Hashable:
-    """Return a key that equal numbers share, to the bit; raise TypeError for what has none."""
-    if what is None or isinstance(what, bool | int | float | str):
-        return type(what), repr(what)
-    if isinstance(what, np.ndarray | np.generic | jax.Array):
-        numbers = np.asarray(what)
-        return numbers.dtype.str, numbers.shape, numbers.tobytes()
-    if isinstance(what, tuple | list):
-        return type(what), *map(key_of, what)
-    if isinstance(what, dict):
-        return dict, *((key_of(name), key_of(value)) for name, value in what.items())
-    if isinstance(what, partial):
-        return type(what), key_of(what.func), key_of(what.args), key_of(what.keywords)
-    if isinstance(what, FunctionType):
-        return what
-    raise TypeError(f"{type(what).__name__} has no key")

@@ -24,6 +24,7 @@ from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, 
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.parameter_ranges import Maps
+from pcbench.value_cache import cached_by_value
 
 ROBUST = ("decay", "h2", "hinf")
 
@@ -75,6 +76,7 @@ def find(
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
 
+@cached_by_value
 def _at_the_mean(
     method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
 ) -> tuple[Matrix, Certificate]:

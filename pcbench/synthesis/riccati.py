@@ -10,7 +10,7 @@ Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depe
 
 from bisect import bisect
 from collections.abc import Callable
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, DesignContext, least_eigenvalue
+from pcbench.value_cache import cached_by_value
 
 
 class Stationary(NamedTuple):
@@ -31,6 +32,7 @@ class Stationary(NamedTuple):
     certificate: Certificate
 
 
+@cached_by_value
 def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     """Solve (27) for P and K; the margin is how far A - K C lies left of the axis, NaN where P does not solve (27)."""
     A, C = model.A, model.C
@@ -84,22 +86,14 @@ class CovarianceRun(NamedTuple):
     least: float  # the least eigenvalue of any P, relative to its largest entry
 
 
+@cached_by_value
 def multirate(
     doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
 ) -> CovarianceRun:
     """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on.
 
-    Remembered, as observers and cells of one study ask for the same again and again.
+    Cached, as observers and grid points of one study ask for the same.
     """
-    numbers = [np.ascontiguousarray(a, float) for a in (doubled, noise, C, R, P0)]
-    return _multirate(tuple((a.tobytes(), a.shape) for a in numbers), period, ticks)
-
-
-@lru_cache(maxsize=256)
-def _multirate(
-    numbers: tuple[tuple[bytes, tuple[int, ...]], ...], period: tuple[int, ...], ticks: int
-) -> CovarianceRun:
-    doubled, noise, C, R, P0 = (np.frombuffer(bits).reshape(shape) for bits, shape in numbers)
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
     over = cache(lambda gap: _over(doubled, noise, gap))  # the same gaps come again and again
     innovation, least = np.inf, np.inf

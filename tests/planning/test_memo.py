@@ -9,6 +9,7 @@ from pcbench.planning import build, memo
 from pcbench.study import parse
 from pcbench.study.grid import cells_of
 from pcbench.synthesis import riccati, solvers
+from pcbench.value_cache import key_of
 
 AXES = {"sampling_period": [0.2, 0.4], "noise_std": [0.1, 0.5], "parameter_drift": [0.0, 0.5]}
 STUDY = {"name": "map", "scenarios": ["cart/gaussian"], "observers": ["pccebo", "kf"], "axes": AXES, "seeds": 2}
@@ -41,10 +42,10 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
     assert riccati._multirate.cache_info().misses == 8, "kf sees the noise, and what drift it has to expect"
     for p, cell in zip(several, cells, strict=True):
         alone = build.draft(cell, cell.options)
-        assert memo.key_of(alone.problem.gains["pccebo"].L) == memo.key_of(p.problem.gains["pccebo"].L)
-        assert memo.key_of(alone.problem.gains["kf"].R) == memo.key_of(p.problem.gains["kf"].R)
-        assert memo.key_of(alone.problem.params) == memo.key_of(p.problem.params)
-        assert memo.key_of(alone.bound) == memo.key_of(p.bound)
+        assert key_of(alone.problem.gains["pccebo"].L) == key_of(p.problem.gains["pccebo"].L)
+        assert key_of(alone.problem.gains["kf"].R) == key_of(p.problem.gains["kf"].R)
+        assert key_of(alone.problem.params) == key_of(p.problem.params)
+        assert key_of(alone.bound) == key_of(p.bound)
 
 
 def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
@@ -57,10 +58,10 @@ def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
 
 def test_keys_tell_numbers_apart_to_the_bit():
     numbers = [0.0, -0.0, 0, False, "0", None, np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.float32), (0.0,), [0.0]]
-    assert len({memo.key_of(each) for each in numbers}) == len(numbers)
-    assert memo.key_of(np.array([np.nan])) == memo.key_of(np.array([np.nan]))
+    assert len({key_of(each) for each in numbers}) == len(numbers)
+    assert key_of(np.array([np.nan])) == key_of(np.array([np.nan]))
     with pytest.raises(TypeError):
-        memo.key_of(object())
+        key_of(object())
 
 
 def test_what_refuses_is_asked_again(monkeypatch):

@@ -1,0 +1,59 @@
+"""Results in memory, found by the values of the arguments: arrays by their bits. No jax."""
+
+from collections.abc import Callable, Hashable
+from functools import lru_cache, partial, wraps
+from types import FunctionType
+from typing import NamedTuple, ParamSpec, TypeVar
+
+import numpy as np
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class _Call(NamedTuple):
+    key: Hashable
+    arguments: tuple[object, ...]
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Call) and self.key == other.key
+
+
+def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
+    """Return the function with its last 256 results kept, by arguments that are equal to the bit.
+
+    Arguments are given by position; arrays among them reach the function as contiguous floats. Callers must not write to an
+    array of a result.
+    """
+
+    @lru_cache(maxsize=256)
+    def once(call: _Call) -> T:
+        return function(*call.arguments)  # type: ignore[call-arg, arg-type]
+
+    @wraps(function)
+    def ask(*arguments: P.args, **none: P.kwargs) -> T:
+        plain = tuple(np.ascontiguousarray(a, float) if isinstance(a, np.ndarray) else a for a in arguments)
+        return once(_Call(key_of(plain), plain))
+
+    return ask
+
+
+def key_of(what: object) -> Hashable:
+    """Return a key that equal numbers share, to the bit; raise TypeError for what has none."""
+    if what is None or isinstance(what, bool | int | float | str):
+        return type(what), repr(what)
+    if isinstance(what, tuple | list):
+        return type(what), *map(key_of, what)
+    if isinstance(what, dict):
+        return dict, *((key_of(name), key_of(value)) for name, value in what.items())
+    if isinstance(what, partial):
+        return type(what), key_of(what.func), key_of(what.args), key_of(what.keywords)
+    if isinstance(what, FunctionType):
+        return what
+    if hasattr(what, "__array__"):  # of NumPy, JAX
+        numbers = np.asarray(what)
+        return numbers.dtype.str, numbers.shape, numbers.tobytes()
+    raise TypeError(f"{type(what).__name__} has no key")
