@@ -26,7 +26,7 @@ from pcbench.observers import ObserverSpec
 from pcbench.playback import innovation_tests, likelihood
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
-from pcbench.playback.setup import open_playback
+from pcbench.playback.setup import Playback, Prepared, open_playback
 from pcbench.recordings.log import Floats
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
@@ -113,7 +113,9 @@ def tune_log(
         brought = part.window.mask.sum((1, 2))
         _require_samples(part.first + np.arange(len(brought)), brought, cut, len(at_start), where)
         target = storage.target(str(out) if out is not None else spare)
-        content = sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in (*part.window, part.inputs)))
+        content = sha256()
+        for each in (*part.window, part.inputs):
+            content.update(b"" if each is None else np.ascontiguousarray(each).tobytes())
         entries = parameters.entries(free)
         about = f"{where}: {', '.join(entries)} of {content.hexdigest()[:12]}, for {digest(study, [a.cell])[:12]}"
         trials = History(target, about, entries, basis_of(study, a.cell))
@@ -157,7 +159,11 @@ def tune_log(
             gain=gain,
             gain_se=se,
             points=[*trials.points, *refit.points],
-            said=[*a.remarks, *_remarks(arrived, intensities, held_out["tuned"]["p_white"])],
+            said=[
+                *a.remarks,
+                *_factors(a, p, parameters.written(free, best)),
+                *_remarks(arrived, intensities, held_out["tuned"]["p_white"]),
+            ],
         )
         _write(tuned, target, about)
         return tuned
@@ -236,6 +242,15 @@ def _intensities(
     rows[2][unknown] = rows[3][unknown] = np.nan
     names = parameters.entries(free)
     return [Intensity(name, *map(float, row)) for name, *row in zip(names, *rows, strict=True)]
+
+
+def _factors(a: Playback, p: Prepared, found: dict[str, Any]) -> list[str]:
+    """What a tuned R says of the standard deviations that a log states: it multiplies all of a channel."""
+    if p.variances is None or "R" not in found:
+        return []
+    factors = zip(a.log.channels, np.sqrt(found["R"] / p.variances), strict=True)
+    each = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
+    return [f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {each}."]
 
 
 def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) -> list[str]:
