@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 from jaxtyping import PyTree
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import planning
@@ -27,7 +26,7 @@ from pcbench.playback import innovation_tests, likelihood
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
 from pcbench.playback.setup import Playback, Prepared, open_playback
-from pcbench.recordings.log import Floats
+from pcbench.recordings.log import Floats, Ints
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
@@ -56,8 +55,8 @@ class LogTuning(NamedTuple):
     """What tuning on a log has given."""
 
     study: dict[str, Any]  # the plant and the observer with the options chosen: what tuned.toml says
-    start: dict[str, Any]
-    found: dict[str, Any]
+    start: dict[str, float | list[float]]
+    found: dict[str, float | list[float]]
     kept_start: str  # why the start was kept; empty: what was found is chosen
     intensities: list[Intensity]
     # of start and tuned (to the first part): what `innovation_tests` says, of the held-out part alone
@@ -211,7 +210,7 @@ def _tuned_options(
     return names
 
 
-def _require_samples(tick: NDArray[Any], numbers: NDArray[Any], cut: int, free: int, where: str) -> None:
+def _require_samples(tick: Ints, numbers: Ints | Floats, cut: int, free: int, where: str) -> None:
     """Raise UserError where too few `numbers` [N] came at ticks [N] to tune on, or to judge on."""
     early, least = tick < cut, FEWEST * free
     for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
@@ -276,7 +275,12 @@ def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) 
 
 def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     """Write a study that can be run, and under [resolved.tuning] how it came about."""
-    said: dict[str, Any] = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    said: dict[str, object] = {
+        "about": about,
+        "start": tuned.start,
+        "found": tuned.found,
+        "kept_start": tuned.kept_start,
+    }
     said |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     said |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
     record = plain(said, nulls=False)  # TOML has none: what is not known is left out
