@@ -72,6 +72,8 @@ class Arrival(NamedTuple):
     ticks_since_arrival: Int[
         Array, ""
     ]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
+    # of a recording that states it: variance of each value's noise over the variance that the design takes for its channel
+    variance_ratio: Float[Array, " q"] | None = None
 
 
 class Step(Protocol):

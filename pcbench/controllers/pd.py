@@ -67,7 +67,7 @@ def acts_at(t: np.ndarray, delay: Delay) -> np.ndarray:
 
 def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, model: Any, inverse: Any) -> Params:
     """Return the law's numbers for ticks -`rows` .. `ticks`."""
-    t: Any = np.arange(-rows, ticks + 1) * dt
+    t = dt * np.arange(-rows, ticks + 1, dtype=np.float64)
     sigma, path = acts_at(t, delay), PATHS[options.path]
     return Params(
         Kp=np.array(options.Kp),

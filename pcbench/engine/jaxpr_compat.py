@@ -19,6 +19,7 @@ from pcbench.errors import UserError
 __all__ = ["ClosedJaxpr", "Jaxpr", "Literal", "generators", "jaxpr_as_fun"]  # of jax, for other modules
 
 Eqn: TypeAlias = Any  # a JaxprEqn, of which jax's types do not know that its variables have shapes
+Atom: TypeAlias = Any  # a Var or Literal, likewise
 EqnParams = dict[str, Any]
 NEWEST = (0, 12)  # release of jax that this file was read against
 

@@ -4,17 +4,16 @@ A product of floats is counted as `planning.operation_counts` does: once for eac
 through a function.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
-from typing import Any
 
 import jax
 import numpy as np
 from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
-from pcbench.engine.jaxpr_compat import Eqn
-from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
+from pcbench.engine.jaxpr_compat import Eqn, EqnParams
+from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, known, place_of, written
 from pcbench.planning.operation_counts import ONCE
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
@@ -85,7 +84,7 @@ def _rounded(params: Mapping[str, object], a: list[str]) -> str:
     return f"F({'nearbyint' if nearest_even else 'round'})({a[0]})"
 
 
-OTHERS: dict[str, Callable[[Mapping[str, Any], str, list[str]], str]] = {
+OTHERS: dict[str, Callable[[EqnParams, str, list[str]], str]] = {
     "not": lambda params, kind, a: f"!{a[0]}" if kind == "bool" else f"~{a[0]}",
     "abs": lambda params, kind, a: f"F(fabs)({a[0]})" if kind == "real" else f"{a[0]} < 0 ? -{a[0]} : {a[0]}",
     "div": lambda params, kind, a: _divided(kind, a, "/"),
@@ -190,8 +189,8 @@ def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
     out = np.empty(a.shape[:-1], object)
     for i in np.ndindex(out.shape):
-        best: Any = a[i][0]
-        where: Any = np.int64(0)
+        best: Entry = a[i][0]
+        where: Entry = np.int64(0)
         for k, x in enumerate(a[i][1:], 1):
             better = w.let("bool", f"{written(x)} {sign} {written(best)}").text
             best, where = (
@@ -214,7 +213,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     return out.reshape(aval.shape)
 
 
-def _arranged(p: Entries, batch: Any, contract: Any) -> Entries:
+def _arranged(p: Entries, batch: Sequence[int], contract: Sequence[int]) -> Entries:
     """Batch, free and contracted axes, each as one: [batch, free, contracted]."""
     free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
     sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]

@@ -5,7 +5,9 @@ counts the products of floats, as the column of costs does.
 """
 
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from jaxtyping import PyTree
 
 from pcbench.errors import printable
 from pcbench.export import observer_to_c, structs
@@ -207,7 +209,7 @@ def code(about: About, s: Source) -> str:
     return "\n".join(parts)
 
 
-def gains(about: About, s: Source, numbers: Any) -> str:
+def gains(about: About, s: Source, numbers: PyTree) -> str:
     """Return the gains as a constant initialiser."""
     each = structs.initialiser(s.gains, observer_to_c.numbers(numbers))
     head = f"/* The gains of {comment(about.observer)} in {comment(about.scenario)}. */\n#include <math.h>\n"

@@ -4,8 +4,7 @@ What only moves numbers is done here and leaves no line; what nothing reads the 
 arrays of its own, which are written anew at the end of each round.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -58,7 +57,7 @@ def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
 def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -> list[Entries]:
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
-    def read(v: Any) -> Entries:
+    def read(v: jaxpr_compat.Atom) -> Entries:
         return known(np.asarray(v.val)) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
@@ -105,11 +104,11 @@ def _moved(eqn: Eqn, args: list[Entries]) -> list[Entries]:
     return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
 
 
-def _kinds(vs: Any) -> list[str]:
+def _kinds(vs: Sequence[jaxpr_compat.Atom]) -> list[str]:
     return [kind_of(v.aval.dtype) for v in vs]
 
 
-def _state(w: Writer, vs: Any, values: list[Entries], stays: list[bool]) -> list[Entries]:
+def _state(w: Writer, vs: Sequence[jaxpr_compat.Atom], values: list[Entries], stays: list[bool]) -> list[Entries]:
     """Arrays of C that hold a loop's state; what stays as it is needs none."""
     out = []
     for kind, value, fixed in zip(_kinds(vs), values, stays, strict=True):

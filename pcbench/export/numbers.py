@@ -2,9 +2,11 @@
 
 import io
 import json
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
+from jaxtyping import PyTree
 
 from pcbench.dynamics import linear
 from pcbench.export import observer_to_c, structs
@@ -13,8 +15,8 @@ from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 def described(
-    about: About, known: DesignContext, certificate: Certificate, options: dict[str, Any], gains: Any
-) -> dict[str, Any]:
+    about: About, known: DesignContext, certificate: Certificate, options: Mapping[str, object], gains: PyTree
+) -> dict[str, object]:
     """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
     Phi, Gamma = linear.one_tick(known.model, known.dt)
     model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
@@ -35,21 +37,22 @@ def described(
     }
 
 
-def as_json(found: dict[str, Any]) -> str:
+def as_json(found: Mapping[str, object]) -> str:
     """Return it as JSON; what is not finite is a word, as JSON has no number for it."""
     return json.dumps(_plain(found), indent=2) + "\n"
 
 
-def as_mat(found: dict[str, Any]) -> bytes:
+def as_mat(found: Mapping[str, object]) -> bytes:
     """Return it as a MAT file, version 5."""
     from scipy.io import savemat
 
     out = io.BytesIO()
-    savemat(cast(Any, out), _whole(found), long_field_names=True)
+    content = {name: _whole(value) for name, value in found.items() if value is not None}
+    savemat(cast(Any, out), content, long_field_names=True)  # scipy's types know no open file
     return out.getvalue()
 
 
-def _plain(x: Any) -> Any:
+def _plain(x: object) -> object:
     if isinstance(x, dict):
         return {str(k): _plain(v) for k, v in x.items()}
     if isinstance(x, list | tuple):
@@ -59,7 +62,7 @@ def _plain(x: Any) -> Any:
     return x if not isinstance(x, float) or np.isfinite(x) else str(x)
 
 
-def _whole(x: Any) -> Any:
+def _whole(x: object) -> object:
     """Nested dicts as MATLAB takes them: names of at most 63 letters, nothing that is None."""
     if isinstance(x, dict):
         return {str(k)[:63]: _whole(v) for k, v in x.items() if v is not None}

@@ -10,13 +10,15 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, ShapeDtypeStruct
+from jaxtyping import PyTree
 
 from pcbench.dynamics.room import within_room
+from pcbench.engine.jaxpr_compat import ClosedJaxpr
 from pcbench.errors import UserError
 from pcbench.export import jaxpr_to_c, structs
 from pcbench.export.structs import Field
-from pcbench.export.terms import Writer, kind_of, stored
+from pcbench.export.terms import Entries, Writer, kind_of, stored
 from pcbench.protocols import Arrival, Now, Observer
 
 
@@ -67,7 +69,7 @@ def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided:
     return Now(t, tick, dt, u, past_u)
 
 
-def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> Source:
+def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes) -> Source:
     """Return an observer in C; raise UserError, naming the function and the primitive, where it cannot be written."""
     memory = jax.eval_shape(o.init, gains, xhat0)
     now, arrival, flags = _given(shapes)
@@ -75,7 +77,7 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         "g": structs.fields(gains, "gain"),
         "m": structs.fields(memory, "value"),
         "now": _named(("t", "tick", "dt", "u", "past"), now),
-        "a": _named(Arrival._fields, arrival),
+        "a": structs.fields(arrival, "arrival"),
     }
     vectors = {"xhat0": _named(("xhat0",), [xhat0]), "mask": _named(("mask",), [flags])}
     out = []
@@ -128,7 +130,7 @@ def _reading(name: str, functions: list[Function]) -> Reading:
     return "once" if found else "not"
 
 
-def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
+def _given(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
     """What functions are given besides gains and memory: of which kinds and shapes."""
 
     def kind(dtype: type, *shape: int) -> Any:
@@ -147,17 +149,17 @@ def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
     return now, arrival, kind(bool, q)
 
 
-def _named(names: Iterable[str], kinds: Iterable[Any]) -> list[Field]:
+def _named(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]) -> list[Field]:
     return [Field(name, kind_of(a.dtype), tuple(a.shape)) for name, a in zip(names, kinds, strict=True)]
 
 
-def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple[str, ...], str]]:
+def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]:
     """The functions that an observer has: what each computes, of what, and what that changes; in the order of a tick."""
 
-    def undecided(now: Any) -> Now:
+    def undecided(now: Iterable[Array]) -> Now:
         return present(*now, decided=False)
 
-    out: dict[str, tuple[Callable[..., Any], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
+    out: dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
     if noted:
         out["snapshot"] = (
             lambda g, m, now: jnp.asarray(o.snapshot(g, m, undecided(now))),
@@ -180,7 +182,9 @@ def _complete(a: Arrival) -> Arrival:
     return a._replace(value=jnp.where(a.mask, a.value, 0.0), age=jnp.where(a.mask, a.age, oldest))
 
 
-def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str, refuses: bool) -> list[str]:
+def _lines(
+    closed: ClosedJaxpr, entries: list[Entries], into: list[Entries] | None, changes: str, refuses: bool
+) -> list[str]:
     """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`.
 
     One that `refuses` returns 1 before it changes anything if the program has gone outside the room, and else 0.
@@ -216,6 +220,6 @@ def _head(label: str, args: tuple[str, ...], changes: str) -> str:
     return ", ".join([*(said[each] for each in args), *made])
 
 
-def numbers(tree: Any) -> list[np.ndarray]:
+def numbers(tree: PyTree) -> list[np.ndarray]:
     """Return the arrays of a pytree in the order of its fields."""
     return [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]

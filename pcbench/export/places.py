@@ -4,15 +4,15 @@ C reads them from an array of its own; one whose entries are from several places
 the array as jax keeps them: a slice is moved inside, a row is clipped, or is NaN (of integers the least) where it is outside.
 """
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jax.lax import GatherScatterMode
+from numpy.typing import NDArray
 
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn
-from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, stored, written
+from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, known, place_of, stored, written
 
 FILL = (GatherScatterMode.FILL_OR_DROP,)
 
@@ -41,9 +41,9 @@ def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 def _starts(
     axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batching: Iterable[tuple[int, int]]
-) -> list[Any]:
+) -> list[Entry]:
     """Where a slice begins: the columns of a row of indices say it of `places`, the row itself of batching axes."""
-    starts: list[Any] = [np.int64(0)] * axes
+    starts: list[Entry] = [np.int64(0)] * axes
     for column, axis in enumerate(places):
         starts[axis] = indices[(*row, column)]
     for own, theirs in batching:
@@ -70,7 +70,7 @@ def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         for i in np.ndindex(shape):
             window[i][windowed] = i
         found = _read(w, eqn, operand, starts, window)
-        at: list[Any] = [slice(None)] * len(aval.shape)
+        at: list[slice | int] = [slice(None)] * len(aval.shape)
         for axis, i in zip(batch, b, strict=True):
             at[axis] = i
         found = _or_else(w, eqn, found, there) if there else found
@@ -112,7 +112,7 @@ def held(w: Writer, kind: str, values: Entries) -> Term:
     return found
 
 
-def _read(w: Writer, eqn: Eqn, operand: Entries, starts: list[Any], window: Any) -> Entries:
+def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window: NDArray[np.int64]) -> Entries:
     """The entries at `starts` and, beyond, at the indices that the last axis of `window` holds."""
     out = np.empty(window.shape[:-1], object)
     if not any(isinstance(s, Term) for s in starts):
@@ -135,7 +135,7 @@ def _copied(w: Writer, eqn: Eqn, operand: Entries) -> str:
     return name
 
 
-def _inside(w: Writer, start: Any, most: int) -> Any:
+def _inside(w: Writer, start: Entry, most: int) -> Entry:
     """An index moved to 0 .. most."""
     if not most:
         return np.int64(0)
@@ -144,7 +144,7 @@ def _inside(w: Writer, start: Any, most: int) -> Any:
     return np.clip(np.int64(start), 0, most)
 
 
-def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> str:
+def _is_inside(w: Writer, starts: Sequence[Entry], limits: list[int]) -> str:
     """Whether indices are in 0 .. limits: a condition in C."""
     each = [f"{written(s)} >= 0 && {written(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
     return w.let("bool", " && ".join(each)).text
@@ -165,7 +165,7 @@ def _flat(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
     return int(np.ravel_multi_index(index, shape)) if shape else 0
 
 
-def _offset(w: Writer, shape: tuple[int, ...], starts: list[Any], base: str = "") -> str:
+def _offset(w: Writer, shape: tuple[int, ...], starts: Sequence[Entry], base: str = "") -> str:
     """The index in C of the entry at `starts`, beyond a base."""
     strides = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
     terms = [f"{written(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]

@@ -21,6 +21,11 @@ def recorded(a: Playback, tells: bool) -> tuple[Prepared, Vector]:
             f"{a.name}: got {a.last + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
             "observer; take a part of the recording that has its longest delays."
         )
+    if with_std := a.survey.with_std():
+        raise UserError(
+            f"{a.name}: got the noise of each measurement of {', '.join(with_std)}, expected a recording without: the C has "
+            "one variance for each channel; leave std and variance out of the recording."
+        )
     p = prepared(a, room_of(a))
     parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]

@@ -1,5 +1,8 @@
 """The test vector as C, and the program that replays it: it prints what differs from the simulation, signal by signal."""
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from pcbench.export import c_files
 from pcbench.export.c_files import About, plain
 from pcbench.export.observer_to_c import Source
@@ -174,9 +177,9 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', "'") + '"'
 
 
-def _row(values: object) -> str:
+def _row(values: ArrayLike) -> str:
     return ", ".join(written(x) for x in known(values).flat)
 
 
-def _table(name: str, many: int, rows: object) -> list[str]:
-    return [f"static const double {name}[][{many}] = {{", *(f"    {{{_row(row)}}}," for row in rows), "};"]  # type: ignore[attr-defined]
+def _table(name: str, many: int, rows: np.ndarray) -> list[str]:
+    return [f"static const double {name}[][{many}] = {{", *(f"    {{{_row(row)}}}," for row in rows), "};"]

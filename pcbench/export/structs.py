@@ -6,11 +6,13 @@ A run to test an exported observer by: its inputs, what happens at which tick, a
 import keyword
 import re
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from pcbench.engine import initial_state, lane_array
@@ -20,6 +22,7 @@ from pcbench.export.terms import Entries, Term, kind_of, known, scalar, stored, 
 from pcbench.planning.padding import Plan
 from pcbench.recordings.windows import Window
 from pcbench.simulation import measurements, trajectory
+from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 RESERVED = frozenset(
@@ -42,7 +45,7 @@ class Field(NamedTuple):
         return int(np.prod(self.shape))
 
 
-def fields(tree: Any, alone: str) -> list[Field]:
+def fields(tree: PyTree, alone: str) -> list[Field]:
     """Return the fields of a pytree of arrays, in the order of its leaves; a tree that is one array is called `alone`."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
     out: list[Field] = []
@@ -55,7 +58,7 @@ def fields(tree: Any, alone: str) -> list[Field]:
     return out
 
 
-def _word(key: Any) -> str:
+def _word(key: object) -> str:
     return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
 
 
@@ -82,7 +85,7 @@ def declared(name: str, given: Iterable[Field]) -> list[str]:
     return [*lines, f"}} {name};"]
 
 
-def initialiser(given: Iterable[Field], values: Iterable[Any]) -> list[str]:
+def initialiser(given: Iterable[Field], values: Iterable[np.ndarray]) -> list[str]:
     """Return the lines of an initialiser, field by field, eight numbers a line."""
     lines = []
     for f, value in zip(given, values, strict=True):
@@ -153,11 +156,11 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
 
 
-def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Any, seeds: Any) -> tuple[Any, Any]:
+def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
     """Return xhat(0) of a run, and the inputs applied before tick 0, the newest first."""
     _, state = prepare(layout, p, root_seed, seeds)
 
-    def one(commands: Any) -> Any:
+    def one(commands: PyTree) -> Array:
         return jax.vmap(present(p, jnp.asarray(0), False, commands).past_u)(jnp.arange(1, rows + 1))
 
     past = vmap_entrywise(one)(state.commands)
@@ -165,7 +168,7 @@ def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Any, see
     return lane_array.to_array(first, 1)[..., 0], lane_array.to_array(past, 1)[..., 0]
 
 
-def packets(schedule: Any, clean: Floats, noise: Floats) -> Floats:
+def packets(schedule: Schedule, clean: Floats, noise: Floats) -> Floats:
     """Return what each packet holds of a run: [packets, q]; `clean` [N+1, q] without noise, `noise` [I, q] by sample."""
     early, q = len(schedule.early), clean.shape[1]
     out = np.zeros((early + int((schedule.sense >= 0).sum()) + 1, q))

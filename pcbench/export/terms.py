@@ -7,11 +7,13 @@ NumPy here, and leaves no line.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
 
-Entries = np.ndarray[Any, Any]  # of object: known numbers and Terms
+Entry: TypeAlias = Any  # a Term, or a number that is known, NumPy's or Python's
+Entries = np.ndarray[Any, Any]  # of object: each an Entry
 LONG = 2**31  # an integer from here on is written as a long one
 KINDS = {"float64": "real", "float32": "real", "bool": "bool"} | {
     f"{sign}int{bits}": f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -92,14 +94,14 @@ class Writer:
         self.products = 0
 
 
-def scalar(x: Any) -> Entries:
+def scalar(x: Entry) -> Entries:
     """Return one entry as an array without axes."""
     out = np.empty((), object)
     out[()] = x
     return out
 
 
-def known(value: Any) -> Entries:
+def known(value: ArrayLike) -> Entries:
     """Return the entries of an array of numbers."""
     given = np.asarray(value)
     out = np.empty(given.shape, object)
@@ -134,12 +136,12 @@ def place_of(values: Entries) -> Term | None:
     return first
 
 
-def kind_of(dtype: Any) -> str:
+def kind_of(dtype: DTypeLike) -> str:
     """Return what C calls a type."""
     return KINDS[str(np.dtype(dtype))]
 
 
-def written(x: Any) -> str:
+def written(x: Entry) -> str:
     """Return an entry as C reads it."""
     if isinstance(x, Term):
         return x.text

@@ -11,14 +11,14 @@ tick, the oldest sample first. Mistakes of the guest's end in one sentence and e
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.errors import UserError, raised, short
@@ -62,6 +62,13 @@ GUEST = ObserverSpec(
 Floats = NDArray[np.float64]
 
 
+class Guest(Protocol):
+    """What makes the estimates of one run."""
+
+    def step(self, t: float, u: Floats, arrivals: list["Arrived"], /) -> ArrayLike:
+        """Return xhat at t [s]."""
+
+
 class Arrived(NamedTuple):
     """One sampling instant, of which some channels arrive now; q outputs."""
 
@@ -83,7 +90,7 @@ def main(folder: str, reference: str, out: str) -> None:
     pd.concat(parts, ignore_index=True).to_parquet(out, index=False)
 
 
-def maker(reference: str) -> Callable[..., Any]:
+def maker(reference: str) -> Callable[..., Guest]:
     """Return what MODULE:NAME names; raise UserError where that is nothing that can be called."""
     where = "guest"
     code = user_code.code_of(reference, where)
@@ -97,7 +104,7 @@ def maker(reference: str) -> Callable[..., Any]:
 
 
 def of_cell(
-    make: Callable[..., Any], cell: dict[str, Any], tables: dict[str, Any], where: str
+    make: Callable[..., Guest], cell: dict[str, Any], tables: Mapping[str, pd.DataFrame], where: str
 ) -> Iterator[pd.DataFrame]:
     """Yield the estimates of each run of a cell."""
     mine = {
@@ -116,20 +123,21 @@ def of_cell(
         yield pd.DataFrame(keys | dict(zip(names, found.T, strict=True)))
 
 
-def arrivals(samples: Any, q: int) -> dict[int, list[Arrived]]:
+def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[Arrived]]:
     """Return by tick what arrives then, the oldest sampling instant first."""
     out: dict[int, list[Arrived]] = {}
     if samples is None:
         return out
-    for (tick, taken), rows in samples.groupby(["arrived_tick", "sampled_tick"], sort=True):
+    for _, rows in samples.groupby(["arrived_tick", "sampled_tick"], sort=True):
+        sampled, tick, taken = (rows[name].iloc[0] for name in ("sampled", "arrived_tick", "sampled_tick"))
         value = np.full(q, np.nan)
         value[rows.channel.to_numpy() - 1] = rows.value.to_numpy()
-        out.setdefault(int(tick), []).append(Arrived(float(rows.sampled.iloc[0]), int(taken), value, ~np.isnan(value)))
+        out.setdefault(int(tick), []).append(Arrived(float(sampled), int(taken), value, ~np.isnan(value)))
     return out
 
 
 def of_run(
-    make: Callable[..., Any],
+    make: Callable[..., Guest],
     cell: dict[str, Any],
     xhat0: Floats,
     inputs: Floats,

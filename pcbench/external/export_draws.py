@@ -5,7 +5,6 @@ Nothing in them says what is true: an estimate made of them cannot have seen it.
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -138,12 +137,12 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         return target
 
 
-def _keys(p: Plan, many: int, **more: Any) -> dict[str, list[Any]]:
+def _keys(p: Plan, many: int, **more: object) -> dict[str, object]:
     keys = {"scenario": p.cell.scenario.name, "cell": p.cell.number} | more
     return {name: [value] * many for name, value in keys.items()}
 
 
-def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
+def _samples(p: Plan, run: runs.Run) -> dict[str, object]:
     dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
     taken = np.array([s.stamp(p.cell.times.error) for s in run.samples])
     arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
@@ -158,7 +157,7 @@ def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
     }
 
 
-def _inputs(p: Plan) -> dict[str, Any]:
+def _inputs(p: Plan) -> dict[str, object]:
     u = np.asarray(p.problem.inputs)
     ticks = np.arange(len(u))
     return (
@@ -168,11 +167,11 @@ def _inputs(p: Plan) -> dict[str, Any]:
     )
 
 
-def _joined(parts: list[dict[str, Any]]) -> pa.Table:
+def _joined(parts: list[dict[str, object]]) -> pa.Table:
     return pa.concat_tables([pa.table(part) for part in parts], promote_options="default")
 
 
-def _cell(p: Plan) -> dict[str, Any]:
+def _cell(p: Plan) -> dict[str, object]:
     """What a program should know of a cell: what observers of pcbench are told too."""
     known, s = setting(p.cell), p.cell.scenario
     Phi, Gamma = linear.one_tick(known.model, known.dt)

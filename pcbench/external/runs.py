@@ -1,7 +1,7 @@
 """The runs of a cell without any observer: where the state is, what is measured, and when it arrives."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from pcbench.planning import padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation import measurements, trajectory
 from pcbench.simulation.schedule import common_times, random_times
+from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 
 TOGETHER = 64  # runs that are recorded at a time
@@ -68,9 +69,9 @@ def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
         yield Run(int(seed), x[..., i], first[:, i], mine, np.array(values))
 
 
-def _starts(layout: Any, problem: Any, root: Any, seeds: Any) -> Floats:
+def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: NDArray[np.int64]) -> Floats:
     ready, width = jax.tree.map(jnp.asarray, problem), len(seeds)
-    found = initial_state.first_estimate(layout._replace(width=width), ready, root, jnp.asarray(seeds))
+    found = initial_state.first_estimate(layout._replace(width=width), ready, jnp.asarray(root), jnp.asarray(seeds))
     return np.asarray(lane_array.to_array(found, width))
 
 

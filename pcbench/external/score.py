@@ -151,7 +151,7 @@ def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Prog
     return {name: np.concatenate([part[name] for part in parts], -1) for name in parts[0]}
 
 
-def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
+def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
     """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
     n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
     many = xhat.shape[-1]
@@ -209,7 +209,7 @@ def read(file: str | Path) -> pd.DataFrame:
 
 def sorted_(
     table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None
-) -> dict[tuple[str, int], Any]:
+) -> dict[tuple[str, int], pd.DataFrame]:
     """Return the rows of each cell, in the order of seeds and ticks; of a study of `only` one cell its names may be left out.
 
     Raises UserError for a column that is missing or holds no numbers.
@@ -234,11 +234,13 @@ def sorted_(
         if not pd.api.types.is_numeric_dtype(table[name]):
             raise UserError(f"{where}: column {name} got {table[name].dtype}, expected numbers; write them as such.")
     ordered = table.sort_values(list(KEYS), kind="stable")
-    groups: Any = ordered.groupby(["scenario", "cell"], sort=False)
-    return {(str(s), int(c)): rows for (s, c), rows in groups}
+    groups = ordered.groupby(["scenario", "cell"], sort=False)
+    return {(str(rows["scenario"].iloc[0]), int(rows["cell"].iloc[0])): rows for _, rows in groups}
 
 
-def estimates_of(rows: Any, where: str, signals: list[str], seeds: NDArray[np.int64], ticks: int) -> Floats:
+def estimates_of(
+    rows: pd.DataFrame | None, where: str, signals: list[str], seeds: NDArray[np.int64], ticks: int
+) -> Floats:
     """Return the estimates of a cell's runs, [seeds, ticks, signals]; raise UserError for runs or ticks that are not all there.
 
     What a plant has of unknowns may be left out, all of it: of the last signals.

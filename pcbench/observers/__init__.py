@@ -65,6 +65,7 @@ class ObserverSpec(NamedTuple):
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
     loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs
     elsewhere: bool = False  # its estimates are made elsewhere, and scored: it is never simulated
+    measurement_noise: bool = False  # it uses the variance of each measurement, where a recording states it
     # options of gains for the noise and delays as they are; None: it has none such
     designed: Mapping[str, Any] | None = None
 
@@ -153,6 +154,11 @@ OBSERVERS = {
     **DELAYS,
     "model-only": _of(model_only, "the model alone, never corrected: the floor"),
 }
+for _name in (
+    *("kf", "kf-ignore-delay", "kf-drop-delayed", "kf-reprocess", "kf-shifted-innovation", "kf-cloning", "kf-larsen"),
+    *("oosm-a1", "oosm-b1", "oosm-lag", "ekf", "ekf-iterated", "ukf", "mhe", "particle"),
+):
+    OBSERVERS[_name] = OBSERVERS[_name]._replace(measurement_noise=True)
 
 
 def base_of(label: str) -> str | None:

@@ -63,10 +63,10 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     if gains.sensor is not None:
         z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
         return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
-    value, left_out = value_of(gains, sample.value), []
+    value, left_out, R = value_of(gains, sample.value), [], sample.variances(gains.R)
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
-        c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
+        c, r, mask = gains.C[channel], R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
         used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
@@ -80,11 +80,11 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
 def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
-    P, left_out = before.P, []
+    P, left_out, R = before.P, [], sample.variances(gains.R)
     y, C = sensed(gains, there, z[: gains.P0.shape[0]])
     C, value = kalman.wide(C, z.shape[0]), nearest(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
-        c, r = C[channel], gains.R[channel]
+        c, r = C[channel], R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - predicted)
         used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
@@ -143,9 +143,9 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     else:
         z, P = carried(gains, now, first, sample.taken)
     (y, C), predicted = seen(gains, at(now, sample.taken), z), z
-    value, total = nearest(gains, sample.value, y), kalman.unjudged()
+    value, total, R = nearest(gains, sample.value, y), kalman.unjudged(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
-        c, r = C[channel], gains.R[channel]
+        c, r = C[channel], R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r
         total = kalman.judged(total, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])

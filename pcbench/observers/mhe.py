@@ -114,7 +114,7 @@ def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -
         f, F, Q = stage(gains, now, z, begin, sample.taken)
         y, H = seen(gains, at(now, sample.taken), next_)
         value = nearest(gains, sample.value, y) - y + H @ next_
-        return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / gains.R, 0.0)
+        return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
     rest = lax.map(lambda row: one(*row), (path[:-1], path[1:], since, w.samples))
     head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)

@@ -107,7 +107,8 @@ def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weigh the particles by a sample of their tick, and resample where too few are left."""
     y = seen(gains, now, state.x)
-    off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y)) / gains.R[None]
+    off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y))
+    off = off / sample.variances(gains.R)[None]
     off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)

@@ -97,6 +97,7 @@ def _run(
         ]
         problem = p._replace(gains={label: jax.tree.unflatten(tree, moved)})
         state, score = step_block.begun(layout, problem, False, jnp.asarray(0))
+        state = state if w.variance_ratio is None else step_block.with_variances(state)
         surprise = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise
         return -0.5 * (surprise[..., 2] + surprise[..., 0]), surprise
 

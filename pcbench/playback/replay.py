@@ -124,6 +124,7 @@ def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progr
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (q, p.m))
+    ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
     largest, largest_y = np.zeros(len(scored)), np.zeros(q)  # of the truth, by signal, and of what was measured
     progress.begin("ticks", a.last + 1)
     ends = np.array([a.cell.times.tail, a.last])
@@ -144,11 +145,15 @@ def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progr
             u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
             k, slot, channel = np.nonzero(w.mask)
             y[w.taken[k, slot], channel] = w.value[k, slot, channel]
+            if w.variance_ratio is not None:
+                ratio[w.taken[k, slot], channel] = w.variance_ratio[k, slot, channel]
     draft.close()
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
     band, noise = np.asarray(p.problem.band)[: len(scored)], np.sqrt(np.asarray(p.setting.noise_variance))
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
-    smoothed = np.asarray(smoother.compiled()(model, u, y)) if model is not None and enough else None
+    smoothed = None
+    if model is not None and enough:
+        smoothed = np.asarray(smoother.compiled()(model._replace(R=model.R * ratio), u, y))
     return Passage(judged, arrived, scores, smoothed)
 
 

@@ -4,7 +4,7 @@ What a replay leaves in a folder: estimates tick by tick, written as they come, 
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class Draft:
         """End the estimates."""
         self._files.close()
 
-    def finish(self, summary: dict[str, Any]) -> None:
+    def finish(self, summary: Mapping[str, object]) -> None:
         """Write what else is known beside the estimates, NaN as null, and give both files their names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
         storage.rename_all([(self.estimates, self.folder / ESTIMATES), (self.summary, self.folder / SUMMARY)])

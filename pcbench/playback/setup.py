@@ -11,11 +11,12 @@ import numpy as np
 
 from pcbench import planning
 from pcbench.errors import UserError
+from pcbench.observers import OBSERVERS
 from pcbench.planning import all_observers
 from pcbench.plants import estimated_of
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
-from pcbench.recordings.log import Log
+from pcbench.recordings.log import Floats, Log
 from pcbench.recordings.survey import Survey, survey
 from pcbench.recordings.times import Clock
 from pcbench.recordings.windows import Room, stretches, with_stretch
@@ -52,6 +53,7 @@ class Prepared(NamedTuple):
     slots: int  # packets that may arrive at one tick
     back: int  # ticks of inputs that they may ask for
     m: int
+    variances: Floats | None  # [q] that the design takes for noise, of a log that states that of each sample; else None
 
 
 def open_playback(
@@ -91,6 +93,8 @@ def open_playback(
         remarks.append(f"{opened.name} has no inputs: they are taken to be 0.")
     if start is not None and known.start < start:
         remarks.append(f"what was sampled before {start:g} s is left out.")
+    if with_std := known.with_std():
+        remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {opened.name} states for it.")
     length = min(LENGTH, max(power_of_2(last + 1), 2))
     return Playback(Path(log).name, opened, known, cell, clock, last=last, remarks=remarks, length=length)
 
@@ -134,6 +138,19 @@ def prepared(a: Playback, room: Room) -> Prepared:
         reach=max(known.reach, *(-(-room.latest // max(each, 1)) for each in known.period)),
     )
     designs = {o: planning.designed(o, cell.entry(o), known, options) for o, options in cell.options.items()}
+    if with_std := a.survey.with_std():
+        for label, each in designs.items():
+            if not cell.entry(label).measurement_noise:
+                able = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
+                raise UserError(
+                    f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
+                    f"that uses it: {able}; take one of these, or leave std and variance out of the recording."
+                )
+            if getattr(each.gains, "mix", None) is not None:
+                raise UserError(
+                    f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
+                    "be correlated between outputs, expected one of them; leave one out."
+                )
     back = min(a.last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
     around = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
@@ -168,4 +185,5 @@ def prepared(a: Playback, room: Room) -> Prepared:
         slots=room.slots,
         back=back,
         m=m,
+        variances=known.noise_variance if with_std else None,
     )

@@ -37,7 +37,7 @@ class Linear(NamedTuple):
     Q: Float[Leaf, "n n"]
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
-    R: Float[Leaf, " q"]
+    R: Float[Leaf, "*N q"]  # of all samples, or of those of each tick
     x0: Float[Leaf, " n"]
     P0: Float[Leaf, "n n"]
 
@@ -75,10 +75,10 @@ def fits(model: Linear, ticks: int) -> bool:
 def forward(model: Linear, u: Array, y: Array) -> Forward:
     """Filter samples y [N, q] (NaN: none) at the ticks at which they were taken, under inputs u [N, m]."""
 
-    def step(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], Forward]:
-        (x, P), (u, y) = carry, row
+    def step(carry: tuple[Array, Array], row: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], Forward]:
+        (x, P), (u, y, R) = carry, row
         updates: list[tuple[Array, Array, Array]] = []
-        for c, d, r, value in zip(model.C, model.D, model.R, y, strict=True):
+        for c, d, r, value in zip(model.C, model.D, R, y, strict=True):
             exists = ~jnp.isnan(value)
             s = c @ P @ c + r
             K = jnp.where(exists, P @ c / s, 0.0)
@@ -89,7 +89,8 @@ def forward(model: Linear, u: Array, y: Array) -> Forward:
         kept = Forward(*carry, *(jnp.stack(each) for each in zip(*updates, strict=True)))
         return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), kept
 
-    return lax.scan(step, (jnp.asarray(model.x0), jnp.asarray(model.P0)), (u, y))[1]
+    rows = (u, y, jnp.broadcast_to(model.R, y.shape))
+    return lax.scan(step, (jnp.asarray(model.x0), jnp.asarray(model.P0)), rows)[1]
 
 
 def smooth(model: Linear, u: Array, y: Array) -> Array:
@@ -97,7 +98,7 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
     f = forward(model, u, y)
 
     def back(after: Array, row: Forward) -> tuple[Array, Array]:
-        for j in reversed(range(len(model.R))):
+        for j in reversed(range(len(model.C))):
             used = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
             after = jnp.where(used, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
         return model.Phi.T @ after, row.x - row.P @ after

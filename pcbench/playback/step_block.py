@@ -11,7 +11,9 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import PyTree
 
+from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, Plant
 from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
@@ -54,6 +56,15 @@ def begun(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tupl
     return run, Score(
         metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros(2)
     )
+
+
+def with_variances(run: Run) -> Run:
+    """Return a run before tick 0 whose observers have room for the variance of each sample that they keep."""
+
+    def with_room(node: PyTree) -> PyTree:
+        return node._replace(variance_ratio=jnp.ones(node.mask.shape)) if isinstance(node, Measurement) else node
+
+    return jax.tree.map(with_room, run, is_leaf=lambda node: isinstance(node, Measurement))
 
 
 def run(
@@ -102,7 +113,16 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
             run, surprises = so_far
             brought = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
             age, since = jnp.full(w.mask[slot].shape, k - w.taken[slot]), w.ticks_since_arrival[slot]
-            arrival = partial(Arrival, w.value[slot], w.mask[slot], age, w.number[slot], ticks_since_arrival=since)
+            ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
+            arrival = partial(
+                Arrival,
+                w.value[slot],
+                w.mask[slot],
+                age,
+                w.number[slot],
+                ticks_since_arrival=since,
+                variance_ratio=ratio,
+            )
             if o.innovation:  # NaN is what it leaves out
                 found = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(brought[label]))
                 each = jnp.full(w.mask[slot].shape, jnp.nan) if found.each is None else found.each

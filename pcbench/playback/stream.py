@@ -42,7 +42,7 @@ def parts(a: Playback, p: Prepared, signals: Sequence[str]) -> Iterator[Part]:
     truth = at_ticks(a, a.log.truth, "truth", signals)
     before, arrived = np.zeros((p.back, p.m)), 0
     for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
-        laid, arrived = window(stretch, len(a.log.channels), p.slots, arrived)
+        laid, arrived = window(stretch, len(a.log.channels), p.slots, arrived, p.variances)
         rows = next(inputs)
         exists = ~np.isnan(rows).all(1) if p.m else np.zeros(a.length, bool)
         newest = np.maximum.accumulate(np.where(exists, np.arange(a.length), -1))
@@ -102,8 +102,9 @@ def begun(p: Prepared, scored: bool, seed: int) -> list[Runner]:
     for label, observer in p.layout.observers:
         layout = p.layout._replace(observers=((label, observer),))
         problem = p.problem._replace(gains={label: p.problem.gains[label]})
-        state = step_block.compiled()[0](layout, problem, scored, np.asarray(seed))
-        out.append(Runner(label, layout, problem, *state))
+        state, score = step_block.compiled()[0](layout, problem, scored, np.asarray(seed))
+        state = state if p.variances is None else step_block.with_variances(state)
+        out.append(Runner(label, layout, problem, state, score))
     return out
 
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 from jaxtyping import PyTree
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import planning
@@ -26,8 +25,8 @@ from pcbench.observers import ObserverSpec
 from pcbench.playback import innovation_tests, likelihood
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
-from pcbench.playback.setup import open_playback
-from pcbench.recordings.log import Floats
+from pcbench.playback.setup import Playback, Prepared, open_playback
+from pcbench.recordings.log import Floats, Ints
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
@@ -56,8 +55,8 @@ class LogTuning(NamedTuple):
     """What tuning on a log has given."""
 
     study: dict[str, Any]  # the plant and the observer with the options chosen: what tuned.toml says
-    start: dict[str, Any]
-    found: dict[str, Any]
+    start: dict[str, float | list[float]]
+    found: dict[str, float | list[float]]
     kept_start: str  # why the start was kept; empty: what was found is chosen
     intensities: list[Intensity]
     # of start and tuned (to the first part): what `innovation_tests` says, of the held-out part alone
@@ -113,7 +112,9 @@ def tune_log(
         brought = part.window.mask.sum((1, 2))
         _require_samples(part.first + np.arange(len(brought)), brought, cut, len(at_start), where)
         target = storage.target(str(out) if out is not None else spare)
-        content = sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in (*part.window, part.inputs)))
+        content = sha256()
+        for each in (*part.window, part.inputs):
+            content.update(b"" if each is None else np.ascontiguousarray(each).tobytes())
         entries = parameters.entries(free)
         about = f"{where}: {', '.join(entries)} of {content.hexdigest()[:12]}, for {digest(study, [a.cell])[:12]}"
         trials = History(target, about, entries, basis_of(study, a.cell))
@@ -157,7 +158,11 @@ def tune_log(
             gain=gain,
             gain_se=se,
             points=[*trials.points, *refit.points],
-            said=[*a.remarks, *_remarks(arrived, intensities, held_out["tuned"]["p_white"])],
+            said=[
+                *a.remarks,
+                *_factors(a, p, parameters.written(free, best)),
+                *_remarks(arrived, intensities, held_out["tuned"]["p_white"]),
+            ],
         )
         _write(tuned, target, about)
         return tuned
@@ -205,7 +210,7 @@ def _tuned_options(
     return names
 
 
-def _require_samples(tick: NDArray[Any], numbers: NDArray[Any], cut: int, free: int, where: str) -> None:
+def _require_samples(tick: Ints, numbers: Ints | Floats, cut: int, free: int, where: str) -> None:
     """Raise UserError where too few `numbers` [N] came at ticks [N] to tune on, or to judge on."""
     early, least = tick < cut, FEWEST * free
     for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
@@ -238,6 +243,15 @@ def _intensities(
     return [Intensity(name, *map(float, row)) for name, *row in zip(names, *rows, strict=True)]
 
 
+def _factors(a: Playback, p: Prepared, found: dict[str, Any]) -> list[str]:
+    """What a tuned R says of the standard deviations that a log states: it multiplies all of a channel."""
+    if p.variances is None or "R" not in found:
+        return []
+    factors = zip(a.log.channels, np.sqrt(found["R"] / p.variances), strict=True)
+    each = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
+    return [f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {each}."]
+
+
 def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) -> list[str]:
     """What one should know of the intervals; `p_white` is that of the held-out part."""
     out = []
@@ -261,7 +275,12 @@ def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) 
 
 def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     """Write a study that can be run, and under [resolved.tuning] how it came about."""
-    said: dict[str, Any] = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    said: dict[str, object] = {
+        "about": about,
+        "start": tuned.start,
+        "found": tuned.found,
+        "kept_start": tuned.kept_start,
+    }
     said |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     said |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
     record = plain(said, nulls=False)  # TOML has none: what is not known is left out

@@ -29,6 +29,7 @@ class Batch(NamedTuple):
     arrived: Floats  # [K] s; NaN: it never arrived
     value: Floats  # [K]
     row: Ints  # [K] where it stands: the row of its table or the message of its topic, from 1
+    std: Floats = np.zeros(0)  # [K] standard deviation of the value's noise, NaN: none is stated; [0]: of no value
 
 
 class Rows(NamedTuple):

@@ -1,13 +1,16 @@
 """MCAP files, read by mcap: messages as JSON, or of ROS 2 where mcap-ros2-support is installed too."""
 
 import json
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 from pcbench.errors import UserError
 from pcbench.recordings import messages
 from pcbench.recordings.decompression import require_small_mcap
 from pcbench.recordings.log import Columns, Source, reading, require_topic
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Message, Schema
 
 
 def columns(source: Source) -> Iterator[Columns]:
@@ -29,15 +32,15 @@ def columns(source: Source) -> Iterator[Columns]:
             yield from messages.columns(_decoded(raw, source.where), source)
 
 
-def _decoded(raw: Any, where: str) -> Iterator[tuple[int, Any]]:
-    decoders: dict[int, Callable[[bytes], Any]] = {}
+def _decoded(raw: Iterable["tuple[Schema | None, Channel, Message]"], where: str) -> Iterator[tuple[int, object]]:
+    decoders: dict[int, Callable[[bytes], object]] = {}
     for schema, channel, message in raw:
         if channel.id not in decoders:
             decoders[channel.id] = _decoder(channel.message_encoding, schema, where)
         yield message.log_time, decoders[channel.id](message.data)
 
 
-def _decoder(encoding: str, schema: Any, where: str) -> Callable[[bytes], Any]:
+def _decoder(encoding: str, schema: "Schema | None", where: str) -> Callable[[bytes], object]:
     if encoding == "json":
         return json.loads
     if encoding == "cdr":

@@ -14,7 +14,7 @@ STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a s
 NONE = object()  # in place of a field that is not there
 
 
-def columns(messages: Iterable[tuple[int, Any]], source: Source) -> Iterator[Columns]:
+def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[Columns]:
     """Yield parts of the fields of messages (received [ns], message); times in seconds, plain ones in the source's unit."""
     rows: list[list[float]] = []
     for number, (received, message) in enumerate(messages, 1):
@@ -57,5 +57,5 @@ def _seconds(whole: float, ns: float) -> float:
     return float(whole) + 1e-9 * float(ns)
 
 
-def _member(value: Any, name: str) -> Any:
+def _member(value: object, name: str) -> Any:
     return value.get(name, NONE) if isinstance(value, dict) else getattr(value, name, NONE)

@@ -9,6 +9,8 @@
     sampled = "header.stamp"            # the field that holds the stamp; left out: as `FORMATS` has it
     arrived = "received"                # the field that holds the arrival; "received": when the recorder got the message
     delay = 0.05                        # [s], in place of arrived: every sample is so late
+    std = "accuracy"                    # the field of each value's standard deviation, or
+    variance = "covariance.0"           # of its variance; before `scale`
     [inputs.u1]
     [truth.position]                    # likewise, with t in place of sampled, and nothing for arrivals
 
@@ -43,6 +45,8 @@ class Column(BaseModel):
     t: str | None = None
     arrived: str | None = None
     delay: float | None = Field(None, ge=0)
+    std: str | None = None
+    variance: str | None = None
 
 
 class Mapping(BaseModel):
@@ -152,8 +156,12 @@ def _channel(
         )
     if c.arrived and late is not None:
         raise UserError(f"{where}: got arrived and a delay, expected one of them; leave one out.")
+    if c.std and c.variance:
+        raise UserError(f"{where}: got std and variance, expected one of them; leave one out.")
     times = [stamp] if arrived is None else [stamp, arrived]
-    source = source._replace(topic=c.topic, fields=[c.field, *times], times=set(times))
+    spread = c.std or c.variance
+    fields = [c.field, *times, *([spread] if spread else [])]
+    source = source._replace(topic=c.topic, fields=fields, times=set(times))
 
     def read() -> Iterator[Batch]:
         row = 1
@@ -161,9 +169,11 @@ def _channel(
             many = len(part[c.field])
             if many:
                 came = part[arrived] if arrived else part[stamp] + (late or 0.0)
-                yield Batch(
-                    np.full(many, index), part[stamp], came, c.scale * part[c.field], np.arange(row, row + many)
-                )
+                rows, std = np.arange(row, row + many), np.zeros(0)
+                if spread:  # what is empty or below 0 becomes 0, which `require_sound` refuses
+                    std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
+                    std = abs(c.scale) * (std if c.std else np.sqrt(std))
+                yield Batch(np.full(many, index), part[stamp], came, c.scale * part[c.field], rows, std)
             row += many
 
     return read
@@ -175,6 +185,9 @@ def _table(given: dict[str, Column], kind: Format, source: Source, what: str) ->
         return None
     first = next(iter(given.values()))
     for name, c in given.items():
+        if c.std or c.variance:
+            key = "std" if c.std else "variance"
+            raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; leave it out.")
         if (c.topic, c.t) != (first.topic, first.t) or c.arrived or c.sampled or c.delay is not None:
             raise UserError(
                 f"{source.where}: {what}.{name}: got other times than {what}.{next(iter(given))}, expected one topic and one t "

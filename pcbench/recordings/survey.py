@@ -39,6 +39,8 @@ class Channel(NamedTuple):
     drift: Floats = np.zeros(6)  # sums for a line
     longest: Floats = np.zeros((0, 3))  # intervals
     steps: Floats = np.zeros((0, 3))  # the largest changes from one delay to the next
+    stds: int = 0  # samples with a standard deviation of their own
+    without_std: int | None = None  # row of the first one that has none
 
     def gaps(self) -> Floats:
         """Return the gaps, a hundred at most: (length [s], stamp at their end [s], row)."""
@@ -62,6 +64,10 @@ class Survey(NamedTuple):
     grid: Floats  # [K] s, some of the stamps and arrivals, less the start
     tables: dict[str, Spread]  # the times of inputs and truth, of those that the log has
 
+    def with_std(self) -> list[str]:
+        """Return the channels whose samples have standard deviations of their own."""
+        return [name for name, c in self.channels.items() if c.stds]
+
 
 def survey(log: Log) -> Survey:
     """Read a log once; raise UserError for a row that no run can be fed with, and for times of two clocks."""
@@ -72,8 +78,9 @@ def survey(log: Log) -> Survey:
             continue
         require_sound(log, batch)
         for c in np.unique(batch.channel):
-            mine = batch.channel == c
-            every[c] = _more(every[c], Batch(*(column[mine] for column in batch)))
+            mine, std = batch.channel == c, batch.std
+            columns = [*(column[mine] for column in batch[:-1]), std[mine] if len(std) else std]
+            every[c] = _more(every[c], Batch(*columns))
         latest = np.maximum.accumulate(np.maximum(batch.sampled, newest))
         behind, newest = max(behind, float((latest - batch.sampled).max())), float(latest[-1])
         times = np.concatenate([batch.sampled, batch.arrived])
@@ -81,6 +88,12 @@ def survey(log: Log) -> Survey:
     if not grid.many:
         raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
     channels, tables = dict(zip(log.channels, every, strict=True)), {}
+    for name, c in channels.items():
+        if c.stds and c.without_std is not None:
+            raise UserError(
+                f"{log.name}: row {c.without_std} of channel {name}: got no standard deviation, expected one as in other rows "
+                "of that channel; write it, or leave it out of all."
+            )
     for name, table in (("inputs", log.inputs), ("truth", log.truth)):
         if table:
             tables[name] = Spread()
@@ -120,6 +133,8 @@ def _more(c: Channel, batch: Batch) -> Channel:
     changed = np.isfinite(change)
     seen = add(c.stamps, batch.row, batch.sampled)
     x = at - seen.kept[0, 1]  # since the first stamp
+    stated = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
+    without = None if stated.all() else int(batch.row[np.argmin(stated)])
     sums = [x.size, x.sum(), delay.sum(), (x * x).sum(), (x * delay).sum(), (delay * delay).sum()]
     return Channel(
         stamps=seen,
@@ -132,6 +147,8 @@ def _more(c: Channel, batch: Batch) -> Channel:
         drift=c.drift + np.array(sums),
         longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
         steps=largest(c.steps, change[changed], at[changed], batch.row[came][changed]),
+        stds=c.stds + int(stated.sum()),
+        without_std=without if c.without_std is None else c.without_std,
     )
 
 

@@ -3,8 +3,9 @@
     flight/measurements.parquet   flight/inputs.parquet   flight/truth.parquet
     flight.parquet                flight.inputs.parquet   flight.truth.parquet
 
-Measurements have the columns channel, sampled, arrived, value; inputs and truth t and one column each. A head may say a unit of
-time, "sampled [ms]"; seconds otherwise. Channels are in the order of the numbers in their names, y2 before y10.
+Measurements have the columns channel, sampled, arrived, value, and may have std, each value's standard deviation (empty for a
+channel that has none); inputs and truth have t and one column each. A head may say a unit of time, "sampled [ms]"; seconds
+otherwise. Channels are in the order of the numbers in their names, y2 before y10.
 
 A simulated run is such a log too: what its samples brought and when, the input held over every tick, and the true state.
 """
@@ -53,7 +54,7 @@ def opened(path: Path, delay: float | None = None) -> Log:
     channels = _channels(measured, named["channel"])
 
     def measurements() -> Iterator[Batch]:
-        wanted, row = [named[name] for name in (*COLUMNS, "arrived") if name in named], 1
+        wanted, row = [named[name] for name in (*COLUMNS, "arrived", "std") if name in named], 1
         for part in batches(measured, wanted, [named["channel"]]):
             sampled = column_of(part, named["sampled"], measured.name, time=True)
             late = column_of(part, named["arrived"], measured.name, time=True) if delay is None else sampled + delay
@@ -64,6 +65,7 @@ def opened(path: Path, delay: float | None = None) -> Log:
                 arrived=late,
                 value=column_of(part, named["value"], measured.name),
                 row=np.arange(row, row + len(part)),
+                std=column_of(part, named["std"], measured.name) if "std" in named else np.zeros(0),
             )
             row += len(part)
 

@@ -60,12 +60,14 @@ def better_dt(times: Floats, dt: float, interval: float) -> float | None:
 def require_sound(log: Log, batch: Batch) -> None:
     """Raise UserError naming the first row of a batch that no run can be fed with.
 
-    Such is one without a number or a time, or that arrived before it was sampled.
+    Such is one without a number or a time, that arrived before it was sampled, or whose stated noise is no number above 0.
     """
+    above_0 = np.isfinite(batch.std) & (batch.std > 0) | np.isnan(batch.std) if len(batch.std) else np.array([True])
     for bad, got, expected in (
         (~np.isfinite(batch.sampled), "a sample without a time", "the second at which it was taken in 'sampled'"),
         (~np.isfinite(batch.value) & ~np.isnan(batch.arrived), "the value {value}", "a finite number"),
         (batch.arrived < batch.sampled, "a sample that arrived {early:.6g} s before it was sampled", "no such row"),
+        (~above_0, "a standard deviation or variance that is empty, 0, below 0 or infinite", "a number above 0"),
     ):
         if bad.any():
             i = int(np.argmax(bad))

@@ -7,7 +7,6 @@ only those that are asked for are held.
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from io import StringIO
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ def columns(source: Source) -> Iterator[Columns]:
     yield out
 
 
-def _topics(source: Source, names: list[str] | None) -> dict[str, Any]:
+def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.ndarray]]:
     """The fields of topics of these names (None: of all), by topic."""
     from pyulog import ULog
 

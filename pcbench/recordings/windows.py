@@ -24,7 +24,8 @@ class Stretch(NamedTuple):
     """Ticks first .. end - 1 of a log.
 
     Samples have the columns channel, taken [tick], arrives [tick] (not before taken; NEVER of one that was lost), value, row,
-    number (which sample of its channel, from 0) and packet (which sampling instant, from 0).
+    std (of the value's noise; NaN: none is stated), number (which sample of its channel, from 0) and packet (which sampling
+    instant, from 0).
     """
 
     first: int
@@ -45,6 +46,7 @@ class Window(NamedTuple):
     value: Floats  # [K, S, q]
     ticks_since_arrival: Ticks  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: NDArray[np.bool_]  # [K]
+    variance_ratio: Floats | None = None  # [K, S, q] as in `protocols.Arrival`
 
 
 class Room(NamedTuple):
@@ -89,7 +91,8 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
                 require_sound(log, batch)
                 columns = {"channel": batch.channel, "arrives": clock.ticks(batch.arrived), "value": batch.value}
                 taken = clock.ticks(batch.sampled)
-                part = pd.DataFrame(columns | {"row": batch.row, "taken": taken}, index=taken)
+                std = batch.std if len(batch.std) else np.full(len(taken), np.nan)
+                part = pd.DataFrame(columns | {"std": std, "row": batch.row, "taken": taken}, index=taken)
                 yield part[(taken >= 0) & (taken <= last)]
 
     numbers, packets, under_way = np.zeros(len(log.channels), np.int64), 0, None
@@ -115,8 +118,13 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
         yield Stretch(first, end, samples, arriving)
 
 
-def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Window, int]:
-    """Lay a stretch out; return it, and the last tick at which anything arrived, given that of before."""
+def window(
+    s: Stretch, channels: int, slots: int, last_arrival: int, variances: Floats | None = None
+) -> tuple[Window, int]:
+    """Lay a stretch out; return it, and the last tick at which anything arrived, given that of before.
+
+    `variances` [q] are those that the design takes for each channel's noise, of a log that states the noise of its samples.
+    """
     many, shape = s.end - s.first, (s.end - s.first, slots)
     out = Window(
         sense=np.full(many, -1, np.int32),
@@ -137,6 +145,10 @@ def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Wi
     out.mask[tick, slot, channel] = True
     out.number[tick, slot, channel] = s.arriving.number
     out.value[tick, slot, channel] = s.arriving.value
+    if variances is not None:
+        stated, ratio = np.square(s.arriving["std"]) / variances[channel], np.ones((*shape, channels))
+        ratio[tick, slot, channel] = np.where(np.isnan(stated), 1.0, stated)
+        out = out._replace(variance_ratio=ratio)
     when, place = np.unique(s.arriving.arrives, return_inverse=True)
     out.ticks_since_arrival[tick, slot] = np.diff(when, prepend=last_arrival)[place]
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)

@@ -3,14 +3,18 @@
 `certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves; `is_certified` says which it is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import PyTree
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 UNCERTIFIED = "uncertified"  # a status
@@ -38,7 +42,7 @@ class Certificate(NamedTuple):
 class Design(NamedTuple):
     """An observer's numbers with their proof."""
 
-    gains: Any
+    gains: "PyTree"
     certificate: Certificate
     # whether its prediction to now carries the unknown input it has found; None: no such
     predicts_unknown_input: bool | None = None
@@ -60,9 +64,8 @@ class DesignContext(NamedTuple):
     sensors: int = 1  # groups of channels whose samples are taken, delayed and lost together
     overtaking: int = 0  # K: how many newer samples may arrive before one
     spare: int = 0  # K that there is room for at least, so that cells share programs
-    process_std: tuple[
-        Any, ...
-    ] = ()  # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
+    # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
+    process_std: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
     error: int = 0  # [ticks] the believed delay less the true one
     reach: int = 0  # [samples] the longest delay; it, `overtaking` and `flight` are the most of a study's cells
     flight: int = 1  # [samples] how many can be on their way at once, the one that is taken now too
@@ -70,12 +73,16 @@ class DesignContext(NamedTuple):
     unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
     unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start
     unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
-    field: Any = None  # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
-    parts: Any = None  # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
+    # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
+    field: "Callable[..., Array] | None" = None
+    # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
+    parts: "Callable[..., tuple[Array, Array]] | None" = None
     variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
-    successor: Any = None  # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
-    sensor: Any = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
-    residual: Any = None  # (y[q], yhat[q]) -> y less yhat, where outputs wrap; None: their difference
+    # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
+    successor: "Callable[..., Array] | None" = None
+    sensor: "Callable[..., Array] | None" = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
+    # (y[q], yhat[q]) -> y less yhat, where outputs wrap; None: their difference
+    residual: "Callable[..., Array] | None" = None
     xhat0: tuple[float, ...] = ()  # [n] the estimate at t = 0, where it is the same in all runs
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 

@@ -148,7 +148,7 @@ def rounding(F: Matrix, d: int) -> float:
 
 def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
     """Say how far inside the unit circle the map of one sample stands; NaN where its radius is not that of its links."""
-    numbers: dict[str, Any]
+    numbers: dict[str, float | Matrix]
     real = [link for link in chain if link.d]
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
     exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
@@ -179,7 +179,7 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     return out
 
 
-def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOLVERS) -> dict[str, Any]:
+def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOLVERS) -> dict[str, float | Matrix]:
     """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); report, never refuse.
 
     Returns `shared_margin`, re-checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon`, `shared_P`.

@@ -13,8 +13,6 @@ the effect of noise in the same way: `noise_rms` [n], exact at the mean period, 
 at a sample's arrival which measurement noise alone leaves.
 """
 
-from typing import Any
-
 import numpy as np
 
 from pcbench.dynamics import linear
@@ -72,7 +70,7 @@ def find(
         @ (error_bounds.covariance(error_bounds.errors(L1, C1, Phi * into), L1 @ R1 @ L1.T) * np.outer(S, S))
         @ ahead.T
     )
-    numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
+    numbers = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
 

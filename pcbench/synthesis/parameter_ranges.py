@@ -7,9 +7,10 @@ Not claimed: anything about a plant whose parameters are not the observer's; the
 """
 
 import itertools
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator
 
 from pcbench.dynamics import linear
@@ -37,7 +38,7 @@ class Maps(NamedTuple):
     Phi: Matrix  # [k, n, n]
     Q: Matrix  # [k, n, n] covariance that process noise adds
     seconds: Matrix  # [k]
-    corners: Any  # [c] which of them a solver is to see
+    corners: NDArray[np.int64]  # [c] which of them a solver is to see
 
     @property
     def seen(self) -> "Maps":
@@ -100,7 +101,7 @@ def _of(setting: DesignContext, parameters: dict[str, float], ticks: list[int], 
     )
 
 
-def _corners(intervals: int, parameters: int) -> Any:
+def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:
     """Some intervals, the first and the last among them, at the lowest, middle and highest values of each parameter."""
     each = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
     few = max(SHOWN // 3**parameters, 3)

@@ -11,9 +11,10 @@ the LMI depends on the units; the margin is of those units.
 Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from pcbench.dynamics.linear import Matrix, Model
@@ -34,7 +35,7 @@ class Partition(NamedTuple):
     A22: Matrix  # [maps, n-l, n-l]
     seconds: Matrix  # [maps] interval of each
     units: Matrix  # [n] in which the LMI is solved, of y and w
-    corners: Any  # which of them a solver is to see
+    corners: NDArray[np.int64]  # which of them a solver is to see
 
 
 def coordinates(C: Matrix, where: str) -> Matrix:

@@ -111,7 +111,7 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
     W = W / np.linalg.norm(W)
     n, q = len(S), len(C)
     P, Y, cost = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
-    rules: list[Any] = []
+    rules: list[cp.Constraint] = []
     keep = P - Y @ C
     for Phi, Q, T in zip(*task.maps.seen[:3], strict=True):
         M, G = keep @ (Phi / S[:, None] * S), keep @ riccati.root(Q / S[:, None] / S)
@@ -158,7 +158,7 @@ def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
     maps = task.maps
     F, N = error_bounds.errors(L, task.C, maps.Phi), error_bounds.noise(L, task.C, maps.Q, task.R)
     rate = error_bounds.rate(F, P, maps.seconds)
-    numbers: dict[str, Any] = {"P": P, "L": L, "rate": rate, "maps": len(F)}
+    numbers: dict[str, object] = {"P": P, "L": L, "rate": rate, "maps": len(F)}
     if kind == "h2":
         what += "; X >= F X F' + noise, X = s inv(P)"
         X = task.W @ error_bounds.bound(F, N, P) @ task.W.T

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, said
 from pcbench.runtime.cache import folder, keep
 from pcbench.synthesis.certificate import Certificate, require_certified
+
+if TYPE_CHECKING:
+    import cvxpy as cp
 
 SOLVERS = ("CLARABEL", "SCS")
 SETTINGS = {
@@ -43,7 +46,12 @@ class Impossible(DesignError):
 
 
 def minimise(
-    objective: Any, rules: list[Any], unknowns: tuple[Any, ...], where: str, solver: str, advice: str
+    objective: "cp.Expression",
+    rules: "list[cp.Constraint]",
+    unknowns: "tuple[cp.Variable, ...]",
+    where: str,
+    solver: str,
+    advice: str,
 ) -> tuple[str, list[Matrix]]:
     """Solve a problem of cvxpy to the last digits a solver gives; return its status and the unknowns' values.
 
@@ -101,7 +109,7 @@ def proven(
     return best[0], require_certified(best[1], where, least)
 
 
-def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Any]) -> Any:
+def remembered(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], F]) -> F:
     """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
     said = f"{name} {_solvers()}".encode()

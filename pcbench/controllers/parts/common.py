@@ -104,7 +104,7 @@ def matrix(given: Any, shape: tuple[int, int], name: str, sizes: Sizes) -> NDArr
     return np.asarray(given, float)
 
 
-def weight(given: Any, many: int, name: str, sizes: Sizes, definite: bool = False) -> NDArray[np.float64]:
+def weight(given: Weight, many: int, name: str, sizes: Sizes, definite: bool = False) -> NDArray[np.float64]:
     """Return a symmetric weight [many, many] that is positive semidefinite, or `definite`."""
     Q = matrix(given, (many, many), name, sizes)
     least, kind = np.linalg.eigvalsh((Q + Q.T) / 2)[0], "positive definite" if definite else "positive semidefinite"
@@ -116,7 +116,9 @@ def weight(given: Any, many: int, name: str, sizes: Sizes, definite: bool = Fals
     return Q
 
 
-def vector(given: Any, default: float, many: int, name: str, sizes: Sizes) -> NDArray[np.float64]:
+def vector(
+    given: float | list[float] | None, default: float, many: int, name: str, sizes: Sizes
+) -> NDArray[np.float64]:
     """Return one number for all of `many` inputs, or one for each."""
     each = [default if given is None else given] * many if not isinstance(given, list) else given
     if len(each) != many:
@@ -126,7 +128,7 @@ def vector(given: Any, default: float, many: int, name: str, sizes: Sizes) -> ND
     return np.asarray(each, float)
 
 
-def require_common(options: Any, sizes: Sizes, definite: bool = False) -> None:
+def require_common(options: Options, sizes: Sizes, definite: bool = False) -> None:
     """Raise UserError where what all laws have (period, limit, offset, set points, cost weights) does not fit."""
     if options.period is not None:
         ticks = options.period / sizes.dt
@@ -143,6 +145,6 @@ def require_common(options: Any, sizes: Sizes, definite: bool = False) -> None:
     if (options.Q1 is None) != (options.Q2 is None):
         one, other = ("Q1", "Q2") if options.Q2 is None else ("Q2", "Q1")
         raise UserError(f"{sizes.where}: got {one} without {other}, expected both, or neither: there is no cost then.")
-    if options.Q1 is not None:
+    if options.Q1 is not None and options.Q2 is not None:
         weight(options.Q1, sizes.n, "Q1", sizes)
         weight(options.Q2, sizes.m, "Q2", sizes, definite)

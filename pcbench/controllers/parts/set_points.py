@@ -9,7 +9,7 @@ velocity of 0.5, and is not led to 1e14 for it.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ class SetPoint(BaseModel):
         return np.append(0.0, values)[np.searchsorted(times - 1e-9, t, side="right")]
 
 
-def _step(given: Any) -> Any:
+def _step(given: object) -> object:
     """A number is a step of that size at t = 0."""
     return {"step": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
 

@@ -93,9 +93,9 @@ def by_slope(
     gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean and covariance of z once a sample is known, by a sensor's slope."""
-    value, total = nearest(gains, sample.value, sensor.y), unjudged()
+    value, total, R = nearest(gains, sample.value, sensor.y), unjudged(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
-        r, mask, h = gains.R[channel], sample.mask[channel], sensor.H[channel]
+        r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
         nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
         total = judged(total, nu, s, mask)
         K = gain(P @ h, s, mask)
@@ -107,10 +107,10 @@ def by_points(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
-    N, total = gains.P0.shape[0], unjudged()
+    N, total, R = gains.P0.shape[0], unjudged(), sample.variances(gains.R)
     value = nearest(gains, sample.value, mean[N:])
     for channel in range(gains.C.shape[0]):
-        r, mask, c = gains.R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
+        r, mask, c = R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
         total = judged(total, nu, s, mask)
         K = gain(J[:, N + channel], s, mask)

@@ -95,9 +95,10 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
     free, P, _ = predicted(gains, before, sample.taken)
     value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
+    R = sample.variances(gains.R)
     rows = kalman.wide(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
-        c, r, mask = rows[channel], gains.R[channel], sample.mask[channel]
+        c, r, mask = rows[channel], R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
         used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
         K = kalman.gain(P @ c, c @ P @ c + r, used)
@@ -116,9 +117,9 @@ def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStat
 def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the state at its own time expects of it, channel by channel."""
     free, P, mask = there.mean, there.P, sample.mask
-    value, total = value_of(gains, sample), kalman.unjudged()
+    value, total, R = value_of(gains, sample), kalman.unjudged(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
-        c, r = gains.C[channel], gains.R[channel]
+        c, r = gains.C[channel], R[channel]
         nu, s = value[channel] - c @ (sample.snapshot + free), c @ P @ c + r
         total = kalman.judged(total, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])

@@ -28,6 +28,11 @@ class Measurement(NamedTuple):
     value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
     mask: Bool[Array, "... q"]
     snapshot: Float[Array, "... noted"]
+    variance_ratio: Float[Array, "... q"] | None = None  # as in `Arrival`
+
+    def variances(self, R: Float[Leaf, " q"]) -> Float[Leaf, " q"]:
+        """Return the variance of each value's noise, of a filter that takes R for it where the recording states none."""
+        return R if self.variance_ratio is None else R * self.variance_ratio
 
 
 class Buffer(NamedTuple):
@@ -50,7 +55,8 @@ def start(state: PyTree, room: Room, outputs: int, noted: int) -> Buffer:
 def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
     age = jnp.max(jnp.where(arrival.mask, arrival.age, 0))  # channels that arrive together were sampled together
-    return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.mask, arrival.snapshot)
+    value = arrival.value - known_input(D, now, arrival.age)
+    return Measurement(now.tick - age, value, arrival.mask, arrival.snapshot, arrival.variance_ratio)
 
 
 def kept_of(sample: Measurement) -> Measurement:

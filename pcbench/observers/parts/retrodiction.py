@@ -84,11 +84,11 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     there = linear_filter.predicted(gains, before, sample.taken)
     P = jnp.where(again, memory.last.P, there.P)
     u, U = jnp.where(again, memory.last.u, 0.0), jnp.where(again, memory.last.U, 0.0)
-    value, known = linear_filter.value_of(gains, sample), there.mean - P @ u
+    value, known, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
         b = c - U @ (P @ c)
-        s = c @ P @ b + gains.R[channel]
+        s = c @ P @ b + R[channel]
         nu = value[channel] - c @ (sample.snapshot + known + P @ u)
         u = u + jnp.where(mask, b * nu / s, 0.0)
         U = U + jnp.where(mask, jnp.outer(b, b) / s, 0.0)
@@ -119,9 +119,9 @@ def backward(
     across = after(gains.own.back, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
     joint = jnp.block([[P, across], [across.T, there]])
-    value, total = linear_filter.value_of(gains, sample), kalman.unjudged()
+    value, total, R = linear_filter.value_of(gains, sample), kalman.unjudged(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
-        c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), gains.R[channel], sample.mask[channel]
+        c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), R[channel], sample.mask[channel]
         nu, s = value[channel] - gains.C[channel] @ sample.snapshot - c @ z, c @ joint @ c + r
         total = kalman.judged(total, nu, s, mask)
         K = kalman.gain(joint @ c, s, mask)

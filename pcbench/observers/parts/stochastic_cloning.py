@@ -112,9 +112,9 @@ def observer(gain: Gain) -> Observer:
             z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
             mine = jnp.append(False, memory.taken == sample.taken)
             near = jnp.repeat(mine.at[0].set(True), n)
-            value, known = linear_filter.value_of(gains, sample), jnp.any(mine)
+            value, known, R = linear_filter.value_of(gains, sample), jnp.any(mine), sample.variances(gains.R)
             for channel in range(gains.C.shape[0]):
-                c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+                c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
                 there = (mine[:, None] * c[None, :]).reshape(-1)
                 h = P @ there
                 s = there @ h + r
@@ -144,8 +144,9 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
         mine = jnp.append(False, memory.taken == sample.taken)
         value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
+        R = sample.variances(gains.R)
         for channel in range(gains.C.shape[0]):
-            c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel] & known
+            c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
             there = (mine[:, None] * c[None, :]).reshape(-1)
             h = P @ there
             nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
