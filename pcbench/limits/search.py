@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 from pcbench.dataset.adaptive_seeds import GROWTH, METRICS, enough
 from pcbench.dataset.columns import AXIS_UNITS, unit_of
 from pcbench.errors import UserError, short, unknown
+from pcbench.fields import FIELDS
 from pcbench.plants import numbers_of, parameters_in, settles_alone, signals_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.statistics import OF_RUN
@@ -235,24 +236,9 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
     long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
     half = max((round(period / s.dt) - 1) // 2, 0) * s.dt
-    usual = {
-        "sampling_period": (s.dt, long),
-        **dict.fromkeys(("delay", "actuator_delay", "delay_jitter", "command_jitter", "delay_gamma_mean"), (0.0, long)),
-        **dict.fromkeys(("sampling_jitter", "timestamp_jitter"), (0.0, half)),
-        **dict.fromkeys(("loss", "command_loss"), (0.0, 0.9)),
-        "assumed_delay_error": (0.0, max(period, s.dt)),
-        "delay_self_transition": (0.0, 0.95),
-        "outlier_probability": (0.0, 0.5),
-        "student_t_dof": (2.1, 30.0),
-        "dither": (0.0, 1.0),
-        "mean_burst_length": (2.0, 20.0),
-        "outage_duration": (0.0, long),
-        "delay_gamma_shape": (0.5, 10.0),
-        "timestamp_offset": (-period, period),
-        "clock_skew": (0.0, 1000.0),
-        "assumed_noise_scale": (0.1, 10.0),
-        "parameter_drift": (0.0, 2.0),
-    }.get(axis.name)
+    ends = {"tick": s.dt, "tail": long, "half": half, "period": period, "-period": -period}
+    searched = next((f.search for f in FIELDS if f.name == axis.name), None)
+    usual = searched and tuple(ends[end] if isinstance(end, str) else end for end in searched)
     if usual is None and own:
         decades = float(f"{own / DECADE:.1g}"), float(f"{own * DECADE:.1g}")
         usual = (own, 2 * own) if axis.name.startswith("plant.") else decades

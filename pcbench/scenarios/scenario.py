@@ -127,15 +127,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
-OUTLIERS = ("outlier_probability", "outlier_scale")
 STAMPS = ("timestamp_offset", "clock_skew", "timestamp_jitter")
-FAULTS = (  # of samples, which nobody is told of
-    *(*OUTLIERS, "student_t_dof", "assumed_noise_scale", "quantization_step", "dither", "mean_burst_length"),
-    *STAMPS,
-)
-CHAIN = ("delay_values", "delay_self_transition")
-TURNS = ("delay_sequence",)
-SPREAD = ("delay_weights", "delay_gamma_mean", "delay_gamma_shape")  # delays that are drawn one by one
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 

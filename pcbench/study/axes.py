@@ -4,14 +4,13 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from pcbench import fields
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import LOST, TURNS
+from pcbench.scenarios.scenario import LOST
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -22,26 +21,12 @@ STATES = fields.names(per="state")  # one value, or one for each state
 OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
 TIMES = fields.names(ticks=True)
 SIGNED = fields.names(signed=True)
-SHARES = fields.names(share=True)
 LISTS = fields.names(listed=True)  # a value may be a list
 AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
 ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
-Limit = tuple[Callable[[float], bool], str]  # what a number must be, and the same in words
-PROBABILITY: Limit = (lambda n: n <= 1, "a probability from 0 to 1; divide a percentage by 100.")
-LIMITS: dict[str, Limit] = dict.fromkeys(SHARES, PROBABILITY) | {
-    "dither": (lambda n: n in (0, 1), "1 (with subtractive dither) or 0 (without)."),
-    "delay_gamma_shape": (lambda n: n > 0, "a shape greater than 0; write 1 for an exponential."),
-    "assumed_noise_scale": (
-        lambda n: n > 0,
-        "a number greater than 0: how many times larger noise is believed to be than it is; write 1 where that is right.",
-    ),
-    "student_t_dof": (
-        lambda n: n > 2,
-        "more than 2 degrees of freedom, so that Student's t has a variance; write 2.5 or more, or inf for Gaussian noise.",
-    ),
-}
+LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
@@ -110,8 +95,8 @@ def _single(name: str, value: Any, base: Scenario, where: str) -> float:
         raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
     if parameter in plant.signs and abs(n) != 1:
         raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-    if name in LIMITS and not LIMITS[name][0](n):
-        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name][1]}")
+    if name in LIMITS and not LIMITS[name].holds(n):
+        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name].expected}")
     return n
 
 
@@ -146,16 +131,14 @@ def _list(name: str, value: Any, base: Scenario, where: str) -> str | tuple[floa
         raise UserError(f"{where}: got {shown(value)}, expected {expected[name]}")
     least = None if name == "sampling_pattern" else 0.0
     each = value if isinstance(value, list | tuple) else [value]
-    out = tuple(v if v == LOST and name in TURNS else number(v, where, least) for v in each)
+    out = tuple(v if v == LOST and name == "delay_sequence" else number(v, where, least) for v in each)
     for v in out:
         if isinstance(v, str):
             continue
         if name == "sampling_pattern" and v <= 0:
             raise UserError(f"{where}: got an interval of {v:g} s, expected at least one tick, {base.dt:g} s.")
-        if name == "delay_self_transition" and v >= 1:
-            raise UserError(
-                f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
-            )
+        if name in LIMITS and not LIMITS[name].holds(v):
+            raise UserError(f"{where}: got {v:g}, expected {LIMITS[name].expected}")
         if name not in ("delay_self_transition", "delay_weights"):
             _require_whole_ticks("sampling_period" if name == "sampling_pattern" else "delay", v, base, where)
     return out

@@ -19,7 +19,7 @@ from pcbench.errors import UserError, shown
 from pcbench.recordings import readers
 from pcbench.recordings.survey import survey
 from pcbench.scenarios import SCENARIOS
-from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
+from pcbench.scenarios.scenario import LOST
 from pcbench.study.lti import Lti
 from pcbench.toml_text import TomlTable
 
@@ -27,7 +27,10 @@ FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
-TAKEN = (*CHAIN, *SPREAD, *TURNS, "delay_jitter", "loss")  # what a log says, which a table may not say too
+TAKEN = (  # what a log says, which a table may not say too
+    *("delay_values", "delay_self_transition", "delay_weights", "delay_gamma_mean", "delay_gamma_shape"),
+    *("delay_sequence", "delay_jitter", "loss"),
+)
 INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
 Ticks = NDArray[np.float64]
 

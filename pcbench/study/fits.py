@@ -158,8 +158,6 @@ def _of_sensors(s: Scenario) -> Iterator[str]:
                 f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each: a "
                 "histogram has as many bars as places."
             )
-        if weights and not all(each > 0 for each in weights):
-            yield "got a delay_weights of 0, expected shares greater than 0; leave that step out."
         if weights and measured.delay_self_transition:
             yield (
                 "got delay_weights and delay_self_transition, expected one of them: delays are drawn one by one or are a "

@@ -17,11 +17,14 @@ from pcbench import fields
 from pcbench.errors import UserError
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
-from pcbench.scenarios.scenario import LOST, OUTLIERS, PerChannel, per_channel
+from pcbench.scenarios.scenario import LOST, PerChannel, per_channel
 from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
-OF_A_SENSOR = ("sampling_period", "delay", *(name for name in fields.names(per="sensor") if name not in OUTLIERS))
+OF_A_SENSOR = (  # what samples of one sensor have in common; outliers do not change when they come
+    *("sampling_period", "delay"),
+    *(name for name in fields.names(per="sensor") if not name.startswith("outlier_")),
+)
 
 
 class Timing(NamedTuple):
