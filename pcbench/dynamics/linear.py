@@ -6,9 +6,10 @@ never by one matrix exponential over a long interval, which overflows silently (
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
@@ -28,7 +29,9 @@ class Model(NamedTuple):
     D: Matrix | None = None  # [q, m]; None: zero
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
-    known: Callable[[Any], Any] | None = None  # x[n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    known: Callable[[PyTree], PyTree] | None = (
+        None  # x[n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    )
 
     @property
     def feedthrough(self) -> Matrix:

@@ -147,7 +147,7 @@ class Axis(NamedTuple):
 
     name: str  # as a study knows it
     at: int | None  # of the channels or states, the one that varies; None: all, or there are none
-    others: tuple[Any, ...]  # what every channel has; of the one that varies, what it has in the scenario
+    others: tuple[float | str, ...]  # what every channel has; of the one that varies, what it has in the scenario
     own: tuple[float, ...]  # what the study says of the number that varies; its scenario's own where it says nothing
 
     @property
@@ -155,7 +155,7 @@ class Axis(NamedTuple):
         """Return what a user calls it."""
         return self.name if self.at is None else f"{self.name}[{self.at}]"
 
-    def put(self, value: float) -> Any:
+    def put(self, value: float) -> float | list[float | str]:
         """Return a value as the axis of a study holds it."""
         if self.at is None:
             return value
@@ -167,7 +167,7 @@ class Axis(NamedTuple):
         return float(held if one else held[self.at])
 
 
-def axis_of(named: str, s: Scenario, given: list[Any] | None, where: str) -> Axis:
+def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> Axis:
     """Return the axis that `over` names; `given` is what the study says of it. Raise UserError where it is no single number."""
     found = ONE.fullmatch(named.strip())
     name, at = (found[1].replace("-", "_"), int(found[2])) if found else (named.strip().replace("-", "_"), None)
@@ -200,7 +200,7 @@ def axis_of(named: str, s: Scenario, given: list[Any] | None, where: str) -> Axi
     return Axis(name, at, first, tuple(v for v in own if v != INTERVAL))
 
 
-def _own(name: str, s: Scenario) -> Any:
+def _own(name: str, s: Scenario) -> axes.Value | None:
     """What a scenario says of an axis; of process noise that it has none of, zeros."""
     if name.startswith("plant."):
         numbers, name = numbers_of(s), name.removeprefix("plant.")

@@ -10,8 +10,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcbench.scenarios.sources import Sources
+from pcbench.toml_text import TomlTable
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+ProcessNoise = tuple[float, ...] | tuple[tuple[float, ...], ...]
 PerChannel = float | tuple[float, ...]
 LOST = "lost"  # among delays in turn: this sample never arrives
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
@@ -23,9 +25,7 @@ class Truth(NamedTuple):
     x0: tuple[float, ...]  # [n]
     parameter_drift: float = 0.0  # scale of the plant's parameter drift
     parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
-    process_std: tuple[
-        Any, ...
-    ] = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
+    process_std: ProcessNoise = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
     unknown_input: Sources = ""  # what pushes, as `Loop.input` says it; empty: the plant has none
 
 
@@ -147,14 +147,14 @@ class Scenario(NamedTuple):
     scoring: Scoring
     dt: float = 1e-3  # s, the tick
     duration: float = 10.0  # s
-    options: Mapping[str, dict[str, Any]] = NOTHING  # by observer
+    options: Mapping[str, TomlTable] = NOTHING  # by observer
     own: Mapping[str, Any] = (
         NOTHING  # what is a user's own (entry, code): "plant", "controller"; else those of the names
     )
 
-    def having(self, **changes: Any) -> "Scenario":
+    def having(self, **changes: object) -> "Scenario":
         """Return the scenario with fields changed, each in the record that has it; raise TypeError for one that none has."""
-        new: dict[str, Any] = {}
+        new: TomlTable = {}
         for name, value in changes.items():
             record = RECORD_OF.get(name)
             if record:
@@ -169,7 +169,7 @@ class Scenario(NamedTuple):
         """Return the field of a name, from the record that has it."""
         return getattr(getattr(self, RECORD_OF[name]) if name in RECORD_OF else self, name)
 
-    def flat(self) -> dict[str, Any]:
+    def flat(self) -> TomlTable:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says.
 
         Of a user's own code it is the digest.

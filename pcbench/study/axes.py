@@ -4,7 +4,7 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 from pcbench import fields
 from pcbench.errors import UserError, shown, unknown
@@ -26,10 +26,11 @@ AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
 ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
+Plain = str | float | None | list[float | str | None]  # the same as the tables hold it
 LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 
-def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
+def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
     known = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
     if name not in known:
@@ -52,7 +53,7 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
     return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
 
 
-def point(name: str, value: Any, base: Scenario, where: str) -> Value:
+def point(name: str, value: object, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name in LISTS or name == "delay_self_transition":
         return _list(name, value, base, where)
@@ -62,7 +63,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     if name in OUTPUTS and value in ([], ()):
         return ()
     many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
-    each = list(value) if isinstance(value, list) or (name in SENSORS and several) else [value] * many
+    each = list(value) if isinstance(value, list) or (name in SENSORS and isinstance(value, tuple)) else [value] * many
     if len(each) != many:
         raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
     if name in SENSORS:
@@ -83,7 +84,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     return numbers
 
 
-def _single(name: str, value: Any, base: Scenario, where: str) -> float:
+def _single(name: str, value: object, base: Scenario, where: str) -> float:
     """A number of an axis that is one."""
     if name == "student_t_dof" and value == math.inf:
         return math.inf
@@ -100,7 +101,7 @@ def _single(name: str, value: Any, base: Scenario, where: str) -> float:
     return n
 
 
-def number(value: Any, where: str, least: float | None) -> float:
+def number(value: object, where: str, least: float | None) -> float:
     """Return a finite number of sensible size, not below `least`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == math.inf:
         raise UserError(f"{where}: got {shown(value)}, expected a finite number; write a number in SI units.")
@@ -117,7 +118,7 @@ def number(value: Any, where: str, least: float | None) -> float:
     return float(value)
 
 
-def _list(name: str, value: Any, base: Scenario, where: str) -> str | tuple[float | str, ...]:
+def _list(name: str, value: object, base: Scenario, where: str) -> str | tuple[float | str, ...]:
     """A list of numbers, or what may stand for it; of the sampling's intervals, a name."""
     if name == "sampling_pattern" and isinstance(value, str):
         if value not in PROFILES:
@@ -159,7 +160,7 @@ def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) ->
         raise UserError(f"{where}: got {value:g} s, expected at most the duration of {base.name}, {base.duration:g} s.")
 
 
-def plain(name: str, value: Value, apart: bool = False) -> Any:
+def plain(name: str, value: Value, apart: bool = False) -> Plain:
     """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
     if not isinstance(value, tuple):
         return value

@@ -10,7 +10,6 @@ Not claimed: of what is drawn, that delays depend on no more than the one before
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +113,7 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     }
 
 
-def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> TomlTable:
+def drawn(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
     """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the

@@ -6,15 +6,14 @@ A continuous plant x' = A x + B u + G w has white noise w of intensity QN, whose
 a discrete one adds G w with w ~ N(0, QN) at every tick.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.dynamics.linear import noise_over_tick
 from pcbench.errors import UserError, shown
 from pcbench.plants.lti import MATRICES, Numbers
 from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.scenarios.scenario import ProcessNoise
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.scenarios.sources import units
 from pcbench.signal_names import names_and_units
@@ -27,14 +26,16 @@ from pcbench.study.scenario_schema import Experiment, takes_axes
 ROUNDING = 1e-12  # part of the largest entry by which a covariance may fall short of one
 
 
-def process_noise(lti: LtiTable, std: float | list[float] | None, A: Any, tick: float, where: str) -> tuple[Any, ...]:
+def process_noise(
+    lti: LtiTable, std: float | list[float] | None, A: ArrayLike, tick: float, where: str
+) -> ProcessNoise:
     """Return the noise of a tick of a plant A [n, n] as `Truth.process_std` has it: [n], its root [n, n], or nothing.
 
     `std` is the table's process_std: of all states, or of each.
 
     The root is the covariance's symmetric square root. Raises UserError where G and QN do not fit, or QN is no covariance.
     """
-    n = len(A)
+    n = np.shape(A)[0]
     if std is not None:
         if other := next((name for name in ("G", "QN") if getattr(lti, name) is not None), None):
             raise UserError(f"{where}: got process_std and {other}, expected one of the two ways; leave one out.")
@@ -59,12 +60,12 @@ def process_noise(lti: LtiTable, std: float | list[float] | None, A: Any, tick: 
     return tuple(tuple(row) for row in ((V * np.sqrt(np.maximum(size, 0.0))) @ V.T).tolist())
 
 
-def covariance(given: Any, many: int, where: str) -> NDArray[np.float64]:
+def covariance(given: float | list[float] | list[list[float]], many: int, where: str) -> NDArray[np.float64]:
     """Return a number, one for each of `many`, or rows as a matrix; raise UserError where it is no covariance of so many."""
     if not isinstance(given, list):
         return float(given) * np.eye(many)
     flat = not any(isinstance(row, list) for row in given)
-    if len(given) != many or not (flat or all(len(row) == many for row in given)):
+    if len(given) != many or not (flat or all(isinstance(row, list) and len(row) == many for row in given)):
         raise UserError(
             f"{where}: got {shown(given)}, expected a number, {many} numbers, or {many} x {many}: one noise for each column "
             "of G."

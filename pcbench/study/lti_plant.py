@@ -4,9 +4,11 @@ Whether matrices, named numbers and formulas of them fit together.
 """
 
 import re
-from typing import Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from pcbench.dynamics import expression
@@ -98,7 +100,7 @@ def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
     return n, m, q
 
 
-def require_slow(A: Any, discrete: bool, ticks: int, tick: float, where: str) -> None:
+def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: str) -> None:
     """Raise UserError where the plant grows so much over its horizon that its map cannot be computed."""
     modes = np.linalg.eigvals(np.array(A, float))
     rate = float(np.log10(max(np.abs(modes).max(), LEAST)) if discrete else modes.real.max() * tick / np.log(10))
@@ -190,10 +192,10 @@ def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
         require_slow(model.A, model.discrete, whole(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
 
 
-def _formulas(rows: Any) -> list[tuple[int, int, str]]:
+def _formulas(rows: Sequence[Sequence[float | str]] | None) -> list[tuple[int, int, str]]:
     """The entries of a matrix that are formulas, with their places."""
     return [(i, j, v) for i, row in enumerate(rows or []) for j, v in enumerate(row) if isinstance(v, str)]
 
 
-def _named_values(own: Any) -> str:
+def _named_values(own: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in own.items())

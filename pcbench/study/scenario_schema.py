@@ -50,11 +50,13 @@ def kind(field: fields.Field) -> Any:
     """Return the type of what a table may say of a field; what it may be beside is the axis' to check (`axes.point`)."""
     if field.word == "inf":
         return Degrees
+    if field.word == "lost":
+        return list[Number | Literal["lost"]]
     if field.listed:
-        numbers: Any = list[Number | Literal["lost"]] if field.word == "lost" else list[Number]
-        return str | numbers if field.word == "*" else numbers
-    number: Any = Size if field.per == "state" else Number
-    one_or_each = number | list[number] if field.per else number
+        return str | list[Number] if field.word else list[Number]
+    if field.per == "state":
+        return Size | list[Size]
+    one_or_each = Number | list[Number] if field.per else Number
     return one_or_each | str if field.word else one_or_each
 
 

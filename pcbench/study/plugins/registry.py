@@ -118,7 +118,7 @@ def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) 
     return Own(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
 
 
-def called(found: Any) -> str:
+def called(found: object) -> str:
     """Return what something is, in a word or two."""
     if isinstance(found, plants.PlantSpec):
         return "a plant"

@@ -56,7 +56,7 @@ def facts(entry: PlantSpec) -> TomlTable:
     }
 
 
-def _tuples(value: Any) -> Any:
+def _tuples(value: object) -> object:
     return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
 
 
@@ -99,7 +99,7 @@ def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlT
     `gate` is what the study may reach.
     """
     given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
-    names: list[Any] = []
+    names: list[object] = []
     if not isinstance(given, dict | list):  # the model says what is wrong
         given = []
     if len(given) > times.SCENARIOS:
@@ -130,7 +130,7 @@ def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlT
     return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
 
 
-def _names_one(text: Any) -> bool:
+def _names_one(text: object) -> bool:
     """Whether a text names a scenario of a user's own."""
     if not isinstance(text, str) or text in SCENARIOS:
         return False
@@ -161,7 +161,7 @@ def _based(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> Tom
     return {k: plain(v) for k, v in below.items()} | {k: v for k, v in table.items() if k != "base"}
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return arrays, tuples and ranges as the lists that a study holds, and NumPy's numbers as Python's."""
     if hasattr(value, "tolist"):  # of NumPy, JAX, pandas
         return plain(value.tolist())
