@@ -3,10 +3,11 @@
 The options of each observer that differ from their defaults, and where they come from.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcbench.dataset.result import Result
 from pcbench.fields import FIELDS
@@ -16,7 +17,7 @@ from pcbench.plots.labels import LTI
 from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORD_OF
-from pcbench.scenarios.sources import Table, Wave
+from pcbench.scenarios.sources import Source, Sources, Table, Wave
 from pcbench.study import Study, axes, dashes, given, observers_of, scenarios_of
 from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
@@ -85,20 +86,20 @@ def _rows(s: Scenario) -> list[Row]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
     signals, outputs = signals_of(s), frames.output_units(s)
 
-    def states(values: Any) -> str:
+    def states(values: ArrayLike) -> str:
         if np.ndim(values) > 1:
             return _plain(values)
         named = zip(np.ravel(values), signals, strict=False)
         return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
 
-    def times(values: Any) -> str:
+    def times(values: str | Sequence[float | str]) -> str:
         return values if isinstance(values, str) else _each(values, ["s"] * len(values))
 
-    def turns(values: Any) -> str:
+    def turns(values: Sequence[float | str]) -> str:
         first = [v if isinstance(v, str) else f"{number(v)} s" for v in values[:MANY]]
         return ", ".join(first) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
 
-    def percent(values: Any) -> str:
+    def percent(values: ArrayLike) -> str:
         return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
 
     def by_text(text: str) -> Callable[[Any], str]:
@@ -178,20 +179,20 @@ def _plant(s: Scenario, name: str) -> str:
     return f"of the study, linear, {many} states" if name == LTI else name if summary == ABSENT else summary
 
 
-def _source(given: Any) -> str:
+def _source(given: Sources) -> str:
     """An input in words."""
     parts = given.split(",") if isinstance(given, str) else given
     return ", ".join(map(_one_source, parts)) or "none"
 
 
-def _one_source(part: Any) -> str:
+def _one_source(part: Source) -> str:
     if isinstance(part, Wave):
         unit, pace = f" {part.unit}" if part.unit else "", f", {number(part.frequency)} Hz" if part.frequency else ""
         return f"{part.shape} of {number(part.amplitude)}{unit}{pace}"
     return f"a table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
 
 
-def _each(values: Any, units: list[str]) -> str:
+def _each(values: Sequence[float | str], units: list[str]) -> str:
     """One number where all channels are alike, or all of them."""
     pairs = zip(values, units, strict=False)
     words = [f"{number(v)} {unit}".strip() if not isinstance(v, str) else "one interval" for v, unit in pairs]

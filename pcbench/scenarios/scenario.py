@@ -24,7 +24,7 @@ class Truth(NamedTuple):
 
     x0: tuple[float, ...]  # [n]
     parameter_drift: float = 0.0  # scale of the plant's parameter drift
-    parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
+    parameters: Mapping[str, object] = NOTHING  # of the plant, where they differ from its own
     process_std: ProcessNoise = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
     unknown_input: Sources = ""  # what pushes, as `Loop.input` says it; empty: the plant has none
 
@@ -34,7 +34,7 @@ class Loop(NamedTuple):
 
     input: Sources = ""  # of an open loop: name in `signals`, or one for each with commas; or as data
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
-    control: Mapping[str, Any] = NOTHING  # the controller's options
+    control: Mapping[str, object] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of samples in a loop, else 0
     command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
     command_loss: float = 0.0  # probability that a command never comes: the last one is held

@@ -238,7 +238,7 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     law = controller_of(s)
     options = filled(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
-        raise unknown(f"{where}.control.path", "path", control["path"], PATHS)
+        raise unknown(f"{where}.control.path", "path", str(control["path"]), PATHS)
     if law.check:
         law.check(options, controller_table.sizes(s, f"{where}.control"))
 

@@ -63,8 +63,8 @@ def _tuples(value: object) -> object:
 def absent(reference: str, code: Code, known: TomlTable) -> Own:
     """Return what stands for a plant of which only the facts are known."""
     nothing = user_code.absent(reference)
-    linear: Any = {name: np.array(value, float) for name, value in known["linear"].items()}
-    model = Model(**linear, discrete=known["discrete"])
+    linear = {name: np.array(value, float) for name, value in known["linear"].items()}
+    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
     rest = np.array(known["residual"]) if "residual" in known else None
     numbers = namedtuple("Numbers", known["numbers"])(**{k: _tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
