@@ -37,6 +37,7 @@ class Field(NamedTuple):
     signed: bool = False  # may be below 0
     listed: bool = False  # one value may be a list
     always: bool = False  # a column of every table; of others only where they are axes
+    random: bool = False  # of times: drawn in each run anew
     loop: bool = False  # of loops that a study closes
     limit: Limit | None = None
     search: tuple[End, End] | None = None  # where `find-limit` looks; None: a decade about the scenario's own value
@@ -106,6 +107,7 @@ FIELDS = (
         ticks=True,
         always=True,
         search=(0.0, "half"),
+        random=True,
     ),
     Field(
         "delay_jitter",
@@ -117,6 +119,7 @@ FIELDS = (
         ticks=True,
         always=True,
         search=(0.0, "tail"),
+        random=True,
     ),
     Field(
         "loss",
@@ -128,6 +131,7 @@ FIELDS = (
         always=True,
         limit=PROBABILITY,
         search=(0.0, 0.9),
+        random=True,
     ),
     Field(
         "assumed_delay_error",
@@ -166,6 +170,7 @@ FIELDS = (
         title="delays longer by, a Markov chain",
         form="times",
         listed=True,
+        random=True,
     ),
     Field(
         "delay_self_transition",
@@ -202,6 +207,7 @@ FIELDS = (
         form="{} s",
         per="sensor",
         search=(0.0, "tail"),
+        random=True,
     ),
     Field(
         "delay_gamma_shape",
@@ -337,6 +343,7 @@ FIELDS = (
         form="± {} s",
         ticks=True,
         search=(0.0, "half"),
+        random=True,
     ),
     Field(
         "command_jitter",

@@ -15,7 +15,6 @@ It is a few pure functions of its numbers (`params`), written in jax.numpy for o
 This one leads the first state to `aim`: state feedback with an integrator, least squares of error and command (LQR).
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -26,8 +25,6 @@ from pydantic import BaseModel, Field
 from scipy.linalg import solve_discrete_are
 
 import pcbench
-
-Kept = tuple[Array, Array]  # the last command [m], the integral of the first state's error
 
 
 class Options(BaseModel):
@@ -76,14 +73,12 @@ def before(params: Params, tick: Array, estimate: Array) -> Array:
     return jnp.zeros(len(params.K))
 
 
-def start(params: Params, estimate: Array) -> Kept:
+def start(params: Params, estimate: Array) -> Any:
     """Return what is kept before tick 0: the last command, and the integral of the first state's error."""
     return jnp.zeros(len(params.K)), jnp.zeros(())
 
 
-def command(
-    params: Params, now: pcbench.Now, estimate: Array, coming: Callable[[Array], Array], kept: Kept
-) -> tuple[Array, Kept]:
+def command(params: Params, now: pcbench.Now, estimate: Array, coming: Any, kept: Any) -> tuple[Array, Any]:
     """Return the command, and what is kept. coming(i) is the input that acts i ticks on, as far as it is decided."""
     x = estimate[: params.K.shape[1]]  # an observer may estimate unknown inputs too: they stand behind the states
     off = x.at[0].add(-params.aim)
