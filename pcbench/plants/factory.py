@@ -88,7 +88,7 @@ def make_plant(
     unknown_inputs: Mapping[str, Range] | None = None,
     unknown_parameters: Mapping[str, Range] | None = None,
     positive: Sequence[str] = (),
-    output_residual: Callable[[Array, Array], ArrayLike] | None = None,
+    output_residual: Callable[[Array, Array], PyTree] | None = None,
     errors: Mapping[str, ErrorFunction] | None = None,
     summary: str = "a plant of one's own",
 ) -> PlantSpec:
@@ -240,14 +240,15 @@ def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, 
                 f"{WHERE}: numbers.{name}: got {shown(value)}, expected one number: it is unknown to observers."
             )
         if name not in pushed:
-            kept[name] = float(array) if not array.ndim else _tuples(array.tolist())
+            kept[name] = float(array) if not array.ndim else tuples(array.tolist())
     if pushed:
         kept["unknown_input"] = "zero"
     return namedtuple("Numbers", kept)(**kept)  # type: ignore[misc]
 
 
-def _tuples(value: object) -> object:
-    return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
+def tuples(value: object) -> object:
+    """Return lists, also those in lists, as tuples."""
+    return tuple(tuples(each) for each in value) if isinstance(value, list) else value
 
 
 def _range(name: str, given: Range) -> tuple[float, float]:
@@ -306,7 +307,7 @@ def _tried(e: Equations, numbers: PyTree) -> tuple[float, ...]:
     return y0
 
 
-def _try_residual(residual: Callable[[Array, Array], ArrayLike], y0: np.ndarray) -> None:
+def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) -> None:
     """Raise UserError where an output's residual is not [q], or y less itself is not 0."""
     try:
         same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))

@@ -43,7 +43,7 @@ class Equations(NamedTuple):
     x0: tuple[float, ...]  # [n]
     u0: tuple[float, ...]  # [m]
     y0: tuple[float, ...]  # [q]
-    output_residual: Callable[[Array, Array], ArrayLike] | None = (
+    output_residual: Callable[[Array, Array], PyTree] | None = (
         None  # (y, yhat) -> y less yhat [q]; None: their difference
     )
     errors: tuple[Callable[[PyTree, Now, Array, Array], ArrayLike], ...] = ()  # [d] (numbers, now, x, xhat) -> a number

@@ -54,7 +54,7 @@ def experiment(result: Result, scenario: str) -> Experiment:
     """Return how a scenario was run, over all its cells."""
     every = cells(result.study, scenario)
     s, varied = every[0].scenario, result.study.axes
-    facts = [fact for row in _rows(s) if (fact := _fact(row, every, varied))]
+    facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, varied))]
     for name, values in varied.items():
         if name.startswith("plant."):
             what = f"{name.removeprefix('plant.').replace('_', ' ')} of the plant"
@@ -82,7 +82,7 @@ class Row(NamedTuple):
     always: bool = False
 
 
-def _rows(s: Scenario) -> list[Row]:
+def _field_rows(s: Scenario) -> list[Row]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
     signals, outputs = signals_of(s), frames.output_units(s)
 

@@ -21,6 +21,7 @@ import numpy as np
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, short, shown
 from pcbench.plants import PlantSpec
+from pcbench.plants.factory import tuples
 from pcbench.protocols import Plant
 from pcbench.scenarios import SCENARIOS
 from pcbench.signal_names import pair
@@ -56,17 +57,13 @@ def facts(entry: PlantSpec) -> TomlTable:
     }
 
 
-def _tuples(value: object) -> object:
-    return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
-
-
 def absent(reference: str, code: Code, known: TomlTable) -> Own:
     """Return what stands for a plant of which only the facts are known."""
     nothing = user_code.absent(reference)
     linear = {name: np.array(value, float) for name, value in known["linear"].items()}
     model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
     rest = np.array(known["residual"]) if "residual" in known else None
-    numbers = namedtuple("Numbers", known["numbers"])(**{k: _tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
+    numbers = namedtuple("Numbers", known["numbers"])(**{k: tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
     there = PlantSpec(
         plant=Plant(
