@@ -6,12 +6,14 @@ never by one matrix exponential over a long interval, which overflows silently (
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import PyTree
 from numpy.typing import NDArray
 from scipy.linalg import expm
+
+if TYPE_CHECKING:
+    from jax import Array
 
 Matrix = NDArray[np.float64]
 
@@ -29,9 +31,8 @@ class Model(NamedTuple):
     D: Matrix | None = None  # [q, m]; None: zero
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
-    known: Callable[[PyTree], PyTree] | None = (
-        None  # x[n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
-    )
+    # x [n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    known: "Callable[[Array], Array] | None" = None
 
     @property
     def feedthrough(self) -> Matrix:
