@@ -25,6 +25,7 @@ from pcbench.study.grid import engine_warnings
 from pcbench.study.parse import Described
 from pcbench.study.plugins.user_plants import plain
 from pcbench.synthesis.certificate import Design, is_certified
+from pcbench.toml_text import TomlTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,8 +41,8 @@ def run(
     seeds: int | None = None,
     first_seed: int | None = None,
     observers: str | Sequence[str] | None = None,
-    axes: Mapping[str, Any] | None = None,
-    options: dict[str, dict[str, Any]] | None = None,
+    axes: Mapping[str, object] | None = None,
+    options: Mapping[str, TomlTable] | None = None,
     root_seed: int | None = None,
     evaluation: str | None = None,
     out: str | Path | None = None,
@@ -131,8 +132,8 @@ def exact_moments(
     study: Described,
     *,
     observers: str | Sequence[str] | None = None,
-    axes: Mapping[str, Any] | None = None,
-    options: dict[str, dict[str, Any]] | None = None,
+    axes: Mapping[str, object] | None = None,
+    options: Mapping[str, TomlTable] | None = None,
     root_seed: int | None = None,
     overrides: list[str] | None = None,
     schedules: int = 64,

@@ -8,7 +8,6 @@ import sysconfig
 import traceback
 from collections.abc import Iterable
 from reprlib import Repr
-from typing import Any
 
 SETTING = re.compile(r"(region|scheme|allow_bucket_creation|allow_bucket_deletion)=[\w-]*")  # that an address may show
 LONGEST = 100  # characters of a value that a sentence quotes
@@ -78,7 +77,7 @@ def shown_address(text: str) -> str:
     return f"{scheme}://{place}" + (f"?{'&'.join(settings)}" if settings else "")
 
 
-def said(error: Any) -> str:
+def said(error: object) -> str:
     """Return the first sentence of what another library said, without its full stop."""
     return short(re.split(r"\.\s|\n", str(error).strip())[0].rstrip("."))
 
@@ -97,7 +96,7 @@ def unreadable(error: BaseException, where: str, instead: str) -> UserError:
     return UserError(f"{where}: {found}; expected {instead}.")
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value as a sentence quotes it: its repr, of a size that can be read."""
     brief = Repr()
     brief.maxstring = brief.maxother = brief.maxlong = LONGEST
@@ -119,7 +118,7 @@ def raised(error: BaseException) -> str:
     return f"{type(error).__name__}{': ' if message else ''}{message}" + (f", {place}" if place else "")
 
 
-def is_ours(thing: Any) -> bool:
+def is_ours(thing: object) -> bool:
     """Say whether a function or a class is pcbench's own, not a user's."""
     return str(getattr(thing, "__module__", "")).split(".")[0] == "pcbench"
 

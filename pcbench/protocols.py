@@ -12,20 +12,21 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 from jax import Array
-from jaxtyping import Bool, Float, Int, UInt32
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float, Int, PyTree, UInt32
 
 Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
 Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
-Params = Any  # a pytree of arrays: a plant's or a controller's numbers
-Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
-Memory = Any  # a pytree of arrays: an observer's state between ticks
-Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
+Params = PyTree  # a pytree of arrays: a plant's or a controller's numbers
+Gains = PyTree  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
+Memory = PyTree  # a pytree of arrays: an observer's state between ticks
+Delay = Callable[[ArrayLike], ArrayLike]  # of a closed loop: t [s], an array -> tau [s]
 
 
 TOGETHER = "pcbench_together"  # the name by which simulations know a function that `together` has made
 
 
-def vmap_as_unit(f: Callable[..., Any]) -> Callable[..., Any]:
+def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Mark a function to be vectorized over runs as a whole, by `jax.vmap`.
 
     Use it for functions that are large, or that have arrays of hundreds of entries. Other functions are vectorized entry by
@@ -38,7 +39,7 @@ def vmap_as_unit(f: Callable[..., Any]) -> Callable[..., Any]:
         The same function, marked.
     """
 
-    def whole(*args: Any) -> Any:
+    def whole(*args: PyTree) -> PyTree:
         return f(*args)
 
     whole.__name__ = TOGETHER  # a user's own function may be called `together`
@@ -230,9 +231,9 @@ class InnovationStats(NamedTuple):
 
     nis_sum: Float[Array, ""]
     dof: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
-    log_det: Any = None  # log det S, of the numbers that count
-    normalized_sum: Any = None  # sum of nu_j / sqrt(s_j) over them
-    each: Any = None  # [q] nu_j / sqrt(s_j), NaN of a channel that does not count
+    log_det: PyTree = None  # log det S, of the numbers that count
+    normalized_sum: PyTree = None  # sum of nu_j / sqrt(s_j) over them
+    each: PyTree = None  # [q] nu_j / sqrt(s_j), NaN of a channel that does not count
 
 
 class Innovation(Protocol):

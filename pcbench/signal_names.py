@@ -58,8 +58,8 @@ def names_and_units(texts: Iterable[str], where: str) -> tuple[tuple[str, str], 
     return found
 
 
-def require_different(names: list[str], where: str) -> None:
+def require_different(names: list[str], where: str, remedy: str = "rename one") -> None:
     """Raise UserError for a name that occurs twice."""
     if len(set(names)) < len(names):
         twice = next(name for i, name in enumerate(names) if name in names[:i])
-        raise UserError(f"{where}: got '{short(twice)}' twice, expected each name once; rename one.")
+        raise UserError(f"{where}: got '{short(twice)}' twice, expected each name once; {remedy}.")

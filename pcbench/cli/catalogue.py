@@ -78,7 +78,7 @@ def options(model: type[BaseModel]) -> dict[str, Description]:
     }
 
 
-def _kind(schema: Mapping[str, Any]) -> Description:
+def _kind(schema: Description) -> Description:
     """The type of an option in words, and its range or its choices."""
     schema = next((each for each in schema.get("anyOf", []) if each.get("type") != "null"), schema)
     if "enum" in schema:
@@ -131,7 +131,7 @@ def scenario(s: Scenario, study: Study | None = None) -> Description:
     }
 
 
-def _data(value: Any) -> Any:
+def _data(value: object) -> object:
     """A value of a scenario as lists and dicts: of a wave what it says, of a table of inputs how many rows it has."""
     if isinstance(value, Wave):
         return {name: each for name, each in value._asdict().items() if each != value._field_defaults.get(name, "")}

@@ -1,11 +1,15 @@
 """Observers outside of pcbench: one taken out as C, and those that live elsewhere, on the same draws."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.interrupts import stop_if_asked
 from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study
 from pcbench.cli.shared import argument, chosen, console, names, option, out, say, setup, working
 from pcbench.errors import UserError
+from pcbench.toml_text import TomlTable
+
+if TYPE_CHECKING:
+    from pcbench.dataset.result import Result
 
 Name = Annotated[str, option("what the tables call it")]
 
@@ -74,7 +78,7 @@ def prepare(
     from pcbench.external import export_draws
     from pcbench.planning import all_observers
 
-    asked: dict[str, Any] = {"seeds": seeds, "observers": names(observers) if observers else None}
+    asked: TomlTable = {"seeds": seeds, "observers": names(observers) if observers else None}
     with working(quiet) as progress:
         export_draws.write(all_observers.grid_of(study, asked, changes or []), folder, csv, progress)
     print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
@@ -120,7 +124,7 @@ def run(
     _shown(result, folder, metric, signal, quiet)
 
 
-def _shown(result: Any, folder: str, metric: str, signal: str | None, quiet: bool) -> None:
+def _shown(result: "Result", folder: str, metric: str, signal: str | None, quiet: bool) -> None:
     if quiet:
         print(folder)
         return

@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.options import Json, Set
 from pcbench.cli.shared import argument, console, option, require_effect, say, write
 from pcbench.errors import UserError, printable
 
 if TYPE_CHECKING:
+    from pcbench.cli.catalogue import Description
     from pcbench.cli.render.tables import Screen
 
 IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  # not said in a line
@@ -111,7 +112,7 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     screen.print("sample, tick: multiplications of one run; memory: bytes from tick to tick.")
 
 
-def print_in_full(name: str, description: Mapping[str, Any], screen: "Screen") -> None:
+def print_in_full(name: str, description: "Description", screen: "Screen") -> None:
     """Print all that is said of one thing."""
     from rich.padding import Padding
     from rich.text import Text

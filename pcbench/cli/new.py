@@ -8,7 +8,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -158,7 +158,7 @@ def check(
         raise typer.Exit(1)
 
 
-def _option(text: str) -> tuple[str, Any]:
+def _option(text: str) -> tuple[str, object]:
     """Return the name and the value of KEY=VALUE; a value is TOML, or a plain word."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip():

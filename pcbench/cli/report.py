@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.options import RANK, Folder, Json, Metric, Quiet, Signals
 from pcbench.cli.shared import argument, chosen, console, option, out, require_effect, setup, working, write
@@ -62,8 +62,11 @@ def report(
             from pcbench.report import figures as pictures
 
             kinds = pictures.kinds_of("svg,pdf,png" if formats is None else formats)
-            given: dict[str, Any] = {"width": width, "size": size, "font": font}
-            paper = PAPER._replace(**{name: value for name, value in given.items() if value is not None}).checked()
+            paper = PAPER._replace(
+                width=PAPER.width if width is None else width,
+                size=PAPER.size if size is None else size,
+                font=PAPER.font if font is None else font,
+            ).checked()
             written = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
             where, said = figures, f"{len(written)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
         else:

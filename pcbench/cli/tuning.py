@@ -2,13 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pcbench import toml_text
 from pcbench.cli.options import Json, Late, Observer, Quiet, Scenario, Set, Signal
 from pcbench.cli.shared import console, names, option, out, setup, working
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
+from pcbench.toml_text import TomlTable
 
 SeedRange = Annotated[str | None, option("seeds, the end left out", metavar="FIRST:END")]
 
@@ -81,7 +82,7 @@ def _may_write(out: Path) -> None:
         raise UserError(f"--out {out}: holds something else than a design, expected a new file; give another name.")
 
 
-def _values(text: str) -> tuple[str, list[Any]]:
+def _values(text: str) -> tuple[str, list[object]]:
     """Return the option and the values of OPTION=A,B,...; values are TOML, or plain words."""
     option, equals, given = text.partition("=")
     if not equals or not option.strip() or not given.strip():
@@ -144,7 +145,7 @@ def tune(
         )
     if log is None and delay is not None:
         raise UserError("--delay: got one without --log, expected it with a log alone; leave it out, or give --log.")
-    options: dict[str, Any] = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
+    options: TomlTable = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
     with working(quiet or as_json, "designing gains") as options["progress"]:
         if log is not None:
@@ -171,7 +172,7 @@ def tune(
         elif not quiet:
             gains.tuned_on_log(on_log, observer, log, folder, console())
     elif as_json:
-        summary: dict[str, Any] = {"start": found.start, "found": found.found, "kept_start": found.kept_start}
+        summary: TomlTable = {"start": found.start, "found": found.found, "kept_start": found.kept_start}
         goal = {"metric": found.objective.metric, "signal": found.objective.name, "unit": found.objective.unit}
         summary |= {"goal": goal, "certified": found.certified, "exact": found.exact}
         summary |= {"judged": [history.plain(j) for j in found.judged]}

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from pcbench.fields import FIELDS
+from pcbench.fields import FIELDS, names
 from pcbench.statistics import ASKED, QUANTILES, RUN_METRICS
 
 if TYPE_CHECKING:
@@ -109,11 +109,10 @@ OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1") | dict.fromkeys(
     OF_INPUT.split(), "unit of the input"
 )  # not the signal's
 OWN_UNITS |= dict.fromkeys(("settling_time", "recovery_time", "divergence_time"), "s")
-TEXT = (
-    "sampling_pattern study scenario plant observer observer_a observer_b signal unit metric status method reason "
-    "delay_values delay_sequence delay_weights"
+TEXT = "study scenario plant observer observer_a observer_b signal unit metric status method reason"
+TYPES = dict.fromkeys((*names(listed=True), *TEXT.split()), pa.string()) | dict.fromkeys(
+    ("cell", "seed", "n", "diverged"), pa.int64()
 )
-TYPES = dict.fromkeys(TEXT.split(), pa.string()) | dict.fromkeys(("cell", "seed", "n", "diverged"), pa.int64())
 TYPES |= {name + end: pa.bool_() for name in ("predicts_unknown_input", "certified") for end in ("", "_a", "_b")}
 
 

@@ -6,18 +6,18 @@ sum = product {(+ | -) product},  product = signed {(* | /) signed},  signed = [
 import operator
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TypeAlias
 
 LONGEST = 100  # characters: a formula this long is nested less deep than Python can follow
 TOKEN = re.compile(r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z]\w*)|([-+*/^()]))")
-OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+OPERATORS: dict[str, Callable[[complex, complex], complex]] = {
     "+": operator.add,
     "-": operator.sub,
     "*": operator.mul,
     "/": operator.truediv,
     "^": operator.pow,
 }
-Tree = Any  # a number, a name, or (operator, Tree, Tree)
+Tree: TypeAlias = "float | str | tuple[str, Tree, Tree]"  # a number, a name, or an operator between two
 
 
 def parsed(text: str) -> Tree:
@@ -55,7 +55,7 @@ def value(tree: Tree, numbers: Mapping[str, float]) -> float:
     return float(found)
 
 
-def _value(tree: Tree, numbers: Mapping[str, float]) -> Any:
+def _value(tree: Tree, numbers: Mapping[str, float]) -> complex:
     if isinstance(tree, tuple):
         return OPERATORS[tree[0]](_value(tree[1], numbers), _value(tree[2], numbers))
     return numbers[tree] if isinstance(tree, str) else tree

@@ -5,25 +5,24 @@ Powers: any whole age is written with two digits to a base R, and its map is a p
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 
 from pcbench.dynamics.room import within_room
 
-Field = Callable[[Array, Any], Any]  # (t [s], x) -> dx/dt; x an array, or a pytree of arrays
+Field = Callable[[Array, PyTree], PyTree]  # (t [s], x) -> dx/dt; x an array, or a pytree of arrays
 
 
-def rk4(field: Field, t: Array, x: Any, h: Array) -> Any:
+def rk4(field: Field, t: Array, x: PyTree, h: Array) -> PyTree:
     """Advance x, an array or a pytree of arrays, by one classical Runge-Kutta step of h seconds from time t."""
 
-    def ahead(by: Any, k: Any) -> Any:
+    def ahead(by: Array, k: PyTree) -> PyTree:
         return jax.tree.map(lambda x, k: x + by * k, x, k)
 
-    def stage(carry: tuple[Any, Any], row: tuple[Array, Array]) -> tuple[Any, None]:
+    def stage(carry: tuple[PyTree, PyTree], row: tuple[Array, Array]) -> tuple[PyTree, None]:
         (k, total), (part, weight) = carry, row
         k = field(t + part * h, ahead(part * h, k))
         return (k, jax.tree.map(lambda total, k: total + weight * k, total, k)), None

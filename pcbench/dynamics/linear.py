@@ -5,13 +5,16 @@ never by one matrix exponential over a long interval, which overflows silently (
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pcbench.value_cache import cached_by_value
+
+if TYPE_CHECKING:
+    from jax import Array
 
 Matrix = NDArray[np.float64]
 
@@ -29,7 +32,8 @@ class Model(NamedTuple):
     D: Matrix | None = None  # [q, m]; None: zero
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
-    known: Callable[[Any], Any] | None = None  # x[n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    # x [n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    known: "Callable[[Array], Array] | None" = None
 
     @property
     def feedthrough(self) -> Matrix:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -37,6 +37,7 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.study.load import Described, raw_of, where_of
 from pcbench.study.parse import FROM_HERE, described, scenario_in
 from pcbench.study.plugins.user_plants import plain
+from pcbench.toml_text import TomlTable
 
 METRIC = "steady_rmse"
 BUDGET = 16  # times the study's seeds, where no budget is given
@@ -139,7 +140,7 @@ def find_limit(
 
 
 def _frontier(
-    raw: dict[str, Any], where: str, named: list[str], between: Any, out: str | Path | None, how: dict[str, Any]
+    raw: TomlTable, where: str, named: list[str], between: object, out: str | Path | None, how: TomlTable
 ) -> pd.DataFrame:
     """The largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
     ends = list(between) if np.iterable(between) else []
@@ -166,7 +167,7 @@ def _frontier(
     return found
 
 
-def _range(between: Any) -> tuple[float, float] | None:
+def _range(between: object) -> tuple[float, float] | None:
     """Return the two ends of one axis' range; raise UserError if it is anything else."""
     if between is None:
         return None

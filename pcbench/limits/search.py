@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 from pcbench.dataset.adaptive_seeds import GROWTH, METRICS, enough
 from pcbench.dataset.columns import AXIS_UNITS, unit_of
 from pcbench.errors import UserError, short, unknown
+from pcbench.fields import FIELDS
 from pcbench.plants import numbers_of, parameters_in, settles_alone, signals_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.statistics import OF_RUN
@@ -146,7 +147,7 @@ class Axis(NamedTuple):
 
     name: str  # as a study knows it
     at: int | None  # of the channels or states, the one that varies; None: all, or there are none
-    others: tuple[Any, ...]  # what every channel has; of the one that varies, what it has in the scenario
+    others: tuple[float | str, ...]  # what every channel has; of the one that varies, what it has in the scenario
     own: tuple[float, ...]  # what the study says of the number that varies; its scenario's own where it says nothing
 
     @property
@@ -154,7 +155,7 @@ class Axis(NamedTuple):
         """Return what a user calls it."""
         return self.name if self.at is None else f"{self.name}[{self.at}]"
 
-    def put(self, value: float) -> Any:
+    def put(self, value: float) -> float | list[float | str]:
         """Return a value as the axis of a study holds it."""
         if self.at is None:
             return value
@@ -166,7 +167,7 @@ class Axis(NamedTuple):
         return float(held if one else held[self.at])
 
 
-def axis_of(named: str, s: Scenario, given: list[Any] | None, where: str) -> Axis:
+def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> Axis:
     """Return the axis that `over` names; `given` is what the study says of it. Raise UserError where it is no single number."""
     found = ONE.fullmatch(named.strip())
     name, at = (found[1].replace("-", "_"), int(found[2])) if found else (named.strip().replace("-", "_"), None)
@@ -199,7 +200,7 @@ def axis_of(named: str, s: Scenario, given: list[Any] | None, where: str) -> Axi
     return Axis(name, at, first, tuple(v for v in own if v != INTERVAL))
 
 
-def _own(name: str, s: Scenario) -> Any:
+def _own(name: str, s: Scenario) -> axes.Value | None:
     """What a scenario says of an axis; of process noise that it has none of, zeros."""
     if name.startswith("plant."):
         numbers, name = numbers_of(s), name.removeprefix("plant.")
@@ -235,24 +236,9 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
     long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
     half = max((round(period / s.dt) - 1) // 2, 0) * s.dt
-    usual = {
-        "sampling_period": (s.dt, long),
-        **dict.fromkeys(("delay", "actuator_delay", "delay_jitter", "command_jitter", "delay_gamma_mean"), (0.0, long)),
-        **dict.fromkeys(("sampling_jitter", "timestamp_jitter"), (0.0, half)),
-        **dict.fromkeys(("loss", "command_loss"), (0.0, 0.9)),
-        "assumed_delay_error": (0.0, max(period, s.dt)),
-        "delay_self_transition": (0.0, 0.95),
-        "outlier_probability": (0.0, 0.5),
-        "student_t_dof": (2.1, 30.0),
-        "dither": (0.0, 1.0),
-        "mean_burst_length": (2.0, 20.0),
-        "outage_duration": (0.0, long),
-        "delay_gamma_shape": (0.5, 10.0),
-        "timestamp_offset": (-period, period),
-        "clock_skew": (0.0, 1000.0),
-        "assumed_noise_scale": (0.1, 10.0),
-        "parameter_drift": (0.0, 2.0),
-    }.get(axis.name)
+    ends = {"tick": s.dt, "tail": long, "half": half, "period": period, "-period": -period}
+    searched = next((f.search for f in FIELDS if f.name == axis.name), None)
+    usual = searched and tuple(ends[end] if isinstance(end, str) else end for end in searched)
     if usual is None and own:
         decades = float(f"{own / DECADE:.1g}"), float(f"{own * DECADE:.1g}")
         usual = (own, 2 * own) if axis.name.startswith("plant.") else decades

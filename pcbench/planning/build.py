@@ -23,7 +23,7 @@ from pcbench.planning import loop_setup, memo, padding
 from pcbench.planning.design_context import prepared, setting
 from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
-from pcbench.scenarios.scenario import per_channel
+from pcbench.scenarios.scenario import ProcessNoise, per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation.measurements import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, random_times
@@ -68,7 +68,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     return ask("bound", key, least)
 
 
-def _over_ticks(known: DesignContext, process_std: tuple[float, ...]) -> tuple[linear.Matrix, linear.Matrix]:
+def _over_ticks(known: DesignContext, process_std: ProcessNoise) -> tuple[linear.Matrix, linear.Matrix]:
     """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     added = known._replace(process_std=process_std).process_noise

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from types import ModuleType
-from typing import Any
 
 import numpy as np
+from jaxtyping import PyTree
 
 from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, reactor
 from pcbench.plants.factory import PlantSpec, make_plant
@@ -62,12 +62,12 @@ def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     return estimated_of(scenario) + entry_of(scenario).errors
 
 
-def numbers_of(scenario: Scenario) -> Any:
+def numbers_of(scenario: Scenario) -> PyTree:
     """Return a plant's numbers as observers know them."""
     return entry_of(scenario).numbers._replace(**scenario.belief.model)
 
 
-def varied(numbers: Any, given: Mapping[str, Any]) -> Any:
+def varied(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
     """Return a plant's numbers with some changed; those that a plant of one's own has named are among its `own`."""
     fields = {name: v for name, v in given.items() if name in numbers._fields}
     named = {name: v for name, v in given.items() if name not in fields}
@@ -78,7 +78,7 @@ def varied(numbers: Any, given: Mapping[str, Any]) -> Any:
     return out._replace(own={**out.own, **named}, plant=plant)
 
 
-def differs(numbers: Any, given: Mapping[str, Any]) -> bool:
+def differs(numbers: PyTree, given: Mapping[str, object]) -> bool:
     """Say whether a plant with some of its parameters given is another than that of its numbers."""
     own = getattr(numbers, "own", {})
     return any(value != (own[name] if name in own else getattr(numbers, name)) for name, value in given.items())

@@ -22,11 +22,13 @@ unknown_parameters={"friction": ("1/s", 0.0, 1.0)},
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import PyTree
 
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, raised, shown, unknown
@@ -37,8 +39,8 @@ from pcbench.runtime import config
 from pcbench.signal_names import names_and_units, unit
 
 WHERE = "pcbench.make_plant"
-Function = Callable[[Any, Now, Array], Any]  # (numbers, now, x[n]) -> an array, or a list of its entries
-ErrorFunction = Callable[[Any, Now, Array, Array], Any]  # (numbers, now, x[n], xhat[n]) -> a number
+Function = Callable[[PyTree, Now, Array], PyTree]  # (numbers, now, x[n]) -> an array, or a list of its entries
+ErrorFunction = Callable[[PyTree, Now, Array, Array], ArrayLike]  # (numbers, now, x[n], xhat[n]) -> a number
 Range = str | tuple[str, float, float]  # a unit, or (unit, least, most) where observers look for the value
 
 
@@ -47,9 +49,9 @@ class PlantSpec(NamedTuple):
 
     plant: Plant
     signals: tuple[tuple[str, str], ...]  # (state, unit); empty: the scenario's
-    numbers: Any  # default parameters, a NamedTuple
-    nominal: Callable[[Any], Model]  # the linear model that observers know
-    prepare: Callable[[Any, float, int], Params]  # (numbers, dt [s], ticks) -> params
+    numbers: PyTree  # default parameters, a NamedTuple
+    nominal: Callable[[PyTree], Model]  # the linear model that observers know
+    prepare: Callable[[PyTree, float, int], Params]  # (numbers, dt [s], ticks) -> params
     summary: str
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
     heavy: bool = False  # a tick costs so much that fewer lanes a call are as fast
@@ -64,7 +66,7 @@ class PlantSpec(NamedTuple):
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
     drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
     # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
-    residual: Callable[[Any], np.ndarray] | None = None
+    residual: Callable[[PyTree], np.ndarray] | None = None
     operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
     tick: float | None = None  # s, of a plant given by its step; None: any
     errors: tuple[tuple[str, str], ...] = ()  # (an error of one's own, unit), as `plant.errors` returns them
@@ -78,15 +80,15 @@ def make_plant(
     *,
     output: Function,
     states: Sequence[str],
-    operating_point: Sequence[Any],
+    operating_point: Sequence[object],
     field: Function | None = None,
     step: Function | None = None,
     tick: float | None = None,
-    numbers: Any = None,
+    numbers: PyTree = None,
     unknown_inputs: Mapping[str, Range] | None = None,
     unknown_parameters: Mapping[str, Range] | None = None,
     positive: Sequence[str] = (),
-    output_residual: Callable[[Array, Array], Any] | None = None,
+    output_residual: Callable[[Array, Array], PyTree] | None = None,
     errors: Mapping[str, ErrorFunction] | None = None,
     summary: str = "a plant of one's own",
 ) -> PlantSpec:
@@ -190,7 +192,7 @@ def make_plant(
     )
 
 
-def _point(given: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _point(given: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The operating point as plain numbers."""
     try:
         x0, u0 = (tuple(float(v) for v in np.asarray(part, float).reshape(-1)) for part in given)
@@ -210,7 +212,7 @@ def _given(field: Function | None, step: Function | None, tick: float | None) ->
     return " and ".join(there) or "neither field nor step"
 
 
-def _numbers(numbers: Any, pushed: Mapping[str, Range], sought: Mapping[str, Range]) -> Any:
+def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, Range]) -> PyTree:
     """The plant's numbers as the benchmark varies them: floats, and tuples of them; without unknown inputs."""
     names = getattr(numbers, "_fields", None)
     if names is None:
@@ -238,14 +240,15 @@ def _numbers(numbers: Any, pushed: Mapping[str, Range], sought: Mapping[str, Ran
                 f"{WHERE}: numbers.{name}: got {shown(value)}, expected one number: it is unknown to observers."
             )
         if name not in pushed:
-            kept[name] = float(array) if not array.ndim else _tuples(array.tolist())
+            kept[name] = float(array) if not array.ndim else tuples(array.tolist())
     if pushed:
         kept["unknown_input"] = "zero"
     return namedtuple("Numbers", kept)(**kept)  # type: ignore[misc]
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
+def tuples(value: object) -> object:
+    """Return lists, also those in lists, as tuples."""
+    return tuple(tuples(each) for each in value) if isinstance(value, list) else value
 
 
 def _range(name: str, given: Range) -> tuple[float, float]:
@@ -258,7 +261,7 @@ def _range(name: str, given: Range) -> tuple[float, float]:
     return low, high
 
 
-def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
+def _tried(e: Equations, numbers: PyTree) -> tuple[float, ...]:
     """The output at the operating point; raise UserError where a function or its slope is not as it must be."""
     n = len(e.x0)
     with config.float64():
@@ -304,7 +307,7 @@ def _tried(e: Equations, numbers: Any) -> tuple[float, ...]:
     return y0
 
 
-def _try_residual(residual: Callable[[Array, Array], Any], y0: np.ndarray) -> None:
+def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) -> None:
     """Raise UserError where an output's residual is not [q], or y less itself is not 0."""
     try:
         same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
@@ -319,7 +322,7 @@ def _try_residual(residual: Callable[[Array, Array], Any], y0: np.ndarray) -> No
         )
 
 
-def _try_error(own_error: ErrorFunction, i: int, numbers: Any, now: Now, x: Array) -> None:
+def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: Array) -> None:
     """Raise UserError where an error of a user's own is not a number, or not 0 where x and xhat agree."""
     try:
         same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
@@ -334,7 +337,7 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: Any, now: Now, x: Arra
         )
 
 
-def _require_finite(name: str, value: Any, e: Equations) -> None:
+def _require_finite(name: str, value: np.ndarray, e: Equations) -> None:
     if not np.isfinite(value).all():
         raise UserError(
             f"{WHERE}: {name}: got {shown(np.asarray(value).tolist())} at the operating point x = {shown(list(e.x0))}, "

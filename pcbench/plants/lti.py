@@ -6,7 +6,7 @@ say `input_gain`, `input_bias`, other values of the named numbers, and `plant`: 
 input held from t_k on. A tick is the exact exponential under the held inputs, f too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -21,24 +21,25 @@ from pcbench.scenarios.scenario import NOTHING
 from pcbench.scenarios.signals import inputs
 
 MATRICES = "ABCDE"
+Rows = Sequence[Sequence[float | str]] | Matrix  # of a matrix; a text is a formula
 SIGNALS = ()  # the scenario's
 
 
 class Numbers(NamedTuple):
     """The plant; `plant.input_gain` and `plant.input_bias` are axes."""
 
-    A: Any = ((0.0,),)  # [n, n]
-    B: Any = ((1.0,),)  # [n, m]
-    C: Any = ((1.0,),)  # [q, n]
-    D: Any = None  # [q, m]; None: zero
+    A: Rows = ((0.0,),)  # [n, n]
+    B: Rows = ((1.0,),)  # [n, m]
+    C: Rows = ((1.0,),)  # [q, n]
+    D: Rows | None = None  # [q, m]; None: zero
     discrete: bool = False
     input_gain: float = 1.0
     input_bias: float = 0.0  # unit of the input
     drift: float = 0.0  # the share of `plant`
-    E: Any = None  # [n, r]; None: no unknown input
+    E: Rows | None = None  # [n, r]; None: no unknown input
     unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
     own: Mapping[str, float] = NOTHING  # named numbers of the formulas
-    written: Mapping[str, Any] = NOTHING  # by letter: rows of matrices with formulas among their entries
+    written: Mapping[str, Rows] = NOTHING  # by letter: rows of matrices with formulas among their entries
     plant: Mapping[str, Any] = NOTHING  # of the plant and no model: rows by letter, numbers by name
 
 
@@ -66,7 +67,7 @@ def nominal(numbers: Numbers) -> Model:
     return Model(A, B, C, D, numbers.discrete, E)
 
 
-def evaluated(rows: Any, own: Mapping[str, float]) -> Matrix:
+def evaluated(rows: Rows, own: Mapping[str, float]) -> Matrix:
     """Return rows of numbers and formulas as a matrix; raise ValueError where a formula has no finite value."""
     if not own:
         return np.array(rows, float)

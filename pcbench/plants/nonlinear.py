@@ -11,13 +11,14 @@ is a signal, held over a tick, a parameter stands still. A tick of a field is on
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jax.typing import ArrayLike
+from jaxtyping import Float, PyTree
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Model
@@ -32,18 +33,20 @@ REST = 1e-9  # what dx/dt at an equilibrium may be by rounding, as a part of the
 class Equations(NamedTuple):
     """The functions, what they take, and the operating point; n states, m inputs, q outputs."""
 
-    field: Callable[[Any, Now, Array], Any] | None  # (numbers, now, x) -> dx/dt [n]
-    step: Callable[[Any, Now, Array], Any] | None  # (numbers, now, x) -> x one tick later [n]
-    output: Callable[[Any, Now, Array], Any]  # (numbers, now, x) -> y [q]
+    field: Callable[[PyTree, Now, Array], PyTree] | None  # (numbers, now, x) -> dx/dt [n]
+    step: Callable[[PyTree, Now, Array], PyTree] | None  # (numbers, now, x) -> x one tick later [n]
+    output: Callable[[PyTree, Now, Array], PyTree]  # (numbers, now, x) -> y [q]
     tick: float | None  # s, of `step`
-    numbers: Any  # the type of the user's NamedTuple
+    numbers: PyTree  # the type of the user's NamedTuple
     inputs: tuple[str, ...]  # numbers that are unknown inputs
     parameters: tuple[str, ...]  # numbers that are unknown parameters
     x0: tuple[float, ...]  # [n]
     u0: tuple[float, ...]  # [m]
     y0: tuple[float, ...]  # [q]
-    output_residual: Callable[[Array, Array], Any] | None = None  # (y, yhat) -> y less yhat [q]; None: their difference
-    errors: tuple[Callable[[Any, Now, Array, Array], Any], ...] = ()  # [d] (numbers, now, x, xhat) -> a number
+    output_residual: Callable[[Array, Array], PyTree] | None = (
+        None  # (y, yhat) -> y less yhat [q]; None: their difference
+    )
+    errors: tuple[Callable[[PyTree, Now, Array, Array], ArrayLike], ...] = ()  # [d] (numbers, now, x, xhat) -> a number
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,10 @@ class PlantFunction:
     one there: `functools.partial` compares identities, and a program would be refused the plant it was compiled for.
     """
 
-    function: Callable[..., Any]
+    function: Callable[..., PyTree]
     equations: Equations
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: PyTree) -> PyTree:
         """Call the function."""
         return self.function(self.equations, *arguments)
 
@@ -65,20 +68,20 @@ class PlantFunction:
 class Params(NamedTuple):
     """The numbers as arrays, the operating point, and the unknown inputs of every tick; N ticks, r unknown inputs."""
 
-    numbers: Any
+    numbers: PyTree
     x0: Float[Leaf, " n"]
     u0: Float[Leaf, " m"]
     y0: Float[Leaf, " q"]
     f: Float[Leaf, "rows r"]  # N + 1 rows
 
 
-def own(equations: Equations, numbers: Any) -> Any:
+def own(equations: Equations, numbers: PyTree) -> PyTree:
     """Return the user's NamedTuple of numbers with arrays in it; unknown inputs are 0."""
     said = numbers._asdict() | dict.fromkeys(equations.inputs, 0.0)
     return equations.numbers(**{name: np.asarray(said[name], float) for name in equations.numbers._fields})
 
 
-def prepare(equations: Equations, numbers: Any, dt: float, ticks: int) -> Params:
+def prepare(equations: Equations, numbers: PyTree, dt: float, ticks: int) -> Params:
     """Return the numbers for ticks 0 .. `ticks` of `dt` seconds; raise UserError where `step` is of another tick."""
     e = equations
     if e.tick is not None and abs(dt - e.tick) > 1e-9 * e.tick:
@@ -94,7 +97,7 @@ def whole(params: Params, now: Now) -> Now:
     return now._replace(u=now.u + params.u0, past_u=lambda age: now.past_u(age) + params.u0)
 
 
-def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) -> Any:
+def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) -> PyTree:
     """Return the user's numbers with the unknown inputs and parameters [s] in their places."""
     names = (*equations.inputs, *equations.parameters)
     return params.numbers._replace(**{name: values[i] for i, name in enumerate(names)})
@@ -157,7 +160,7 @@ def output(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]
 
 
 @lru_cache(maxsize=64)
-def slopes(equations: Equations, numbers: Any) -> tuple[Model, np.ndarray]:
+def slopes(equations: Equations, numbers: PyTree) -> tuple[Model, np.ndarray]:
     """Return the linear model at the operating point, by jax, for numbers as observers know them, and its excess [n].
 
     That is dx/dt there, or of a `step` the change over a tick; 0 where it is rounding.
@@ -189,11 +192,11 @@ def _now(equations: Equations, u: Array) -> Now:
     return Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
 
 
-def nominal(equations: Equations, numbers: Any) -> Model:
+def nominal(equations: Equations, numbers: PyTree) -> Model:
     """Return the linear model at the operating point."""
     return slopes(equations, numbers)[0]
 
 
-def residual(equations: Equations, numbers: Any) -> np.ndarray:
+def residual(equations: Equations, numbers: PyTree) -> np.ndarray:
     """Return dx/dt at the operating point, [n]: 0 where it is an equilibrium."""
     return slopes(equations, numbers)[1]

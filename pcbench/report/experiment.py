@@ -3,29 +3,33 @@
 The options of each observer that differ from their defaults, and where they come from.
 """
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcbench.dataset.result import Result
+from pcbench.fields import FIELDS
 from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
 from pcbench.plots import frames
 from pcbench.plots.labels import LTI
 from pcbench.plots.layout import number
-from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
-from pcbench.scenarios.sources import Table, Wave
-from pcbench.study import Study, dashes, given, observers_of, scenarios_of
+from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.scenarios.scenario import RECORD_OF
+from pcbench.scenarios.sources import Source, Sources, Table, Wave
+from pcbench.study import Study, axes, dashes, given, observers_of, scenarios_of
 from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent
 
-COMPARED = (  # fields of which is said that they are not as published
-    *("x0", "sampling_period", "delay", "noise_std", "process_std", "parameter_drift", "sampling_pattern"),
-    *("sampling_jitter", "delay_jitter", "delay_values", "delay_sequence", "delay_gamma_mean", "loss"),
-    *("quantization_step", "input", "unknown_input", "actuator_delay", "assumed_delay_error", "duration"),
-)
+COMPARED = (
+    "x0",
+    *axes.AXES,
+    "input",
+    "unknown_input",
+    "duration",
+)  # fields of which is said that they are not as published
 MANY = 8  # rows or columns up to which matrices are printed
 LONG = 120  # letters of a value at most
 
@@ -49,9 +53,9 @@ class Experiment(NamedTuple):
 def experiment(result: Result, scenario: str) -> Experiment:
     """Return how a scenario was run, over all its cells."""
     every = cells(result.study, scenario)
-    s, axes = every[0].scenario, result.study.axes
-    facts = [fact for field in _fields(s) if (fact := _fact(field, every, axes))]
-    for name, values in axes.items():
+    s, varied = every[0].scenario, result.study.axes
+    facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, varied))]
+    for name, values in varied.items():
         if name.startswith("plant."):
             what = f"{name.removeprefix('plant.').replace('_', ' ')} of the plant"
             facts.append(Fact(what, " | ".join(map(_plain, values)), len(values) > 1))
@@ -69,107 +73,84 @@ def experiment(result: Result, scenario: str) -> Experiment:
     return Experiment(_published(result, s, every), facts, matrices)
 
 
-class Field(NamedTuple):
-    """A field of a scenario, how it is called, and how its value is said.
-
-    `say` returns that of a value, or is a text with {} for a number, of each channel where they differ; `usual`: the value of
-    which nothing is said.
-    """
+class Row(NamedTuple):
+    """A field of a scenario, how it is called, how a value is said, and whether that is said of its usual value too."""
 
     name: str
-    what: str
-    say: Callable[[Any], str] | str
-    usual: Any = None
-
-    def words(self, value: Any) -> str:
-        """Return a value in words."""
-        if not isinstance(self.say, str):
-            return self.say(value)
-        return ", ".join(self.say.format(number(v)) for v in (value if isinstance(value, tuple) else (value,)))
+    title: str
+    say: Callable[[Any], str]
+    always: bool = False
 
 
-def _fields(s: Scenario) -> list[Field]:
+def _field_rows(s: Scenario) -> list[Row]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
     signals, outputs = signals_of(s), frames.output_units(s)
 
-    def vector(values: Any) -> str:
+    def states(values: ArrayLike) -> str:
+        if np.ndim(values) > 1:
+            return _plain(values)
         named = zip(np.ravel(values), signals, strict=False)
         return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
 
-    def seconds(values: Any) -> str:
-        return _each(values, ["s"] * len(values))
+    def times(values: str | Sequence[float | str]) -> str:
+        return values if isinstance(values, str) else _each(values, ["s"] * len(values))
 
-    def options(given: dict[str, Any]) -> str:
-        return ", ".join(f"{k} {_plain(v)}" for k, v in given.items())
-
-    def percent(values: Any) -> str:
-        return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
-
-    def numbers(values: Any) -> str:
-        return ", ".join(map(number, values))
-
-    def delays_in_turn(values: Any) -> str:
+    def turns(values: Sequence[float | str]) -> str:
         first = [v if isinstance(v, str) else f"{number(v)} s" for v in values[:MANY]]
         return ", ".join(first) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
 
-    return [
-        Field("plant", "plant", lambda name: _plant(s, name)),
-        Field("input", "input", _source),
-        Field("controller", "loop", lambda name: f"closed by {name}", ""),
-        Field("control", "controller's options", options, {}),
-        Field("unknown_input", "unknown input", _source, ""),
-        Field("x0", "start x(0)", vector),
-        Field("xhat0", "observers' start", vector),
-        Field("prior_std", "std of the start", vector),
-        Field("sampling_period", "a sample every", seconds),
-        Field("delay", "each late by", lambda v: "one interval" if set(v) == {INTERVAL} else seconds(v)),
-        Field("noise_std", "noise of a sample (std)", lambda v: _each(v, outputs) if any(v) else "none"),
-        Field("process_std", "process noise a tick (std)", lambda v: _plain(v) if np.ndim(v) > 1 else vector(v), ()),
-        Field("parameter_drift", "parameter_drift", "{}", 0.0),
-        Field("sampling_pattern", "sampling intervals", lambda v: v if isinstance(v, str) else seconds(v), "periodic"),
-        Field("sampling_jitter", "sampling jitter", "± {} s", 0.0),
-        Field("delay_jitter", "delay jitter", "up to {} s more", 0.0),
-        Field("delay_values", "delays longer by, a Markov chain", seconds, ()),
-        Field("delay_self_transition", "chance to stay so", numbers, ()),
-        Field("delay_sequence", "delays longer by, in turn", delays_in_turn, ()),
-        Field("delay_weights", "shares of these, each by itself", numbers, ()),
-        Field("delay_gamma_mean", "delays longer by a gamma distribution's, mean", "{} s", 0.0),
-        Field("delay_gamma_shape", "its shape", number, 1.0),
-        Field("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
-        Field("loss", "lost samples", percent, 0.0),
-        Field("mean_burst_length", "lost in a row, mean", "{} samples", 0.0),
-        Field("sampling_phase", "first sample at", "{} s", 0.0),
-        Field("outage_start", "no sample arrives that is taken from", "{} s", 0.0),
-        Field("outage_duration", "for", "{} s", 0.0),
-        Field("quantization_step", "samples rounded to steps of", lambda v: _each(v, outputs), ()),
-        Field("dither", "dither", lambda v: "subtractive, over one step", 0.0),
-        Field("timestamp_offset", "stamps ahead by", "{} s", 0.0),
-        Field("clock_skew", "clock of stamps fast by", "{} ppm", 0.0),
-        Field("timestamp_jitter", "stamps wrong by", "± {} s", 0.0),
-        Field("outlier_probability", "outliers among samples", percent, 0.0),
-        Field("outlier_scale", "noise of an outlier", "{} times a sample's", 10.0),
-        Field("student_t_dof", "noise of samples", "Student's t, {} degrees of freedom", math.inf),
-        Field("continuous", "measured", lambda v: "continuously, without noise", False),
-        Field("actuator_delay", "commands late by", "{} s", None),
-        Field("assumed_delay_error", "observers believe samples older by", "{} s", 0.0),
-        Field("assumed_noise_scale", "observers believe noise larger by", "{} times", 1.0),
-        Field("initial_box", "observers' start, drawn within", vector, ()),
-        Field("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s"),
-        Field("steady_start", "tail (steady_ metrics) from", "{} s"),
-        Field("settle_band", "settled within", vector),
-        Field("divergence_threshold", "diverged beyond", lambda v: vector(v) if isinstance(v, tuple) else number(v)),
+    def percent(values: ArrayLike) -> str:
+        return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
+
+    def by_text(text: str) -> Callable[[Any], str]:
+        return lambda values: ", ".join(dict.fromkeys(text.format(number(v)) for v in np.atleast_1d(values)))
+
+    forms = {
+        "states": states,
+        "times": times,
+        "turns": turns,
+        "percent": percent,
+        "outputs": lambda values: _each(values, outputs) if any(values) else "none",
+    }
+    first = [
+        Row("plant", "plant", lambda name: _plant(s, name), always=True),
+        Row("input", "input", _source, always=True),
+        Row("controller", "loop", lambda name: f"closed by {name}"),
+        Row("control", "controller's options", lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items())),
+        Row("unknown_input", "unknown input", _source),
+        Row("x0", "start x(0)", states, always=True),
+        Row("xhat0", "observers' start", states, always=True),
+        Row("prior_std", "std of the start", states, always=True),
     ]
+    varied = [Row(f.name, f.title, forms.get(f.form) or by_text(f.form)) for f in FIELDS]
+    last = [
+        Row("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
+        Row("continuous", "measured", lambda v: "continuously, without noise"),
+        Row("initial_box", "observers' start, drawn within", states),
+        Row("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s", always=True),
+        Row("steady_start", "tail (steady_ metrics) from", by_text("{} s"), always=True),
+        Row("settle_band", "settled within", states, always=True),
+        Row(
+            "divergence_threshold",
+            "diverged beyond",
+            lambda v: states(v) if isinstance(v, tuple) else number(v),
+            always=True,
+        ),
+    ]
+    return [*first, *varied, *last]
 
 
-def _fact(field: Field, every: list[Cell], axes: dict[str, Any]) -> Fact | None:
+def _fact(row: Row, every: list[Cell], varied: Mapping[str, object]) -> Fact | None:
     """What is to be said of a field over all cells; nothing where it is as usual in all of them."""
-    values = list({str(v): v for c in every for v in (c.scenario.value(field.name),)}.values())
-    zeros = isinstance(values[0], tuple) and field.usual == () and not any(np.ravel(values[0]))
-    if len(values) == 1 and (values[0] == field.usual or zeros):
+    values = list({str(v): v for c in every for v in (c.scenario.value(row.name),)}.values())
+    record = RECORD_OF.get(row.name)
+    usual = None if row.always or not record else getattr(every[0].scenario, record)._field_defaults.get(row.name)
+    zeros = isinstance(values[0], tuple) and usual == () and not any(np.ravel(values[0]))
+    if not row.always and len(values) == 1 and (values[0] == usual or zeros):
         return None
-    usual = "none" if field.usual in (0.0, (), "") else "as the samples"
-    words = [usual if v == field.usual else field.words(v) for v in values]
-    return Fact(field.what, " | ".join(words), field.name in axes and len(values) > 1)
+    nothing = "none" if usual in (0.0, (), "") else "as the samples"
+    words = [nothing if v == usual and not row.always else row.say(v) for v in values]
+    return Fact(row.title, " | ".join(words), row.name in varied and len(values) > 1)
 
 
 def _observer(cell: Cell, label: str) -> str:
@@ -198,20 +179,20 @@ def _plant(s: Scenario, name: str) -> str:
     return f"of the study, linear, {many} states" if name == LTI else name if summary == ABSENT else summary
 
 
-def _source(given: Any) -> str:
+def _source(given: Sources) -> str:
     """An input in words."""
     parts = given.split(",") if isinstance(given, str) else given
     return ", ".join(map(_one_source, parts)) or "none"
 
 
-def _one_source(part: Any) -> str:
+def _one_source(part: Source) -> str:
     if isinstance(part, Wave):
         unit, pace = f" {part.unit}" if part.unit else "", f", {number(part.frequency)} Hz" if part.frequency else ""
         return f"{part.shape} of {number(part.amplitude)}{unit}{pace}"
     return f"a table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
 
 
-def _each(values: Any, units: list[str]) -> str:
+def _each(values: Sequence[float | str], units: list[str]) -> str:
     """One number where all channels are alike, or all of them."""
     pairs = zip(values, units, strict=False)
     words = [f"{number(v)} {unit}".strip() if not isinstance(v, str) else "one interval" for v, unit in pairs]

@@ -5,7 +5,7 @@ As files for a paper they are SVG and PDF whose text is text, and PNG.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -22,6 +22,7 @@ from pcbench.report import captions
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import scenarios_of
+from pcbench.toml_text import TomlTable
 
 
 class Shown(NamedTuple):
@@ -88,7 +89,7 @@ def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
 def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
     result, scenario, cell, run, costs, shown = place
-    here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
+    here: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
     name = f"{scenario.replace('/', '-')}-{signal}"
     every = frames.rows(result, scenario, signal, shown.metric)
     part, axes = every[every.cell == cell], frames.varying(every)

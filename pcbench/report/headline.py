@@ -1,6 +1,6 @@
 """The report's first table of a scenario: who is better, by how much, and how surely."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,12 +17,20 @@ COSTS = {"sample": "products a sample", "tick": "products a tick", "memory": "by
 BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # what stands beside the metric that ranks
 
 
+class HeadlineRow(NamedTuple):
+    """What is said of one observer."""
+
+    cells: list[str]  # in the order of the heads
+    colour: str
+    best: bool  # no other is surely better
+
+
 class Headline(NamedTuple):
     """A table of words, a row for each observer."""
 
     title: str
     heads: list[str]
-    rows: list[dict[str, Any]]  # cells in the order of heads, colour, best: no other is surely better, note
+    rows: list[HeadlineRow]
     note: str
 
 
@@ -60,7 +68,7 @@ def _cell(
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     ranked = ranked.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
-    rows: list[dict[str, Any]] = []
+    rows = []
     for i, observer in enumerate(ranked.index):
         row = wide.loc[observer]
         against = number_format.difference(pairs, observer, ranked.index[0]) if i else ""
@@ -76,14 +84,14 @@ def _cell(
         else:
             counts = costs.set_index("observer").loc[observer]
             cells += [f"{counts[name]:,}" for name in COSTS]
-        rows.append({"cells": cells, "colour": look[observer].colour, "best": observer in leaders})
+        rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.said(a, first[a]) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{first.unit}]", f"less the best [{first.unit}]"]
     heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged", *COSTS.values()]
-    kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
-    rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
+    kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-") for row in rows)]
+    rows = [row._replace(cells=[row.cells[i] for i in kept]) for row in rows]
     note = (
         f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
     )
@@ -96,7 +104,7 @@ def _cell(
 
 def _counted(result: Result, stood: Stood, metric: str) -> Headline:
     _, _, part, found = stood
-    rows: list[dict[str, Any]] = []
+    ranked = []
     tallies = {t.observer: t for t in tally([stood])}
     for observer, own in ((str(o), own) for o, own in part.groupby("observer", sort=False)):
         t, share = tallies[observer], 100 * own.diverged.sum() / max((own.n + own.diverged).sum(), 1)
@@ -104,8 +112,8 @@ def _counted(result: Result, stood: Stood, metric: str) -> Headline:
         cells = [number_format.marked(observer, own.certified), str(t.won), str(t.led)]
         cells.append("-" if np.isnan(median) else layout.number(float(f"{median:.4g}")))
         cells.append(f"{share:.3g} %" if share else "none")
-        rows.append({"cells": cells, "colour": t.colour, "best": False, "rank": (-t.won, median)})
-    rows.sort(key=lambda row: row["rank"])
+        ranked.append(((-t.won, median), HeadlineRow(cells, t.colour, best=False)))
+    rows = [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
     heads = ["observer", "cells won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((found.winner == "").sum())
     note = (

@@ -9,13 +9,12 @@ input; a run has diverged beyond 1000.
 Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5 and Table 2.
 """
 
-from typing import Any
-
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.toml_text import TomlTable
 
 PAPER = "Peng 2017, section 5, Table 2"
-PRINTED: dict[str, dict[str, Any]] = {"smo": {"gains": "paper"}, "pio": {"gains": "paper"}}
-VARIANTS: dict[str, dict[str, Any]] = {
+PRINTED: dict[str, TomlTable] = {"smo": {"gains": "paper"}, "pio": {"gains": "paper"}}
+VARIANTS: dict[str, TomlTable] = {
     "design": {"gains": "design"},
     "hold": {"measurement": "hold"},
     "reconstruct": {"reconstruct": True},

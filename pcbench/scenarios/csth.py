@@ -8,16 +8,16 @@ there is no noise, designers assume that of `10s-noise`.
 """
 
 from math import sqrt
-from typing import Any
 
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.toml_text import TomlTable
 
 PAPER = "Alipouri, Zhong 2021, section 5"
 DELAYS = (2, 5, 7)  # samples
 NOISE = (1.0, 0.1, 0.1)  # mm, degC, degC
 ROUGHNESS = (1e-3, 50.0, 5e-3)  # process noise: standard deviation over one second
 
-LABELS: dict[str, dict[str, Any]] = {
+LABELS: dict[str, TomlTable] = {
     "chain-slow": {"pole_per_tick": 0.8},
     "chain-riccati": {"gain": "riccati", "output": "deadbeat"},
 }

@@ -10,13 +10,13 @@ Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5.
 """
 
 from math import pi, sqrt
-from typing import Any
 
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.toml_text import TomlTable
 
 PAPER = "Hernandez-Gonzalez et al. 2024, section 5"
 VISCOSITY = (0.8, 0.318)  # N m s/rad
-LABELS: dict[str, dict[str, Any]] = {
+LABELS: dict[str, TomlTable] = {
     "high-gain-robust": {"robust": True},
     "ekf": {"walk": 1e-5 / 0.64},  # of the viscosities: 1e-5 (N m s/rad)^2 a second
 }

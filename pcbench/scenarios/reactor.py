@@ -10,11 +10,10 @@ Source: Haseltine, Rawlings 2005, also TWMCC report 2002-03; the answer after Sc
 another.
 """
 
-from typing import Any
-
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.toml_text import TomlTable
 
-LABELS: dict[str, dict[str, Any]] = {
+LABELS: dict[str, TomlTable] = {
     "mhe-bounded": {"lower": 0.0},
     "ekf-inflated-q": {"Q": [0.01, 0.01]},
 }

@@ -1,7 +1,8 @@
 """What a scenario is: what is true, what drives the plant, how it is measured, what is believed, how runs are judged.
 
 All in seconds and SI units; n states, s unknowns beside them, q outputs, states in the plant's order. The fields of the five
-records have names of their own: an axis, a table's column or a user's option says `delay`, and `having` knows where it is.
+records have names of their own: an axis, a table's column or a user's option says `delay`, and `having` knows where it is. What
+an axis means, and its unit, stands in `pcbench.fields`.
 """
 
 from collections.abc import Mapping
@@ -10,8 +11,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcbench.scenarios.sources import Sources
+from pcbench.toml_text import TomlTable
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+ProcessNoise = tuple[float, ...] | tuple[tuple[float, ...], ...]
 PerChannel = float | tuple[float, ...]
 LOST = "lost"  # among delays in turn: this sample never arrives
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
@@ -21,11 +24,9 @@ class Truth(NamedTuple):
     """What is true of the plant and told to no observer."""
 
     x0: tuple[float, ...]  # [n]
-    parameter_drift: float = 0.0  # scale of the plant's parameter drift
-    parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
-    process_std: tuple[
-        Any, ...
-    ] = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
+    parameter_drift: float = 0.0
+    parameters: Mapping[str, object] = NOTHING  # of the plant, where they differ from its own
+    process_std: ProcessNoise = ()  # [n], or a root [n, n] of the covariance of a tick's noise
     unknown_input: Sources = ""  # what pushes, as `Loop.input` says it; empty: the plant has none
 
 
@@ -34,11 +35,11 @@ class Loop(NamedTuple):
 
     input: Sources = ""  # of an open loop: name in `signals`, or one for each with commas; or as data
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
-    control: Mapping[str, Any] = NOTHING  # the controller's options
-    actuator_delay: float | None = None  # s, from command to plant; None: that of samples in a loop, else 0
-    command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
-    command_loss: float = 0.0  # probability that a command never comes: the last one is held
-    command_std: float = 0.0  # of the noise of one command
+    control: Mapping[str, object] = NOTHING  # the controller's options
+    actuator_delay: float | None = None  # None: that of samples in a loop, else 0
+    command_jitter: float = 0.0
+    command_loss: float = 0.0
+    command_std: float = 0.0
 
 
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
@@ -49,46 +50,38 @@ def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
 class Sampling(NamedTuple):
     """How the plant is measured: when samples are taken, when they arrive, how noisy they are.
 
-    A `PerChannel` is one number for all, or [q] where the channels differ.
+    A `PerChannel` is one number for all, or [q] where the channels differ; m delay_values.
     """
 
-    sampling_period: tuple[float, ...]  # [q] s
+    sampling_period: tuple[float, ...]  # [q]
     delay: tuple[float | str, ...]  # [q] s, or INTERVAL
-    noise_std: tuple[float, ...]  # [q] of one sample
+    noise_std: tuple[float, ...]  # [q]
     noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
-    sampling_pattern: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
-    sampling_jitter: PerChannel = 0.0  # s, a sample is taken up to this much early or late
-    delay_jitter: PerChannel = 0.0  # s, a sample arrives up to this much later
-    loss: PerChannel = 0.0  # probability that a sample never arrives
-    prefilled: bool = (
-        False  # measuring began before t = 0: the first sample arrives at 0, the period is between arrivals
-    )
+    sampling_pattern: str | tuple[float, ...] = "periodic"  # a name in `PROFILES`, or s in turn
+    sampling_jitter: PerChannel = 0.0
+    delay_jitter: PerChannel = 0.0
+    loss: PerChannel = 0.0
+    prefilled: bool = False  # measuring began before t = 0: the first sample arrives at 0; periods are of arrivals
     delay_sine: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
-    outlier_probability: PerChannel = 0.0  # that a sample's noise is outlier_scale times what it would be
+    outlier_probability: PerChannel = 0.0
     outlier_scale: PerChannel = 10.0
-    student_t_dof: float = inf  # degrees of freedom of the noise, Student's t of the same variance; inf: it is Gaussian
+    student_t_dof: float = inf
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
-    delay_values: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
-    delay_self_transition: tuple[
-        float, ...
-    ] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
-    delay_weights: tuple[float, ...] = ()  # [m] of samples, each by itself, that are later by each step; empty: a chain
-    delay_gamma_mean: PerChannel = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
-    delay_gamma_shape: PerChannel = 1.0  # of that distribution; 1: it is exponential
-    quantization_step: tuple[float, ...] = ()  # [q] a sample is rounded to whole steps of it; empty, 0: it is not
-    dither: float = 0.0  # 1: noise over one step is added before rounding, and taken off after
-    mean_burst_length: PerChannel = (
-        0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
-    )
-    sampling_phase: PerChannel = 0.0  # s, time of the first sample
-    outage_start: PerChannel = 0.0  # s, of a sample taken from then on for outage_duration, which never arrives
-    outage_duration: PerChannel = 0.0  # s
-    timestamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
-    clock_skew: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
-    timestamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way
-    delay_sequence: tuple[
-        float | str, ...
-    ] = ()  # s, samples arrive later by these in turn, the same in all runs; or LOST
+    delay_values: tuple[float, ...] = ()  # [m]
+    delay_self_transition: tuple[float, ...] = ()  # [m] or [1]; empty: 1 / m
+    delay_weights: tuple[float, ...] = ()  # [m]; empty: a chain
+    delay_gamma_mean: PerChannel = 0.0
+    delay_gamma_shape: PerChannel = 1.0  # 1: the distribution is exponential
+    quantization_step: tuple[float, ...] = ()  # [q]; empty, 0: samples are not rounded
+    dither: float = 0.0
+    mean_burst_length: PerChannel = 0.0
+    sampling_phase: PerChannel = 0.0
+    outage_start: PerChannel = 0.0
+    outage_duration: PerChannel = 0.0
+    timestamp_offset: float = 0.0
+    clock_skew: float = 0.0
+    timestamp_jitter: float = 0.0
+    delay_sequence: tuple[float | str, ...] = ()  # s, or LOST
 
 
 class Belief(NamedTuple):
@@ -102,8 +95,8 @@ class Belief(NamedTuple):
     unknown_std: tuple[float, ...] = ()  # [s] their typical size
     assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
     assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
-    assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
-    assumed_noise_scale: float = 1.0  # the noise of a sample is believed to be so many times larger than it is
+    assumed_delay_error: float = 0.0
+    assumed_noise_scale: float = 1.0
     initial_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 
 
@@ -127,15 +120,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
-OUTLIERS = ("outlier_probability", "outlier_scale")
 STAMPS = ("timestamp_offset", "clock_skew", "timestamp_jitter")
-FAULTS = (  # of samples, which nobody is told of
-    *(*OUTLIERS, "student_t_dof", "assumed_noise_scale", "quantization_step", "dither", "mean_burst_length"),
-    *STAMPS,
-)
-CHAIN = ("delay_values", "delay_self_transition")
-TURNS = ("delay_sequence",)
-SPREAD = ("delay_weights", "delay_gamma_mean", "delay_gamma_shape")  # delays that are drawn one by one
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 
@@ -155,14 +140,12 @@ class Scenario(NamedTuple):
     scoring: Scoring
     dt: float = 1e-3  # s, the tick
     duration: float = 10.0  # s
-    options: Mapping[str, dict[str, Any]] = NOTHING  # by observer
-    own: Mapping[str, Any] = (
-        NOTHING  # what is a user's own (entry, code): "plant", "controller"; else those of the names
-    )
+    options: Mapping[str, TomlTable] = NOTHING  # by observer
+    own: Mapping[str, Any] = NOTHING  # a user's own "plant", "controller" (entry, code); else as named
 
-    def having(self, **changes: Any) -> "Scenario":
+    def having(self, **changes: object) -> "Scenario":
         """Return the scenario with fields changed, each in the record that has it; raise TypeError for one that none has."""
-        new: dict[str, Any] = {}
+        new: TomlTable = {}
         for name, value in changes.items():
             record = RECORD_OF.get(name)
             if record:
@@ -177,7 +160,7 @@ class Scenario(NamedTuple):
         """Return the field of a name, from the record that has it."""
         return getattr(getattr(self, RECORD_OF[name]) if name in RECORD_OF else self, name)
 
-    def flat(self) -> dict[str, Any]:
+    def flat(self) -> TomlTable:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says.
 
         Of a user's own code it is the digest.

@@ -94,8 +94,8 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
         end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
         return jax.tree.map(lambda a: a[:rows], end[2])
 
-    axes: PyTree = Thinned(x=-1, estimates=-1, held=-1, target=None, sigma=-1, nees=-1, errors=-1)
-    return jax.vmap(one, out_axes=axes)(seeds)
+    shared: PyTree = dict.fromkeys(Thinned._fields, -1) | {"target": None}  # the set point is that of all runs
+    return jax.vmap(one, out_axes=Thinned(**shared))(seeds)
 
 
 def _started(

@@ -4,14 +4,13 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
 
 from pcbench import fields
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import LOST, TURNS
+from pcbench.scenarios.scenario import LOST
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -22,29 +21,16 @@ STATES = fields.names(per="state")  # one value, or one for each state
 OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
 TIMES = fields.names(ticks=True)
 SIGNED = fields.names(signed=True)
-SHARES = fields.names(share=True)
 LISTS = fields.names(listed=True)  # a value may be a list
 AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
 ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
-Limit = tuple[Callable[[float], bool], str]  # what a number must be, and the same in words
-PROBABILITY: Limit = (lambda n: n <= 1, "a probability from 0 to 1; divide a percentage by 100.")
-LIMITS: dict[str, Limit] = dict.fromkeys(SHARES, PROBABILITY) | {
-    "dither": (lambda n: n in (0, 1), "1 (with subtractive dither) or 0 (without)."),
-    "delay_gamma_shape": (lambda n: n > 0, "a shape greater than 0; write 1 for an exponential."),
-    "assumed_noise_scale": (
-        lambda n: n > 0,
-        "a number greater than 0: how many times larger noise is believed to be than it is; write 1 where that is right.",
-    ),
-    "student_t_dof": (
-        lambda n: n > 2,
-        "more than 2 degrees of freedom, so that Student's t has a variance; write 2.5 or more, or inf for Gaussian noise.",
-    ),
-}
+Plain = str | float | None | list[float | str | None]  # the same as the tables hold it
+LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 
-def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
+def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
     known = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
     if name not in known:
@@ -67,7 +53,7 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
     return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
 
 
-def point(name: str, value: Any, base: Scenario, where: str) -> Value:
+def point(name: str, value: object, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name in LISTS or name == "delay_self_transition":
         return _list(name, value, base, where)
@@ -77,7 +63,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     if name in OUTPUTS and value in ([], ()):
         return ()
     many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
-    each = list(value) if isinstance(value, list) or (name in SENSORS and several) else [value] * many
+    each = list(value) if isinstance(value, list) or (name in SENSORS and isinstance(value, tuple)) else [value] * many
     if len(each) != many:
         raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
     if name in SENSORS:
@@ -98,7 +84,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     return numbers
 
 
-def _single(name: str, value: Any, base: Scenario, where: str) -> float:
+def _single(name: str, value: object, base: Scenario, where: str) -> float:
     """A number of an axis that is one."""
     if name == "student_t_dof" and value == math.inf:
         return math.inf
@@ -110,12 +96,12 @@ def _single(name: str, value: Any, base: Scenario, where: str) -> float:
         raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
     if parameter in plant.signs and abs(n) != 1:
         raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-    if name in LIMITS and not LIMITS[name][0](n):
-        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name][1]}")
+    if name in LIMITS and not LIMITS[name].holds(n):
+        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name].expected}")
     return n
 
 
-def number(value: Any, where: str, least: float | None) -> float:
+def number(value: object, where: str, least: float | None) -> float:
     """Return a finite number of sensible size, not below `least`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == math.inf:
         raise UserError(f"{where}: got {shown(value)}, expected a finite number; write a number in SI units.")
@@ -132,7 +118,7 @@ def number(value: Any, where: str, least: float | None) -> float:
     return float(value)
 
 
-def _list(name: str, value: Any, base: Scenario, where: str) -> str | tuple[float | str, ...]:
+def _list(name: str, value: object, base: Scenario, where: str) -> str | tuple[float | str, ...]:
     """A list of numbers, or what may stand for it; of the sampling's intervals, a name."""
     if name == "sampling_pattern" and isinstance(value, str):
         if value not in PROFILES:
@@ -146,16 +132,14 @@ def _list(name: str, value: Any, base: Scenario, where: str) -> str | tuple[floa
         raise UserError(f"{where}: got {shown(value)}, expected {expected[name]}")
     least = None if name == "sampling_pattern" else 0.0
     each = value if isinstance(value, list | tuple) else [value]
-    out = tuple(v if v == LOST and name in TURNS else number(v, where, least) for v in each)
+    out = tuple(v if v == LOST and name == "delay_sequence" else number(v, where, least) for v in each)
     for v in out:
         if isinstance(v, str):
             continue
         if name == "sampling_pattern" and v <= 0:
             raise UserError(f"{where}: got an interval of {v:g} s, expected at least one tick, {base.dt:g} s.")
-        if name == "delay_self_transition" and v >= 1:
-            raise UserError(
-                f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
-            )
+        if name in LIMITS and not LIMITS[name].holds(v):
+            raise UserError(f"{where}: got {v:g}, expected {LIMITS[name].expected}")
         if name not in ("delay_self_transition", "delay_weights"):
             _require_whole_ticks("sampling_period" if name == "sampling_pattern" else "delay", v, base, where)
     return out
@@ -176,7 +160,7 @@ def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) ->
         raise UserError(f"{where}: got {value:g} s, expected at most the duration of {base.name}, {base.duration:g} s.")
 
 
-def plain(name: str, value: Value, apart: bool = False) -> Any:
+def plain(name: str, value: Value, apart: bool = False) -> Plain:
     """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
     if not isinstance(value, tuple):
         return value

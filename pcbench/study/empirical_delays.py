@@ -10,7 +10,6 @@ Not claimed: of what is drawn, that delays depend on no more than the one before
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from pcbench.errors import UserError, shown
 from pcbench.recordings import readers
 from pcbench.recordings.survey import survey
 from pcbench.scenarios import SCENARIOS
-from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
+from pcbench.scenarios.scenario import LOST
 from pcbench.study.lti import Lti
 from pcbench.toml_text import TomlTable
 
@@ -27,7 +26,10 @@ FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
-TAKEN = (*CHAIN, *SPREAD, *TURNS, "delay_jitter", "loss")  # what a log says, which a table may not say too
+TAKEN = (  # what a log says, which a table may not say too
+    *("delay_values", "delay_self_transition", "delay_weights", "delay_gamma_mean", "delay_gamma_shape"),
+    *("delay_sequence", "delay_jitter", "loss"),
+)
 INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
 Ticks = NDArray[np.float64]
 
@@ -111,7 +113,7 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     }
 
 
-def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> TomlTable:
+def drawn(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
     """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pcbench import fields
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
@@ -13,16 +14,13 @@ from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Belief, Sampling, Scenario
 from pcbench.scenarios.scenario import LOST, STAMPS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
-from pcbench.study.axes import plain
+from pcbench.study.axes import AXES, plain
 from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, whole
 
 # what makes delays differ from sample to sample, besides a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
 STAMPED = ("clock_skew", "timestamp_jitter")  # and what makes them seem to
-OF_A_SAMPLER = (  # axes without effect where measurement is continuous
-    *("sampling_pattern", "sampling_jitter", "delay_jitter", *LATENESS, "loss", "quantization_step", *STAMPS),
-    *("assumed_delay_error", "outlier_probability", "student_t_dof", "assumed_noise_scale"),
-)
+DRAWN = fields.names(random=True)  # what makes the times of a run its own
 REACH = 10  # times the horizon: no sample that is later ever arrives
 
 
@@ -41,10 +39,10 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
     """Say which of a sampler's axes a scenario has that measures continuously."""
     if not s.sampling.continuous:
         return
-    q, usual = len(s.sampling.delay), {**Sampling._field_defaults, **Belief._field_defaults}
-    nothing: dict[str, object] = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
-    nothing |= {name: usual[name] for name in OF_A_SAMPLER}
-    for name, value in nothing.items():
+    q = len(s.sampling.delay)
+    usual = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
+    usual |= Sampling._field_defaults | Belief._field_defaults
+    for name, value in ((name, usual[name]) for name in AXES if name in usual):
         if s.value(name) != value and (name != "quantization_step" or any(s.value(name))):
             yield (
                 f"got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without noise, "
@@ -65,8 +63,7 @@ def _of_loop(s: Scenario) -> Iterator[str]:
         if any(clock.random for clock in clocks(s)):
             yield (
                 f"got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-                "offered with times of each run's own; leave sampling_jitter, delay_jitter, delay_values, delay_gamma_mean, "
-                "timestamp_jitter, loss and the sampling_pattern 'uniform' out."
+                f"offered with times of each run's own; leave {', '.join(DRAWN)} and the sampling_pattern 'uniform' out."
             )
         if INTERVAL in measured.delay:
             yield f"got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
@@ -158,8 +155,6 @@ def _of_sensors(s: Scenario) -> Iterator[str]:
                 f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each: a "
                 "histogram has as many bars as places."
             )
-        if weights and not all(each > 0 for each in weights):
-            yield "got a delay_weights of 0, expected shares greater than 0; leave that step out."
         if weights and measured.delay_self_transition:
             yield (
                 "got delay_weights and delay_self_transition, expected one of them: delays are drawn one by one or are a "
@@ -229,8 +224,7 @@ def _of_delays(s: Scenario) -> Iterator[str]:
         )
     if turns and set(turns) == {LOST}:
         yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them."
-    drawn = ("sampling_jitter", "delay_jitter", "delay_values", "delay_gamma_mean", "loss", "timestamp_jitter")
-    beside = [name for name in drawn if s.value(name)]
+    beside = [name for name in DRAWN if s.value(name)]
     beside += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
     if turns and beside:
         yield (

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 from pydantic import BaseModel
 
@@ -24,6 +24,9 @@ from pcbench.study.times import Timing, require_few_cells, times_of, whole
 from pcbench.toml_text import TomlTable
 
 MANY = 300_000  # runs of a scenario from which products save more than they take to compile
+
+
+V = TypeVar("V")
 
 
 class Cell(NamedTuple):
@@ -50,7 +53,7 @@ class Cell(NamedTuple):
         """Return the entry of an observer, one of the study's own or pcbench's."""
         return self.own[label].entry if label in self.own else entry_of(label)
 
-    def having(self, **changes: Any) -> "Cell":
+    def having(self, **changes: object) -> "Cell":
         """Return the cell with fields of its scenario changed, and its times with them; it belongs to no study then."""
         scenario = self.scenario.having(**changes)
         return self._replace(scenario=scenario, times=times_of(scenario), digest="")
@@ -121,7 +124,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     return out
 
 
-Tuned = dict[tuple[Any, ...], dict[str, TomlTable]]  # by values of axes, the options of each label
+Tuned = dict[tuple[object, ...], dict[str, TomlTable]]  # by values of axes, the options of each label
 
 
 def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str], Tuned]:
@@ -157,7 +160,7 @@ def _tuned_options(
     )
 
 
-def points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
+def points(vary: str, axes: list[list[V]]) -> Iterator[tuple[V, ...]]:
     """Yield the values of the axes in every cell."""
     if vary == "all":
         yield from itertools.product(*axes)

@@ -8,7 +8,7 @@ has `to_ss` (scipy's transfer functions) becomes one.
 """
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,12 @@ from pcbench.study.parse import parse
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
 
+if TYPE_CHECKING:
+    import control
+    from scipy import signal
 
-def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
+
+def lti(system: object, *, name: str = "lti", **experiment: object) -> Study:
     """Make a study of a linear plant, for `run`, `simulate` or `design`.
 
     A continuous system is simulated exactly under an input held over `tick` (default 0.001 s), a discrete one at its own
@@ -52,7 +56,7 @@ def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
     return parse({"name": name, "lti": matrices | named | given}, "pcbench.lti")
 
 
-def to_scipy(study: Study) -> Any:
+def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":
     """Convert a study's own linear plant for SciPy.
 
     Args:
@@ -70,7 +74,7 @@ def to_scipy(study: Study) -> Any:
     return signal.StateSpace(*matrices, **({} if dt is None else {"dt": dt}))
 
 
-def to_control(study: Study) -> Any:
+def to_control(study: Study) -> "control.StateSpace":
     """Convert a study's own linear plant for python-control.
 
     Args:
@@ -91,7 +95,7 @@ def to_control(study: Study) -> Any:
     return control.StateSpace(*matrices, 0 if dt is None else dt, **({"states": labels} if labels else {}))
 
 
-def _state_space(system: Any) -> TomlTable:
+def _state_space(system: object) -> TomlTable:
     """The [lti] table's matrices of a system."""
     try:
         form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
@@ -105,7 +109,7 @@ def _state_space(system: Any) -> TomlTable:
             f"pcbench.lti: got {type(system).__name__}, expected a state-space system of scipy.signal or python-control; "
             "convert it with control.ss(system)."
         )
-    dt = form.dt
+    dt: float | None = getattr(form, "dt", None)
     if dt is True or (dt is None and hasattr(form, "state_labels")):
         raise UserError(
             f"pcbench.lti: got a system with dt = {dt}, whose time base is not said, expected seconds; give it dt in seconds"

@@ -13,7 +13,6 @@ What a study names: its scenarios, its observers, and the labels under which the
 
 import re
 from collections.abc import Callable
-from typing import Any
 
 from pcbench.errors import UserError, short, shown
 from pcbench.observers import LONGEST, OBSERVERS, ObserverSpec, base_of
@@ -67,9 +66,9 @@ def label_of(name: str) -> str:
     return name.rpartition(":")[2] if user_code.is_reference(name) else name
 
 
-def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
+def _labels(names: list[object], use: dict[str, str], where: str) -> list[object]:
     """The labels of a list of names; what they stand for is put into `use`."""
-    out: list[Any] = []
+    out: list[object] = []
     for name in names:
         if not isinstance(name, str):
             out.append(name)  # the model says what is wrong
@@ -90,7 +89,7 @@ def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
     return out
 
 
-def _options(given: TomlTable, options: Any, use: dict[str, str], where: str) -> TomlTable:
+def _options(given: TomlTable, options: object, use: dict[str, str], where: str) -> TomlTable:
     """The options of a study whose observers are tables; what they `use` is put into that."""
     out = dict(options) if isinstance(options, dict) else {}
     for label, table in given.items():

@@ -6,38 +6,43 @@ A continuous plant x' = A x + B u + G w has white noise w of intensity QN, whose
 a discrete one adds G w with w ~ N(0, QN) at every tick.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.dynamics.linear import noise_over_tick
 from pcbench.errors import UserError, shown
 from pcbench.plants.lti import MATRICES, Numbers
 from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.scenarios.scenario import ProcessNoise
 from pcbench.scenarios.signals import SIGNALS, SINGLE
-from pcbench.scenarios.sources import Sources, units
+from pcbench.scenarios.sources import units
 from pcbench.signal_names import names_and_units
 from pcbench.study import axes, times
 from pcbench.study.lti_inputs import sources
-from pcbench.study.lti_plant import LtiTable, differing, dimensions, known, require_slow, vector
-from pcbench.study.parse_scenario import with_defaults
-from pcbench.study.scenario_schema import takes_axes
+from pcbench.study.lti_plant import LtiTable, differing, dimensions, known, require_slow
+from pcbench.study.parse_scenario import experiment_on
+from pcbench.study.scenario_schema import Experiment, takes_axes
 
 ROUNDING = 1e-12  # part of the largest entry by which a covariance may fall short of one
 
 
-def process_noise(lti: LtiTable, A: Any, tick: float, where: str) -> tuple[Any, ...]:
+def process_noise(
+    lti: LtiTable, std: float | list[float] | None, A: ArrayLike, tick: float, where: str
+) -> ProcessNoise:
     """Return the noise of a tick of a plant A [n, n] as `Truth.process_std` has it: [n], its root [n, n], or nothing.
+
+    `std` is the table's process_std: of all states, or of each.
 
     The root is the covariance's symmetric square root. Raises UserError where G and QN do not fit, or QN is no covariance.
     """
-    n = len(A)
-    if lti.process_std is not None:
+    n = np.shape(A)[0]
+    if std is not None:
         if other := next((name for name in ("G", "QN") if getattr(lti, name) is not None), None):
             raise UserError(f"{where}: got process_std and {other}, expected one of the two ways; leave one out.")
-        std = vector(lti.process_std, 0.0, n, f"{where}.process_std")
-        return tuple(std) if any(std) else ()
+        each = std if isinstance(std, list) else [float(std)] * n
+        if len(each) != n:
+            raise UserError(f"{where}.process_std: got {len(each)} numbers, expected {n}, one for each state.")
+        return tuple(each) if any(each) else ()
     if lti.QN is None:
         if lti.G is not None:
             raise UserError(f"{where}.QN is missing beside G; write QN = ..., the intensity of the noise.")
@@ -55,12 +60,12 @@ def process_noise(lti: LtiTable, A: Any, tick: float, where: str) -> tuple[Any, 
     return tuple(tuple(row) for row in ((V * np.sqrt(np.maximum(size, 0.0))) @ V.T).tolist())
 
 
-def covariance(given: Any, many: int, where: str) -> NDArray[np.float64]:
+def covariance(given: float | list[float] | list[list[float]], many: int, where: str) -> NDArray[np.float64]:
     """Return a number, one for each of `many`, or rows as a matrix; raise UserError where it is no covariance of so many."""
     if not isinstance(given, list):
         return float(given) * np.eye(many)
     flat = not any(isinstance(row, list) for row in given)
-    if len(given) != many or not (flat or all(len(row) == many for row in given)):
+    if len(given) != many or not (flat or all(isinstance(row, list) and len(row) == many for row in given)):
         raise UserError(
             f"{where}: got {shown(given)}, expected a number, {many} numbers, or {many} x {many}: one noise for each column "
             "of G."
@@ -75,9 +80,16 @@ def covariance(given: Any, many: int, where: str) -> NDArray[np.float64]:
 
 
 # `plant` says what drifts, a [controller] what is wrong with commands
-@takes_axes(required=("sampling_period", "delay", "noise_std"), without=("parameter_drift", *axes.COMMANDS))
-class Lti(LtiTable):
-    """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
+@takes_axes(
+    required=("sampling_period", "delay", "noise_std"),
+    without=("parameter_drift", *axes.COMMANDS),
+    defaults={"input": "sine", "divergence_threshold": 1e6, "duration": 10.0, "observers": ["kf", "model-only"]},
+)
+class Lti(Experiment, LtiTable):
+    """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs.
+
+    x(0) is ones and f a sine if nothing else is said.
+    """
 
     def numbers(self, where: str) -> Numbers:
         """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""
@@ -85,7 +97,7 @@ class Lti(LtiTable):
 
     def scenario(self, name: str, where: str) -> Scenario:
         """Return the experiment as a scenario; raise UserError naming the key that does not fit."""
-        n, m, q = dimensions(self, where)
+        n, m, _ = dimensions(self, where)
         numbers = self.numbers(where)
         plant = differing(self, numbers, where)
         if self.dt is not None and self.tick not in (None, self.dt):
@@ -98,21 +110,16 @@ class Lti(LtiTable):
             raise UserError(
                 f"{where}.unknown_input: got {shown(self.unknown_input)} without E, expected E [n, r] beside it."
             )
-        x0, xhat0 = vector(self.x0, 1.0, n, f"{where}.x0"), vector(self.xhat0, 0.0, n, f"{where}.xhat0")
-        prior = vector(self.prior_std, [], n, f"{where}.prior_std") if self.prior_std is not None else ()
-        size = vector(self.unknown_std, 1.0, r, f"{where}.unknown_std", "unknown input")
-        if any(one < axes.SMALLEST for one in size):
-            raise UserError(
-                f"{where}.unknown_std: got {shown(size)}, expected sizes greater than 0; write how large the input is."
-            )
-        tail = 0.3 * self.duration if self.steady_start is None else self.steady_start
-        tick = self.dt or self.tick or 1e-3
-        ticks = times.ticks_of(self.duration, tick, where)
-        driving = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
-        pushing: Sources = ""
-        if r:
-            pushing = "sine" if self.unknown_input is None else self.unknown_input
-            pushing = sources(pushing, r, SINGLE, (ticks, tick), "unknown inputs", f"{where}.unknown_input")
+        given = {key: value for key, value in self.given().items() if key not in LtiTable.model_fields}
+        tick, asked = self.dt or self.tick or 1e-3, given.pop("duration", Scenario._field_defaults["duration"])
+        ticks = times.ticks_of(asked, tick, where)
+        given |= {
+            "x0": given.get("x0", 1.0),
+            "steady_start": round(given.get("steady_start", 0.3 * asked) / tick) * tick,
+        }
+        given["input"] = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
+        pushing, place = given.pop("unknown_input", "sine"), f"{where}.unknown_input"
+        pushing = sources(pushing, r, SINGLE, (ticks, tick), "unknown inputs", place) if r else ""
         unknowns = tuple(
             ("input" if r == 1 else f"input{i + 1}", unit or "1") for i, unit in enumerate(units(pushing, r))
         )
@@ -129,40 +136,26 @@ class Lti(LtiTable):
         require_slow(numbers.A, self.dt is not None, ticks, tick, where)
         model = {letter: getattr(numbers, letter) for letter in MATRICES} | {"discrete": numbers.discrete}
         model |= {"own": dict(numbers.own), "written": dict(numbers.written)} if numbers.own else {}
-        assumed, band = self.assumed_process_std, self.settle_band
+        noise = process_noise(self, given.pop("process_std", None), numbers.A, tick, where)
         base = Scenario(
             name=name,
             summary="a plant of one's own",
             source="the study",
             plant="lti",
-            observers=tuple(self.observers),
+            observers=tuple(self.observers or ()),
             truth=Truth(
-                x0=tuple(x0),
+                x0=(),
                 parameter_drift=1.0 if plant else 0.0,
                 parameters={"plant": plant} if plant else NOTHING,
-                process_std=process_noise(self, numbers.A, tick, where),
+                process_std=noise,
                 unknown_input=pushing,
             ),
-            loop=Loop(input=driving),
-            sampling=Sampling(
-                sampling_period=(tick,) * q,
-                delay=(0.0,) * q,
-                noise_std=(0.0,) * q,
-                noise_correlation=tuple(map(tuple, self.noise_correlation or ())),
-            ),
-            belief=Belief(
-                xhat0=tuple(xhat0),
-                prior_std=tuple(prior),
-                model=model,
-                unknown_std=tuple(size),
-                assumed_process_std=()
-                if assumed is None
-                else tuple(vector(assumed, [], n, f"{where}.assumed_process_std")),
-            ),
+            loop=Loop(),
+            sampling=Sampling((), (), ()),
+            belief=Belief((), (), model=model),
             scoring=Scoring(
-                settle_band=() if band is None else tuple(vector(band, [], n + r, f"{where}.settle_band", "signal")),
-                divergence_threshold=self.divergence_threshold,
-                steady_start=round(tail / tick) * tick,
+                settle_band=(),
+                divergence_threshold=1e6,
                 signals=states,
                 unknowns=unknowns,
                 headline=(states[0][0], *(name for name, _ in unknowns)) if r else (),
@@ -170,10 +163,4 @@ class Lti(LtiTable):
             dt=tick,
             duration=ticks * tick,
         )
-        if not 0 <= base.scoring.steady_start < base.duration:
-            raise UserError(
-                f"{where}.steady_start: got {tail:g} s, expected less than the duration of {self.duration:g} s."
-            )
-        base = with_defaults(base, n, r)
-        given = {f: v for f in axes.AXES if f not in axes.STATES and (v := getattr(self, f, None)) is not None}
-        return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
+        return experiment_on(base, given, where)

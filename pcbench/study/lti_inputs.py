@@ -10,7 +10,6 @@ input = "voltage.csv"                                                          c
 import csv
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pcbench.errors import UserError, short, shown, unknown
 from pcbench.scenarios.sources import SHAPES, Sources, Table, Wave
@@ -67,7 +66,7 @@ def _read(path: Path) -> list[list[float]]:
     return out
 
 
-def sources(given: Any, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
+def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
     """Return what drives `many` inputs (of a `kind`), as a scenario holds it; raise UserError for what does not fit.
 
     `ticks` are how many there are and their length [s]; `valid` the names that may stand.
@@ -118,7 +117,7 @@ def _wave(given: TomlTable, where: str) -> Wave:
     return Wave(shape, **numbers, unit=measured_in and unit(measured_in, f"{where}.unit"))
 
 
-def _table(given: list[Any], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
+def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
     """A table from a value for each tick, or from rows [t, u1, ...]."""
     count, dt = ticks
     if len(given) > ROWS:
@@ -133,14 +132,14 @@ def _table(given: list[Any], many: int, ticks: tuple[int, float], kind: str, whe
                 "a value longer."
             )
         return Table(tuple(i * dt for i in range(len(each))), tuple((v,) for v in each))
-    widths = {2, many + 1}
+    rows = [row for row in given if isinstance(row, list)]
     for i, row in enumerate(given):
-        if not isinstance(row, list) or len(row) not in widths or len(row) != len(given[0]):
+        if not isinstance(row, list) or len(row) not in (2, many + 1) or len(row) != len(rows[0]):
             raise UserError(
                 f"{where}[{i}]: got {shown(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} numbers, the "
                 f"same in each: one for all, or one for each of {many} {kind}."
             )
-    numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(given)]
+    numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(rows)]
     for i in range(1, len(numbers)):
         if numbers[i][0] <= numbers[i - 1][0]:
             raise UserError(

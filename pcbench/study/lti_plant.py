@@ -4,17 +4,19 @@ Whether matrices, named numbers and formulas of them fit together.
 """
 
 import re
-from typing import Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from pcbench.dynamics import expression
 from pcbench.errors import UserError, short, shown, unknown
 from pcbench.plants import numbers_of, varied
 from pcbench.plants.lti import MATRICES, Numbers, actual
 from pcbench.scenarios import Scenario
-from pcbench.study.scenario_schema import LEAST, Number, Positive, Size
+from pcbench.study.scenario_schema import LEAST, Number, NumberRows, Positive, Size, rows_only
 from pcbench.study.times import whole
 from pcbench.toml_text import TomlTable
 
@@ -30,16 +32,7 @@ def _formula(text: str) -> str:
     return text
 
 
-def _rows(given: Any, info: ValidationInfo) -> Any:
-    """Refuse a flat list of numbers, saying how it is written as a matrix: a column for each input, a row for each output."""
-    if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
-        rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
-        raise ValueError(f"a list of rows; write {rows}")
-    return given
-
-
-NumberRows = Annotated[list[list[Number]], BeforeValidator(_rows)]
-Rows = Annotated[list[list[Number | Annotated[str, AfterValidator(_formula)]]], BeforeValidator(_rows)]
+Rows = Annotated[list[list[Number | Annotated[str, AfterValidator(_formula)]]], BeforeValidator(rows_only)]
 Intensity = Size | list[Size] | list[list[Number]]
 
 
@@ -77,37 +70,10 @@ class LtiTable(BaseModel):
     dt: Positive | None = Field(None, description="tick of a discrete plant [s]; left out: a continuous plant")
     tick: Positive | None = Field(None, description="tick of the simulation [s]; default 0.001, or dt")
     states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
-    process_std: Size | list[Size] | None = Field(
-        None, description="of the noise added at every tick, one for all states or one for each; default: none"
-    )
     G: NumberRows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
     QN: Intensity | None = Field(
         None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
     )
-    noise_correlation: NumberRows | None = Field(
-        None, description="[q, q] between the channels' noise; default: they are independent"
-    )
-    assumed_process_std: Size | list[Size] | None = Field(
-        None, description="what designers assume in place of the process noise that there is"
-    )
-    input: Any = Field(
-        "sine",
-        description="a signal's name for all inputs, or one for each, with commas; or a wave, values, rows, a CSV file",
-    )
-    unknown_input: Any | None = Field(None, description="likewise, of what pushes by E; default: sine")
-    unknown_std: Number | list[Number] | None = Field(None, description="[r] its typical size; default: ones")
-    x0: Number | list[Number] | None = Field(None, description="[n] default: ones")
-    xhat0: Number | list[Number] | None = Field(None, description="[n] default: zeros")
-    prior_std: Size | list[Size] | None = Field(
-        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, and 1 of a state in which they are equal"
-    )
-    settle_band: Size | list[Size] | None = Field(
-        None, description="[n] default: 5 % of prior_std (of its default if it is 0) and unknown_std; [n + r] with E"
-    )
-    divergence_threshold: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")
-    duration: Positive = Field(10.0, description="[s]")
-    steady_start: Size | None = Field(None, description="where the tail starts [s]; default: 30 % of the horizon")
-    observers: list[str] = Field(["kf", "model-only"], min_length=1)
 
 
 def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
@@ -134,7 +100,7 @@ def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
     return n, m, q
 
 
-def require_slow(A: Any, discrete: bool, ticks: int, tick: float, where: str) -> None:
+def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: str) -> None:
     """Raise UserError where the plant grows so much over its horizon that its map cannot be computed."""
     modes = np.linalg.eigvals(np.array(A, float))
     rate = float(np.log10(max(np.abs(modes).max(), LEAST)) if discrete else modes.real.max() * tick / np.log(10))
@@ -143,17 +109,6 @@ def require_slow(A: Any, discrete: bool, ticks: int, tick: float, where: str) ->
             f"{where}.A: got a plant that grows by 1e{rate * ticks:.0f} over the duration of {ticks * tick:g} s, expected "
             f"at most 1e{GROWTH}; shorten the horizon to {GROWTH / rate * tick:.2g} s."
         )
-
-
-def vector(given: float | list[float] | None, default: Any, n: int, where: str, what: str = "state") -> list[float]:
-    """Return a number for each of n things: the default where nothing is given, one number for all of them."""
-    if isinstance(given, int | float):
-        return [float(given)] * n
-    if given is None:
-        return list(np.broadcast_to(np.asarray(default, float), n))
-    if len(given) != n:
-        raise UserError(f"{where}: got {len(given)} numbers, expected {n}, one for each {what}.")
-    return given
 
 
 def known(lti: LtiTable, where: str) -> Numbers:
@@ -237,10 +192,10 @@ def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
         require_slow(model.A, model.discrete, whole(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
 
 
-def _formulas(rows: Any) -> list[tuple[int, int, str]]:
+def _formulas(rows: Sequence[Sequence[float | str]] | None) -> list[tuple[int, int, str]]:
     """The entries of a matrix that are formulas, with their places."""
     return [(i, j, v) for i, row in enumerate(rows or []) for j, v in enumerate(row) if isinstance(v, str)]
 
 
-def _named_values(own: Any) -> str:
+def _named_values(own: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in own.items())

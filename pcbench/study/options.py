@@ -1,7 +1,5 @@
 """The options of observers, and the choices of scenarios: given, checked, complete."""
 
-from typing import Any
-
 from pydantic import BaseModel
 
 from pcbench.errors import UserError, shown, unknown
@@ -96,7 +94,7 @@ def underscored(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
     return out
 
 
-def _require_sensible_size(value: Any, where: str) -> None:
+def _require_sensible_size(value: object, where: str) -> None:
     """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
     inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
     for each in inside:

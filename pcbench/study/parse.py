@@ -9,6 +9,7 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
+from pcbench.signal_names import require_different
 from pcbench.study import (
     KEYS,
     LTI,
@@ -78,7 +79,7 @@ def described(raw: TomlTable, where: str, gate: Gate) -> Study:
     for name in study.scenarios:
         if name not in known:
             raise unknown(f"{where}: scenarios", "scenario", name, known)
-    _require_different(study.scenarios, f"{where}: scenarios")
+    require_different(study.scenarios, f"{where}: scenarios", "remove one")
     lists = {"observers": study.observers, "lti.observers": study.lti.observers if study.lti else None}
     for place, names in (lists | {f"{place}.observers": each.observers for place, each in mine.items()}).items():
         if names is not None:
@@ -183,7 +184,7 @@ def _require_observers(study: Study, names: list[str], where: str) -> None:
             )
         if name not in known:
             raise unknown(where, "observer", name, known)
-    _require_different(names, where)
+    require_different(names, where, "remove one")
 
 
 def require_signals(study: Study, names: list[str] | None, where: str) -> None:
@@ -193,9 +194,3 @@ def require_signals(study: Study, names: list[str] | None, where: str) -> None:
     for name in names or []:
         if name not in there:
             raise unknown(where, f"signal of {study.name}", name, set(there))
-
-
-def _require_different(names: list[str], where: str) -> None:
-    if len(set(names)) < len(names):
-        twice = next(name for i, name in enumerate(names) if name in names[:i])
-        raise UserError(f"{where}: got '{twice}' twice, expected each once; remove one.")

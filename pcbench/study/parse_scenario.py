@@ -9,7 +9,7 @@ from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import PLANTS, PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, signals_of, states_of
-from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.scenarios import INTERVAL, NOTHING, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.signal_names import names_and_units, require_different
 from pcbench.study import axes, controller_table, times
@@ -52,6 +52,21 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     s = s.having(**{key: given[key] for key in ("dt", "duration") if key in given})
     times.ticks_of(s.duration, s.dt, where)
     s = _of_plant(s, given, where, own)
+    s = experiment_on(s, given, where, own, is_new=table.base is None)
+    if s.sampling.continuous and (entry_of(s).plant.field is None or entry_of(s).nominal(numbers_of(s)).discrete):
+        raise UserError(
+            f"{where}.continuous: got true for {s.plant}, expected a plant that is a vector field; leave it out."
+        )
+    return s
+
+
+def experiment_on(
+    s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own] = NOTHING, is_new: bool = True
+) -> Scenario:
+    """Return a scenario that has a plant with what a table says of its experiment; a new one with defaults for the rest.
+
+    Raises UserError naming the key that does not fit.
+    """
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(estimated_of(s)) - len(states_of(s)), "q": len(model.C)}
     many["signal"] = len(signals_of(s))
@@ -59,7 +74,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
         if key in given and not isinstance(given[key], list):
             given[key] = [float(given[key])] * many[size]
     s = s.having(**{key: tuple(given[key]) for key in (*SIZES, "delay_sine", "headline") if key in given})
-    if table.base is None:
+    if is_new:
         s = with_defaults(s, many["n"], many["s"], len(entry.errors)).having(
             steady_start=round(0.3 * s.duration / s.dt) * s.dt
         )
@@ -75,10 +90,6 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
         s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
     s = _driven(s, given, model.B.shape[1], where, own)
     _require_fit(s, many, where)
-    if s.sampling.continuous and (entry.plant.field is None or model.discrete):
-        raise UserError(
-            f"{where}.continuous: got true for {s.plant}, expected a plant that is a vector field; leave it out."
-        )
     return s
 
 
@@ -227,7 +238,7 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     law = controller_of(s)
     options = filled(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
-        raise unknown(f"{where}.control.path", "path", control["path"], PATHS)
+        raise unknown(f"{where}.control.path", "path", str(control["path"]), PATHS)
     if law.check:
         law.check(options, controller_table.sizes(s, f"{where}.control"))
 
@@ -238,7 +249,8 @@ def _require_fit(s: Scenario, many: dict[str, int], where: str) -> None:
         got, want = len(s.value(key)), many[size]
         if got != want and not (optional and not got):
             raise UserError(
-                f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]} of {s.plant}."
+                f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]}"
+                + (f" of {s.plant}." if s.plant != "lti" else ".")
             )
     bound, tail = s.scoring.divergence_threshold, s.scoring.steady_start
     if isinstance(bound, tuple) and len(bound) != many["signal"]:

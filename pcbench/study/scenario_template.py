@@ -3,13 +3,13 @@
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from pcbench.errors import UserError
 from pcbench.scenarios import INTERVAL, NOTHING, Scenario
 from pcbench.scenarios.scenario import RECORD_OF, RECORDS
 from pcbench.scenarios.sources import Source, Wave
 from pcbench.study.scenario_schema import ScenarioTable
+from pcbench.toml_text import TomlTable
 
 TITLES = {
     "truth": "what is true of the plant and told to no observer",
@@ -21,7 +21,7 @@ TITLES = {
 FIRST = ("summary", "source", "plant", "observers", "dt", "duration")
 
 
-def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[str, Any] = NOTHING) -> str:
+def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping[str, TomlTable] = NOTHING) -> str:
     """Return a study of one scenario with its `axes` and `options`, as TOML that gives the numbers of `s`.
 
     Raises UserError for a linear plant of a study's own, whose table [lti] says what it is.
@@ -56,14 +56,14 @@ def _line(s: Scenario, key: str) -> str:
     return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
 
 
-def _source(source: Source) -> Any:
+def _source(source: Source) -> object:
     """A wave as a table, a table as rows."""
     if isinstance(source, Wave):
         return {"signal": source.shape} | {k: v for k, v in source._asdict().items() if k != "shape" and v != ""}
     return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]
 
 
-def said(value: Any) -> str:
+def said(value: object) -> str:
     """Return a value as TOML on one line: numbers to their last digit."""
     if isinstance(value, bool):
         return "true" if value else "false"

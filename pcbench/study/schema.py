@@ -1,6 +1,6 @@
 """What a study file may say: scenarios x observers x axes x seeds, choices, and what to tune for."""
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
@@ -10,7 +10,7 @@ from pcbench.study.plugins.user_code import Own
 from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
-Values = list[Any]
+Values = list[object]
 TUNINGS = ("published", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
 
 
@@ -66,7 +66,7 @@ class Tune(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _has_an_exact_value(cls, given: Any) -> Any:
+    def _has_an_exact_value(cls, given: object) -> object:
         if isinstance(given, dict) and given.get("exact_objective") is True:
             return {"objective": "pooled_rmse"} | given
         return given
@@ -142,7 +142,7 @@ class Study(BaseModel):
 
     @field_validator("tuning", mode="before")
     @classmethod
-    def _known(cls, given: Any) -> Any:
+    def _known(cls, given: object) -> object:
         asked = [given] if isinstance(given, str) else given
         if not isinstance(asked, list) or not asked or any(each not in TUNINGS for each in asked):
             raise ValueError(f"{', '.join(map(repr, TUNINGS))}, or a list of them")

@@ -9,7 +9,7 @@ and SCENARIOS scenarios.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,14 @@ from pcbench import fields
 from pcbench.errors import UserError
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
-from pcbench.scenarios.scenario import LOST, OUTLIERS, PerChannel, per_channel
+from pcbench.scenarios.scenario import LOST, PerChannel, per_channel
 from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
-OF_A_SENSOR = ("sampling_period", "delay", *(name for name in fields.names(per="sensor") if name not in OUTLIERS))
+OF_A_SENSOR = (  # what samples of one sensor have in common; outliers do not change when they come
+    *("sampling_period", "delay"),
+    *(name for name in fields.names(per="sensor") if not name.startswith("outlier_")),
+)
 
 
 class Timing(NamedTuple):
@@ -57,9 +60,9 @@ def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels whose samples are taken, delayed and lost alike are one."""
     many, groups = len(s.sampling.delay), dict[Sampling, list[int]]()
     for j in range(many):
-        alone: dict[str, Any] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
+        alone: dict[str, object] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
         alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
-        groups.setdefault(s.sampling._replace(**alone), []).append(j)
+        groups.setdefault(s.having(**alone).sampling, []).append(j)
     return [_clock(measured, tuple(channels), s) for measured, channels in groups.items()]
 
 

@@ -70,7 +70,7 @@ def test_every_table_for_a_person_marks_what_nothing_proves(out):
     found = compare(out, out)
     rows = found.rows[found.rows.observer != "model-only"].assign(changed=True)  # few enough to be all shown
     changed = shown(folder.comparison, found._replace(rows=rows), "there", "here")
-    for text in (closing, "\n".join(row["cells"][0] + " " for row in table.rows), state, changed):
+    for text in (closing, "\n".join(row.cells[0] + " " for row in table.rows), state, changed):
         assert "nudge * " in text
         assert "kfbo *" not in text
         assert "model-only *" not in text

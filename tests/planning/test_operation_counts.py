@@ -160,4 +160,4 @@ def test_tables_have_what_observers_cost_where_that_is_asked():
     assert {"0", "6", "16"} <= set(row)
     (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse", 0, costs)
     assert table.heads[-3:] == ["products a sample", "products a tick", "bytes"]
-    assert table.rows[0]["cells"][-3:] == ["0", "6", "16"]
+    assert table.rows[0].cells[-3:] == ["0", "6", "16"]

@@ -118,14 +118,14 @@ def test_every_output_marks_the_same_observers_in_every_cell(means, monkeypatch)
     marks = sum(map(len, wanted))
     assert (text.markdown([table]).count("**"), latex.latex([table]).count("bfseries")) == (2 * marks, marks)
     shown = headline.headlines(result, "cart/white", "position", "steady_rmse")
-    assert [{row["cells"][0] for row in h.rows if row["best"]} for h in shown] == wanted
+    assert [{row.cells[0] for row in h.rows if row.best} for h in shown] == wanted
     bold = [n for n in re.findall(r"\x1b\[1m([\w-]+)\x1b\[0m", terminal(result).replace(" ", "")) if n in means]
     assert [set(each) for each in _split(bold, wanted)] == wanted
     led = {name: sum(name in each for each in wanted) for name in means}
     monkeypatch.setattr(results, "LONGEST", 1)
     monkeypatch.setattr(headline, "MOST", 1)
     counted = headline.headlines(result, "cart/white", "position", "steady_rmse")[0]
-    assert {row["cells"][0]: int(row["cells"][2]) for row in counted.rows} == led
+    assert {row.cells[0]: int(row.cells[2]) for row in counted.rows} == led
     lines = [line.split() for line in re.sub(r"\x1b\[\d*m", "", terminal(result)).splitlines()]
     assert {line[0]: int(line[2]) for line in lines if line[:1] and line[0] in means} == led
     tally = summary.tally(summary.stood(result, "steady_rmse", None))
@@ -157,10 +157,7 @@ def test_of_one_run_each_nothing_is_marked():
     result = study_of(2, runs=1, **CASES["draw"])
     assert not [e for table in layout.tables(result, "steady_rmse") for e in table.entries if e.best]
     assert not [
-        row
-        for h in headline.headlines(result, "cart/white", "position", "steady_rmse")
-        for row in h.rows
-        if row["best"]
+        row for h in headline.headlines(result, "cart/white", "position", "steady_rmse") for row in h.rows if row.best
     ]
     (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
     assert (row.won, row.sure) == ("one run: nothing is sure", False)

@@ -123,6 +123,7 @@ REFUSED = [
     ({"mean_burst_length": -1.0, "loss": 0.2}, "expected a number of at least 0"),
     ({"delay_weights": [0.5, 0.5]}, "got 2 values of delay_weights for 0 delay_values"),
     ({"delay_values": [0.0, 0.1], "delay_weights": [1.0, 0.0]}, "expected shares greater than 0"),
+    ({"delay_values": [0.0, 0.1], "delay_weights": [0.0, 0.0]}, "expected shares greater than 0"),
     (
         {"delay_values": [0.0, 0.1], "delay_weights": [0.5, 0.5], "delay_self_transition": 0.5},
         "got delay_weights and delay_self_transition",

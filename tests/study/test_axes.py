@@ -121,6 +121,8 @@ def test_what_measures_at_every_stage_has_no_schedule_and_no_noise():
         {"noise_std": (0.0, 1e-3)},
         {"loss": 0.1},
         {"sampling_period": (1e-4, 2e-4)},
+        {"sampling_phase": 0.1},
+        {"outage_duration": 1.0},
     ):
         with pytest.raises(UserError, match="measures continuously and without noise"):
             fits.fits(sine.having(**changes), "test")

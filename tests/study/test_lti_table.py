@@ -43,6 +43,12 @@ def test_the_prior_is_how_far_apart_the_starts_are_and_the_band_a_twentieth_of_i
     assert (pushed.truth.unknown_input, pushed.scoring.headline) == ("sine", ("x1", "input"))
 
 
+def test_a_run_diverges_beyond_one_threshold_or_one_for_each_signal():
+    assert scenario(divergence_threshold=[10.0, 20.0]).scoring.divergence_threshold == (10.0, 20.0)
+    with pytest.raises(UserError, match=r"lti.divergence_threshold: got 1 numbers, expected one, or 2"):
+        scenario(divergence_threshold=[10.0])
+
+
 def test_the_tail_and_the_horizon_are_whole_ticks():
     s = scenario(duration=2.0, tick=0.01, sampling_period=0.1)
     assert (s.duration, s.scoring.steady_start) == pytest.approx((2.0, 0.6))

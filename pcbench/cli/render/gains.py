@@ -1,6 +1,6 @@
 """Gains with what proves them, what a faster decay costs, what a tuning found, and what the checks of a user's own say."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,11 @@ from pcbench.checking.targets import Finding
 from pcbench.cli.render.tables import Column, Screen, mean
 from pcbench.statistics.number_format import UNPROVEN, marked
 from pcbench.synthesis.certificate import Design, is_certified
+from pcbench.toml_text import TomlTable
+
+if TYPE_CHECKING:
+    from pcbench.gains.tune import Tuning
+    from pcbench.playback.tuning import LogTuning
 
 VARIANCES = ("R", "Q")  # whose root is a standard deviation
 
@@ -50,7 +55,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
         screen.print(f"{option} = {row[option]}, a fallback: {row['fallback']}")
 
 
-def tuned(found: Any, observer: str, folder: str | None, screen: Screen) -> None:
+def tuned(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
     """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
     aim, judged, of_runs = found.objective, found.judged, not found.exact
     columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
@@ -74,11 +79,11 @@ def tuned(found: Any, observer: str, folder: str | None, screen: Screen) -> None
         screen.say(f"Now run it: pcbench run {folder}/tuned.toml")
 
 
-def _option(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else "[" + ", ".join(map(_option, value)) + "]"
+def _option(value: object) -> str:
+    return "[" + ", ".join(map(_option, value)) + "]" if isinstance(value, list | tuple) else f"{value:.6g}"
 
 
-def tuned_on_log(found: Any, observer: str, log: str, folder: str | None, screen: Screen) -> None:
+def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None, screen: Screen) -> None:
     """Print the intensities, and the start against what was found on the held-out part."""
     rows, held = found.intensities, found.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
@@ -95,7 +100,7 @@ def tuned_on_log(found: Any, observer: str, log: str, folder: str | None, screen
         Column("held out", list(found.held_out), left=True),
         Column("log-likelihood\nof a number", [f"{each['log_likelihood']:.4g}" for each in held]),
         Column("NIS", [f"{each['nis']:.3f}" for each in held]),
-        Column("verdict", [each["verdict"] for each in held], left=True),
+        Column("verdict", [str(each["verdict"]) for each in held], left=True),
         Column("p white", [f"{each['p_white']:.3g}" for each in held]),
     ]
     samples = found.held_out["tuned"]["samples"]
@@ -110,7 +115,7 @@ def tuned_on_log(found: Any, observer: str, log: str, folder: str | None, screen
 
 def fair(table: pd.DataFrame, screen: Screen) -> None:
     """Print what gains as printed, by design and tuned are worth, on training runs and on others, and against the bound."""
-    rows: list[dict[str, Any]] = table.to_dict("records")  # type: ignore[assignment]
+    rows: list[TomlTable] = table.to_dict("records")  # type: ignore[assignment]
     of_runs = bool(table.training_se.any())  # or expected values, which have no error
     title = "{scenario}: {metric} of {signal} [{unit}], ".format(**rows[0])
     title += "on training runs and on others" if of_runs else "as expected, and on runs"

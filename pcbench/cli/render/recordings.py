@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -11,9 +11,13 @@ from pcbench.cli.render.tables import plain as number
 from pcbench.statistics import Z95
 from pcbench.statistics.number_format import estimate
 
+if TYPE_CHECKING:
+    from pcbench.playback.replay import Replayed
+
 MILLI = 1e3
 NOTHING = 1e-9  # what is less is rounding
-Rows = Sequence[Mapping[Hashable, Any]]  # of a frame, by column
+Row = Mapping[Hashable, Any]  # of a frame, by column
+Rows = Sequence[Row]
 
 
 def channels(table: pd.DataFrame, screen: Screen) -> None:
@@ -40,7 +44,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
 
 
-def odd(row: Mapping[Hashable, Any]) -> list[str]:
+def odd(row: Row) -> list[str]:
     """Return what is odd about a channel, in words."""
 
     def many(what: str, word: str) -> str:
@@ -67,7 +71,7 @@ def odd(row: Mapping[Hashable, Any]) -> list[str]:
     return out
 
 
-def replayed(found: Any, folder: str, screen: Screen) -> None:
+def replayed(found: "Replayed", folder: str, screen: Screen) -> None:
     """Print what is known of observers on a log."""
     about = found.summary
     if len(found.innovations):
@@ -113,7 +117,7 @@ def _by_signal(table: pd.DataFrame, value: str, title: str, screen: Screen) -> N
     wide = table.pivot(index="observer", columns="signal", values=value)
     columns = [Column("observer", list(wide.index), left=True)]
     for signal, unit in dict(zip(table.signal, table.unit, strict=True)).items():
-        columns.append(Column(f"{signal}\n[{unit}]", [_plain(v) for v in wide[signal]]))
+        columns.append(Column(f"{signal}\n[{unit}]", [_plain(float(v)) for v in wide[signal].to_numpy(float)]))
     screen.fit(title, columns)
 
 
@@ -121,7 +125,7 @@ def _count(name: str, rows: Rows) -> Column:
     return Column(name.replace("_", " "), [f"{row[name]:,}" for row in rows])
 
 
-def _plain(value: Any, scale: float = 1.0) -> str:
+def _plain(value: float | None, scale: float = 1.0) -> str:
     return "0" if value is not None and abs(value) <= NOTHING else number(None if value is None else value * scale)
 
 

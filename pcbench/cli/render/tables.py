@@ -132,7 +132,7 @@ def mean(value: float, se: float, sign: str = "") -> str:
 def readable(content: object) -> str:
     """Return arrays, complex numbers and tuples as readable JSON."""
 
-    def data(value: Any) -> Any:
+    def data(value: object) -> object:
         if hasattr(value, "tolist"):
             return data(value.tolist())
         if isinstance(value, complex):

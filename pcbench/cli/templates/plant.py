@@ -12,7 +12,7 @@ Both are pure functions written in jax.numpy for one run; pcbench carries them o
 This one is a pendulum that hangs, turned by a motor at its pivot and watched by a camera from the front.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -41,7 +41,7 @@ def output(numbers: Numbers, now: pcbench.Now, x: Array) -> Array:
     return jnp.stack([numbers.length * jnp.sin(x[0])])
 
 
-NAME: Any = pcbench.make_plant(
+NAME = pcbench.make_plant(
     field=field,  # or step=..., tick=0.01: where x one tick later is known, and no derivative
     output=output,
     states=["angle [rad]", "rate [rad/s]"],  # a name and a unit for each: they head the tables

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pcbench.controllers import CONTROLLERS
 from pcbench.plants import PLANTS
@@ -59,7 +59,7 @@ def renamed(study: TomlTable, change: Callable[[Named], str]) -> TomlTable:
     return out
 
 
-def _changed(table: Any, keys: tuple[str, ...], change: Callable[[Named], str]) -> Any:
+def _changed(table: object, keys: tuple[str, ...], change: Callable[[Named], str]) -> object:
     """A table with the names in it changed; what is no table, or no name, as it is."""
     if not isinstance(table, dict):
         return table

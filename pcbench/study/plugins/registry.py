@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pcbench import controllers, observers, plants
 from pcbench.errors import UserError, unknown
@@ -23,12 +23,15 @@ ELSEWHERE = "bc1bc4dc4132"  # for a digest of what is never run here: no file of
 DICT = "a dict with the keys of a table [scenario]"
 
 
+Entry = observers.ObserverSpec | plants.PlantSpec | controllers.ControllerSpec | TomlTable
+
+
 class Kind(NamedTuple):
     """A kind of thing that may be a user's own."""
 
     types: tuple[type, ...]  # of what a module may hold
     expected: str  # in words
-    entry: Callable[[Any, ModuleType, str], Any]  # what is found, of what module, where -> its entry
+    entry: Callable[..., Entry]  # what is found, of what module, where -> its entry
 
 
 class InModule(NamedTuple):
@@ -112,13 +115,13 @@ def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) 
             f"{where}: got a {kind} called '{code.name}', which is pcbench's own name; give it another name."
         )
     made = KINDS[kind].entry(found, module, where)
-    if kind in ("observer", "controller"):
+    if isinstance(made, observers.ObserverSpec | controllers.ControllerSpec):
         require_model(made.options, module, where)
     elsewhere = not code.files and getattr(made, "elsewhere", False)
     return Own(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
 
 
-def called(found: Any) -> str:
+def called(found: object) -> str:
     """Return what something is, in a word or two."""
     if isinstance(found, plants.PlantSpec):
         return "a plant"

@@ -18,7 +18,7 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from pcbench.errors import UserError, raised, short
 
@@ -48,10 +48,10 @@ class Own(NamedTuple):
     code: Code
 
 
-def absent(reference: str) -> Callable[..., Any]:
+def absent(reference: str) -> Callable[..., NoReturn]:
     """Return what stands for each function of a user's own where its code is not asked for: a result is read so."""
 
-    def nothing(*given: Any) -> Any:
+    def nothing(*given: object) -> NoReturn:
         raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
 
     return nothing
@@ -238,7 +238,7 @@ def _imported(name: str) -> ModuleType:
         sys.meta_path.remove(finder)
 
 
-def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[Any, list[str]]:
+def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[object, list[str]]:
     """Return the attribute of a module, None where there is none, and the names of those of a kind, or else all public ones."""
     there = [n for n, v in vars(module).items() if isinstance(v, kind) and not n.startswith("__")]
     public = [n for n in vars(module) if not n.startswith("_")]

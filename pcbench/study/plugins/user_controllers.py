@@ -7,17 +7,22 @@ its set point of tick 0: so a loop that does not settle is named, unless the law
 """
 
 import logging
+from collections.abc import Callable
 from functools import partial
 from types import ModuleType
-from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from pydantic import ConfigDict, create_model
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jaxtyping import PyTree
+from pydantic import BaseModel, ConfigDict, create_model
 
 from pcbench.controllers import ControllerSpec
 from pcbench.controllers.parts.common import ControllerContext, Sizes
 from pcbench.errors import UserError, raised
-from pcbench.protocols import Controller, Now
+from pcbench.protocols import Controller, Now, Params
 from pcbench.runtime import config
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.user_code import Code, Own
@@ -27,7 +32,7 @@ from pcbench.synthesis.lqr import Law
 _LOG = logging.getLogger(__name__)
 
 
-def entry(found: Any, module: ModuleType, where: str) -> ControllerSpec:
+def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) -> ControllerSpec:
     """Return the entry of what a module holds: itself, or a controller with the module's functions."""
     if isinstance(found, ControllerSpec):
         law, linear = found.controller, found.linear
@@ -50,21 +55,21 @@ def entry(found: Any, module: ModuleType, where: str) -> ControllerSpec:
     )
 
 
-def anything(options: Any, sizes: Sizes) -> None:
+def anything(options: BaseModel, sizes: Sizes) -> None:
     """Take all options as fitting."""
 
 
-def linearised(law: Controller, prepare: Any, options: Any, told: ControllerContext) -> Law | None:
+def linearised(
+    law: Controller, prepare: Callable[..., Params], options: BaseModel, told: ControllerContext
+) -> Law | None:
     """Return a law about its set point of tick 0, by jax.
 
     None where it looks at what is on its way, or does not keep to the protocol: planning says how (`law_conformance`).
     """
-    import jax
-
-    asked: list[Any] = []  # for what is on its way
+    asked: list[Array] = []  # for what is on its way
     try:
         with config.float64():
-            params = jax.tree.map(jax.numpy.asarray, prepare(options, told))
+            params = jax.tree.map(jnp.asarray, prepare(options, told))
             law_at_rest = _slopes(law, params, told, asked)
     except Exception as error:  # whatever the user's functions raise
         _LOG.info("a controller is not linearised: %s", raised(error))
@@ -72,24 +77,20 @@ def linearised(law: Controller, prepare: Any, options: Any, told: ControllerCont
     return law_at_rest if not asked and law_at_rest.D.shape == told.model.B.T.shape else None
 
 
-def _slopes(law: Controller, params: Any, told: ControllerContext, asked: list[Any]) -> Law:
+def _slopes(law: Controller, params: Params, told: ControllerContext, asked: list[Array]) -> Law:
     """The slopes of a law by what it keeps and by the state; what it asks for of the future is noted."""
-    import jax
-    import jax.numpy as jnp
-    from jax.flatten_util import ravel_pytree
-
     n, m = told.model.B.shape
     aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
     rest = jnp.zeros(n).at[: len(aim)].set(aim)
     kept, back = ravel_pytree(law.start(params, rest) if law.start else ())
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(told.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
 
-    def coming(ahead: Any) -> Any:
+    def coming(ahead: Array) -> Array:
         asked.append(ahead)
         return jnp.zeros(m)
 
-    def tick(s: Any, x: Any) -> tuple[Any, Any]:
-        decide: Any = law.command
+    def tick(s: Array, x: Array) -> tuple[Array, Array]:
+        decide: Callable[..., PyTree] = law.command
         if law.start is None:
             return s, decide(params, now, x, coming)
         u, after = decide(params, now, x, coming, back(s))

@@ -6,7 +6,7 @@ The options of a user's own code: a pydantic model, filled; what it is or raises
 import ast
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
@@ -27,7 +27,7 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def entry(found: Any, module: Any, where: str) -> ObserverSpec:
+def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> ObserverSpec:
     """Return the entry of what a module holds: itself, or an observer with the module's `design` and `Options`."""
     if isinstance(found, ObserverSpec):
         return found
@@ -46,7 +46,7 @@ def entry(found: Any, module: Any, where: str) -> ObserverSpec:
 def absent(reference: str, code: Code, options: TomlTable) -> Own:
     """Return what stands for an observer where its code is not asked for, with the options it had: a result is read so."""
     nothing = user_code.absent(reference)
-    kept: TomlTable = {name: (Any, value) for name, value in options.items()}
+    kept: TomlTable = {name: (object, value) for name, value in options.items()}
     stand_in = ObserverSpec(
         observer=Observer(init=nothing, snapshot=nothing, jump=nothing, flow=nothing, estimate=nothing),
         options=create_model("Options", __config__=ConfigDict(extra="allow"), **kept),
@@ -67,7 +67,7 @@ def is_absent(mine: Own) -> bool:
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def require_model(options: Any, module: ModuleType, where: str) -> None:
+def require_model(options: object, module: ModuleType, where: str) -> None:
     """Raise UserError where the options of what a module holds are no pydantic model."""
     if isinstance(options, type) and issubclass(options, BaseModel):
         return

@@ -21,6 +21,7 @@ import numpy as np
 from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError, short, shown
 from pcbench.plants import PlantSpec
+from pcbench.plants.factory import tuples
 from pcbench.protocols import Plant
 from pcbench.scenarios import SCENARIOS
 from pcbench.signal_names import pair
@@ -56,17 +57,13 @@ def facts(entry: PlantSpec) -> TomlTable:
     }
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(each) for each in value) if isinstance(value, list) else value
-
-
 def absent(reference: str, code: Code, known: TomlTable) -> Own:
     """Return what stands for a plant of which only the facts are known."""
     nothing = user_code.absent(reference)
-    linear: Any = {name: np.array(value, float) for name, value in known["linear"].items()}
-    model = Model(**linear, discrete=known["discrete"])
+    linear = {name: np.array(value, float) for name, value in known["linear"].items()}
+    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
     rest = np.array(known["residual"]) if "residual" in known else None
-    numbers = namedtuple("Numbers", known["numbers"])(**{k: _tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
+    numbers = namedtuple("Numbers", known["numbers"])(**{k: tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
     there = PlantSpec(
         plant=Plant(
@@ -99,7 +96,7 @@ def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlT
     `gate` is what the study may reach.
     """
     given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
-    names: list[Any] = []
+    names: list[object] = []
     if not isinstance(given, dict | list):  # the model says what is wrong
         given = []
     if len(given) > times.SCENARIOS:
@@ -130,7 +127,7 @@ def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlT
     return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
 
 
-def _names_one(text: Any) -> bool:
+def _names_one(text: object) -> bool:
     """Whether a text names a scenario of a user's own."""
     if not isinstance(text, str) or text in SCENARIOS:
         return False
@@ -161,7 +158,7 @@ def _based(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> Tom
     return {k: plain(v) for k, v in below.items()} | {k: v for k, v in table.items() if k != "base"}
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return arrays, tuples and ranges as the lists that a study holds, and NumPy's numbers as Python's."""
     if hasattr(value, "tolist"):  # of NumPy, JAX, pandas
         return plain(value.tolist())
