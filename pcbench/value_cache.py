@@ -38,6 +38,8 @@ def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
         plain = tuple(np.ascontiguousarray(a, float) if isinstance(a, np.ndarray) else a for a in arguments)
         return once(_Call(key_of(plain), plain))
 
+    for name in ("cache_clear", "cache_info"):  # as functools.lru_cache has them
+        setattr(ask, name, getattr(once, name))
     return ask
 
 

@@ -92,7 +92,7 @@ def tables(
     signal: Signals = None,
     file: Annotated[str | None, out("file to write, .tex, .md or .csv [default: the terminal]")] = None,
 ) -> None:
-    """Print the tables of a study's results as a paper has them: means with intervals, the best marked with how surely.
+    """Print the tables of a study's results as a paper has them: means with intervals, the best marked with its significance.
 
     Example: pcbench tables results/quick --latex --signal all --out tables.tex
     """

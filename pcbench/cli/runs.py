@@ -187,7 +187,7 @@ def find_limit(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Find the largest period, delay, loss ... at which an error surely stays below a limit, for each observer.
+    """Find the largest period, delay, loss ... at which an error is significantly below a limit, for each observer.
 
     Example: pcbench find-limit cart/white --threshold 0.1 --axis sampling_period
     """

@@ -42,7 +42,7 @@ Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
 class Comparison(NamedTuple):
     """What differs between two results, b less a."""
 
-    rows: pd.DataFrame  # matched, the most surely changed first; columns of `judged`
+    rows: pd.DataFrame  # matched, the most significantly changed first; columns of `judged`
     only: tuple[int, int]  # rows that stand in a alone, and in b alone
     made_by: list[str]  # what differs in versions and machines, a phrase each
 

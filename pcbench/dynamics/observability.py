@@ -36,7 +36,7 @@ def rank(M: Matrix) -> int:
 
 def unobservable(A: Matrix, C: Matrix) -> list[complex]:
     """Return the modes of A [n, n] that C [q, n] does not see; cached, as grid points of a study have few plants."""
-    return list(_unobservable(A, C))
+    return list(_unobservable(np.asarray(A), np.asarray(C)))
 
 
 @cached_by_value

@@ -1,9 +1,9 @@
 """The search: which values of an axis, and how many seeds at which, decide what suffices. It knows runs only by their points.
 
-For each observer the largest value that suffices and the smallest above it that surely does not close in on each other: seeds
-are added next to the two where an interval holds the limit, up to a budget; then the gap is halved, until it is as small as
-asked for. Below the largest only the values are looked at that the search began with, or that another observer needed: a
-failure there is found by chance, and said.
+For each observer the largest value that suffices and the smallest above it that significantly exceeds the limit close in on
+each other: seeds are added next to the two where an interval holds the limit, up to a budget; then the gap is halved, until
+it is as small as asked for. Below the largest only the values are looked at that the search began with, or that another
+observer needed: a failure there is found by chance, and said.
 
 Where on an axis to look: a range, the values to begin with, and the ones between two. No jax.
 

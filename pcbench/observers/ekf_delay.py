@@ -11,10 +11,10 @@ one update in Joseph's form, channel by channel, at the predicted z; tau is kept
 Then x_b is carried to now. Before L ticks have passed b = 0.
 
 Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is
-always biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
+always biased and optimistic (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
 both: the first samples are used at slopes of the wrong time, and the error that they leave stays. `mmae-delay` is not.
 Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt. The process noise
-between b and a sample's time is not counted, so with much of it the filter is over-confident.
+between b and a sample's time is not counted, so with much of it the filter is optimistic.
 Time index: the estimate is of now, after the jump. Samples of any age and in any order: each lies ahead of b.
 Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
 """

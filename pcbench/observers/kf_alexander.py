@@ -11,7 +11,7 @@ Source: Alexander 1991, printed for one late sample at a time. Keeps xhat(t_m) a
 (1 + q) numbers; costs one update when a sample is taken and one product when it arrives. Found: it must be told at
 sampling time that a sample will come. Once nothing is on its way it is `kf` to rounding, with any number of late samples
 between; while one is, the others are used with gains that count on it, and it lies above. A sample that is lost was
-counted on for ever: it is over-confident then (`test_late_samples`). Where more than one is on its way at all times it
+counted on for ever: it is optimistic then (`test_late_samples`). Where more than one is on its way at all times it
 never is `kf`.
 Time index: the estimate is of now, after the jump.
 """

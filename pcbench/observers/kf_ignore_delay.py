@@ -8,7 +8,7 @@ stamps.
 Source: Kalman 1960, on data that are not what it was made for. Keeps one mean and one covariance; costs one update a
 sample.
 Found: at delay 0 it is `kf`. With samples of age d its error on a steady motion is what the output moves over d, from
-which no number of samples helps; and it is over-confident, for P knows nothing of it (`test_late_samples`).
+which no number of samples helps; and it is optimistic, for P knows nothing of it (`test_late_samples`).
 Time index: the estimate is of now, after the jump. Not claimed: perfect start.
 """
 

@@ -16,16 +16,16 @@ How well a log tells the noise intensities that make it most likely: an interval
     where H says little of z_j:  D(z_j) = 2 (max l - max over the others of l),   interval: D < 3.84; if D(z_j) stays below that
     towards an intensity of 0, one-sided: D < 2.71
 
-s_i is the score of sample i, so H takes central differences of exact derivatives. Scores of an observer whose model is true do
-not depend on the past, so no correction for dependence is made; where innovations are not white (`p_white`), intervals are too
-short. On a logarithm the interval stays positive and is nearly symmetric. The others follow z_j by Newton steps with H; those
-that H says little of stay where they are. An intensity whose likelihood hardly changes upwards has no interval: NaN.
-Sources: Venzon, Moolgavkar, A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37 (1988),
-87-94; Efron, Hinkley, Assessing the accuracy of the maximum likelihood estimator: observed versus expected Fisher information,
-Biometrika 65 (1978), 457-482, of one parameter; that it holds for several and a filter's prediction errors is shown here by
-counting, below.
-Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples, hold R in 94.4 % and Q in 95.2 %;
-those found here hold both in 90 to 99 of 100 logs (tests/playback). Not claimed: that of fewer samples.
+s_i is the score of sample i, so H takes central differences of exact derivatives. Scores of an observer whose model is true
+do not depend on the past, so no correction for dependence is made; where innovations are not white (`ljung_box_p`), intervals
+are too short. On a logarithm the interval stays positive and is nearly symmetric. The others follow z_j by Newton steps with
+H; those that H says little of stay where they are. An intensity whose likelihood hardly changes upwards has no interval: NaN.
+Sources: Venzon, Moolgavkar, A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37
+(1988), 87-94; Efron, Hinkley, Assessing the accuracy of the maximum likelihood estimator: observed versus expected Fisher
+information, Biometrika 65 (1978), 457-482, of one parameter; that it holds for several and a filter's prediction errors is
+shown here by counting, below. Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples,
+hold R in 94.4 % and Q in 95.2 %; those found here hold both in 90 to 99 of 100 logs (tests/playback). Not claimed: that of
+fewer samples.
 """
 
 from collections.abc import Callable
@@ -90,7 +90,7 @@ def by_channel(
 
     It says how many samples arrived [q], how many were judged, and what they say.
     """
-    keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "p_white")
+    keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "ljung_box_p")
     rows: list[dict[str, Any]] = []
     for observer, (total, each) in judged.items():
         if any(sums.samples for sums in each) or not total.samples:
@@ -134,7 +134,7 @@ def judgement(sums: Sums) -> dict[str, float | str]:
         "verdict": verdict(nis, within) if within else "unknown",
         "lags": lags,
         "ljung_box": Q,
-        "p_white": chi_square_share(lags, Q) if np.isfinite(Q) else np.nan,
+        "ljung_box_p": chi_square_share(lags, Q) if np.isfinite(Q) else np.nan,
         "log_likelihood": _mean(sums.totals.sum(1)),
         "log_likelihood_held_out": _mean(sums.totals[:, 1]),
     }

@@ -161,7 +161,7 @@ def tune_log(
             said=[
                 *a.remarks,
                 *_factors(a, p, parameters.written(free, best)),
-                *_remarks(arrived, intensities, held_out["tuned"]["p_white"]),
+                *_remarks(arrived, intensities, held_out["tuned"]["ljung_box_p"]),
             ],
         )
         _write(tuned, target, about)
@@ -252,8 +252,8 @@ def _factors(a: Playback, p: Prepared, found: dict[str, Any]) -> list[str]:
     return [f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {each}."]
 
 
-def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) -> list[str]:
-    """What one should know of the intervals; `p_white` is that of the held-out part."""
+def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | str) -> list[str]:
+    """What one should know of the intervals; `ljung_box_p` is that of the held-out part."""
     out = []
     if not arrived:
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
@@ -265,9 +265,9 @@ def _remarks(arrived: bool, intensities: list[Intensity], p_white: float | str) 
         out.append(
             f"{', '.join(limits)}: the log does not exclude 0, so this is a one-sided 95 % limit (profile likelihood)."
         )
-    if float(p_white) < UNLIKELY:
+    if float(ljung_box_p) < UNLIKELY:
         out.append(
-            f"innovations of the held-out part are not white (p = {p_white:.2g}): the model or a delay is wrong, "
+            f"innovations of the held-out part are not white (p = {ljung_box_p:.2g}): the model or a delay is wrong, "
             "and intervals are too short."
         )
     return out

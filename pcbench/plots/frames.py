@@ -201,9 +201,10 @@ def convergence(
 def standings(
     result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC
 ) -> pd.DataFrame:
-    """Return for each cell its axes, the `winner` (empty where it is not sure), `leaders`, `best`, `alike`, `p`, `factor`, ...
+    """Return for each cell its axes, the `winner` (empty if none is significant), `leaders`, `best`, `alike`, `p`, ...
 
-    `best` has the least `mean`, `alike` names those it is not surely better than, `leaders` are both if a test compares them;
+    `best` has the least `mean`, `alike` names those it is not significantly better than, `leaders` are both if
+    a test compares them;
     see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
@@ -229,10 +230,10 @@ _STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] 
 
 
 def telling(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
-    """Return the number of the cell that tells most: where a sure winner is farthest ahead of the second.
+    """Return the number of the cell that tells most: where a significant winner is farthest ahead of the second.
 
-    Where nobody surely wins anywhere, as among those that are one filter to rounding: where the most are surely worse than the
-    best. The first of several.
+    Where nobody significantly wins anywhere, as among those that are one filter to rounding: where the most are significantly
+    worse than the best. The first of several.
     """
     found = standings(result, scenario, signal, metric)
     ahead = np.where(found.winner != "", np.nan_to_num(found.factor, nan=1.0, posinf=1.0), 1.0)

@@ -1,4 +1,4 @@
-"""Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge.
+"""Maps over two axes of a study: a metric of each observer, who wins with what significance, and how many runs diverge.
 
 A cell is a coloured rectangle with what fits into it. Maps of many cells are an image each, with labelled lines of equal value.
 """
@@ -129,7 +129,8 @@ def winners(
 ) -> Figure:
     """Return a map over two axes of who wins, in its colour, and by which factor it is ahead of the second.
 
-    Where the best is not surely better than every other (5 %, Holm) its colour is pale, and the cell says with whom it ties.
+    Where the best is not significantly better than every other (5 %, Holm) its colour is pale, and the cell says with
+    whom it ties.
     Other axes that vary have a map for each of their values, where these are few and `at` says nothing of them.
     """
     whole = frames.rows(result, scenario, signal, metric)
@@ -169,7 +170,9 @@ def _standing(look: dict[str, Style], row: Row) -> Cell:
     ahead = times(factor) if isfinite(factor) and factor > 1 else ""
     if row["winner"]:
         p = f", p {row['p']:.1g}" if isfinite(row["p"]) else ""
-        return Cell(colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} surely{p}, the second {ahead}")
+        return Cell(
+            colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} significantly{p}, the second {ahead}"
+        )
     tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 

@@ -1,6 +1,6 @@
 """What pictures show, in words: for those who do not see them, and as captions.
 
-What suffices, in a sentence beside a curve: up to which value of its axis each observer's error surely stays below a limit.
+What suffices, in a sentence beside a curve: up to which value of its axis each observer's error is significantly below a limit.
 
 From the values that were run; `pcbench find-limit` finds values between them.
 """
@@ -18,8 +18,8 @@ from pcbench.statistics.limit_verdicts import Answer
 from pcbench.statistics.ranking import most_often
 
 WINNERS = (
-    "A cell is won where the best is surely better than every other (5 %, Holm); the number says how many times larger the "
-    "second's error is. Pale: it is not sure."
+    "A cell is won where the best is significantly better than every other (5 %, Holm); the number says how many times "
+    "larger the second's error is. Pale: the difference is not significant."
 )
 CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve it."
 COSTS = (
@@ -28,7 +28,7 @@ COSTS = (
 BEARING = "Above 1 the model alone is better. One fault at a time, the others at their first value."
 HONESTY = (
     f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
-    "the band it is over-confident, below it cautious."
+    "the band it is optimistic, below it pessimistic."
 )
 WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
 
@@ -161,9 +161,9 @@ def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> s
 def _words(a: Answer) -> str:
     """An answer in a few words."""
     if a.largest is None or a.kind != "up to":
-        words = {"every value": "everywhere", "no value": "nowhere", "undecided": "not sure anywhere"}
+        words = {"every value": "everywhere", "no value": "nowhere", "undecided": "not decided anywhere"}
         return words.get(a.kind, "has no number")
     end = f"up to {layout.word(a.largest.value)}"
-    beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", beyond not sure"
+    beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", beyond not decided"
     odd = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""
     return end + beyond + odd

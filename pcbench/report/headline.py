@@ -1,4 +1,4 @@
-"""The report's first table of a scenario: who is better, by how much, and how surely."""
+"""The report's first table of a scenario: who is better, by how much, and with what significance."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class HeadlineRow(NamedTuple):
 
     cells: list[str]  # in the order of the heads
     colour: str
-    best: bool  # no other is surely better
+    best: bool  # no other is significantly better
 
 
 class Headline(NamedTuple):
@@ -76,7 +76,7 @@ def _cell(
             against = "diverges more often"
         lost = row.loc["divergence_rate"]
         cells = [number_format.marked(observer, [row.loc[metric].certified]), number_format.interval(row.loc[metric])]
-        cells.append("not surely different" if against == "=" else against)
+        cells.append("not significantly different" if against == "=" else against)
         cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
         if costs is None or observer not in set(costs.observer):
@@ -88,12 +88,14 @@ def _cell(
     first = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.said(a, first[a]) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
-    heads = ["observer", f"{metric} [{first.unit}]", f"less the best [{first.unit}]"]
+    heads = ["observer", f"{metric} [{first.unit}]", f"diff. to best [{first.unit}]"]
     heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged", *COSTS.values()]
     kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-") for row in rows)]
     rows = [row._replace(cells=[row.cells[i] for i in kept]) for row in rows]
     note = (
-        f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
+        f"{n:,} runs each; ± is half a 95 % interval."
+        if n > 1
+        else "One run each: no interval, and nothing is significant."
     )
     some_diverge = heads.index("diverged") in kept
     note += " Means are over the runs that did not diverge." if some_diverge else " No run diverged."

@@ -25,8 +25,8 @@ from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.serialize import as_dict
 
 WORDS = {
-    "surely": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
-    "comparisons; or the other surely diverges more often",
+    "significant": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
+    "comparisons; or the other diverges significantly more often",
     "steady_start": "the part of a run that steady_ metrics are of, from the time said at each experiment on",
     "cell": "one combination of the values of a study's axes",
 }
@@ -149,7 +149,7 @@ def _how_sure(result: Result) -> str:
     if result.exact:
         return "What has no interval is exact, and a difference between two such numbers is sure."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
-        return "One run each: nothing is sure."
+        return "One run each: nothing is significant."
     return "Scenarios with noise stand first, then those in which the best is farthest ahead."
 
 

@@ -1,4 +1,4 @@
-"""Who wins where and how surely: the page's first table, a row for each scenario and signal, those that tell most first."""
+"""Who wins where, and with what significance: the page's first table, one row per scenario and signal."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class Row(NamedTuple):
     title: str
     signal: str
     best: list[tuple[str, str]]  # name, colour; empty: all diverge
-    sure: bool  # no other is surely better than these
+    sure: bool  # no other is significantly better than these
     won: str  # what of it is sure
     value: str  # its metric with interval
     others: list[tuple[str, str, str]]  # name, colour, how many times larger
@@ -39,7 +39,7 @@ class Tally(NamedTuple):
     observer: str
     colour: str
     won: int  # cells
-    led: int  # cells in which no other is surely better
+    led: int  # cells in which no other is significantly better
     of: int  # cells in which it ran
 
 
@@ -76,7 +76,7 @@ def rows(result: Result, found: list[Stood]) -> list[Row]:
 
 
 def tally(every: list[Stood]) -> list[Tally]:
-    """Return how many cells, of all signals shown, each observer surely wins and leads, the most first."""
+    """Return how many cells, of all signals shown, each observer significantly wins and leads, the most first."""
     won, led, of = Counter[str](), Counter[str](), Counter[str]()
     for _, _, part, found in every:
         of.update(dict.fromkeys(part.observer, len(found)))
@@ -109,7 +109,7 @@ def _row(result: Result, stood: Stood) -> Row:
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),
-        won=_how_surely(found, won, best, deterministic, int((part.n + part.diverged).max())),
+        won=_significance(found, won, best, deterministic, int((part.n + part.diverged).max())),
         value=value,
         others=[(o, look[o].colour, times(m)) for o, m in multiples if several or o != best][:MOST],
         tells=(0 if deterministic else 100)
@@ -118,7 +118,7 @@ def _row(result: Result, stood: Stood) -> Row:
     )
 
 
-def _how_surely(found: pd.DataFrame, won: pd.Series, best: str, deterministic: bool, runs: int) -> str:
+def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic: bool, runs: int) -> str:
     if len(found) > 1:
         if not best:  # then no cell has a winner
             names, most = most_often(found.leaders)
@@ -126,7 +126,7 @@ def _how_surely(found: pd.DataFrame, won: pd.Series, best: str, deterministic: b
                 return number_format.as_good(names, most, len(found))
             if not any(found.best):
                 return "all diverge"
-            return "one run: nothing is sure" if runs == 1 else "not compared"
+            return "one run: nothing is significant" if runs == 1 else "not compared"
         ties = int((found.winner == "").sum())
         share = f"{int(won.get(best, 0))} of {len(found)} cells"
         rest = ", ".join(f"{o} {n}" for o, n in won.items() if o != best)
@@ -135,13 +135,15 @@ def _how_surely(found: pd.DataFrame, won: pd.Series, best: str, deterministic: b
     if not best:
         return "all diverge"
     if runs == 1:
-        return "one run: nothing is sure"
+        return "one run: nothing is significant"
     if deterministic and row.winner:
         return "runs do not differ"
     if not runs and row.winner:
-        return "surely: the values are exact"
+        return "the values are exact"
     if row.winner:
-        return "surely" + (f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else "")
+        return "significant" + (
+            f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else ""
+        )
     return number_format.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 

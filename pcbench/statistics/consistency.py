@@ -1,7 +1,7 @@
 """Whether an observer knows how wrong it is: normalised squared errors over runs, their band, the verdict. No jax.
 
 Of a true covariance the mean of N independent runs of e' P^-1 e / n lies in chi2(n N) / (n N), in 95 of 100 studies; above
-it the observer is over-confident, below it cautious. Within 1, 2, 3 sigma lie .683, .954, .997 of Gaussian errors.
+it the observer is optimistic, below it pessimistic. Within 1, 2, 3 sigma lie .683, .954, .997 of Gaussian errors.
 Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
 """
 
@@ -37,7 +37,7 @@ def verdict(mean: float, within: Band) -> str:
     """Return what a mean normalised square says."""
     if np.isnan(mean):
         return "unknown"
-    return "over-confident" if mean > within.high else "cautious" if mean < within.low else "consistent"
+    return "optimistic" if mean > within.high else "pessimistic" if mean < within.low else "consistent"
 
 
 def exact_band() -> Band:

@@ -1,6 +1,6 @@
-"""What suffices: the largest value of an axis at which an error surely stays below a limit, from rows of `stats`. No jax.
+"""What suffices: the largest value of an axis at which an error is significantly below a limit, from rows of `stats`. No jax.
 
-A value suffices where no run diverged and the whole 95 % interval lies below the limit; it surely does not where the whole
+A value suffices where no run diverged and the whole 95 % interval lies below the limit; it fails where the whole
 interval lies above, or where runs diverged (their errors left the scenario's divergence threshold, and no mean counts them).
 Between the two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
 """
@@ -39,8 +39,8 @@ class Answer(NamedTuple):
 
     kind: str  # up to, every value, no value, undecided, refused, no number
     largest: Point | None  # the largest value that suffices
-    exceeds: Point | None  # the smallest above it that surely does not
-    fails_below: Point | None  # the smallest that surely does not and is smaller than one that suffices
+    exceeds: Point | None  # the smallest above it that significantly exceeds the limit
+    fails_below: Point | None  # the smallest that significantly exceeds the limit and is smaller than one that suffices
     points: tuple[Point, ...]  # all, by value
 
 
@@ -96,10 +96,10 @@ def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> s
 def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
     """Return answers as a frame, a row for each observer.
 
-    `answer`: see `Answer.kind`. `largest` with its `mean` and interval: the largest value that suffices, and the metric there;
-    `exceeds`, `exceeds_*`: the smallest value above it that surely does not; `fails_below`: one below it that surely does not,
-    so that the error does not grow steadily; each NaN where there is none. `values` and `runs` (of a value, at most): what was
-    tried. `said`: the answer in words.
+    `answer`: see `Answer.kind`. `largest` with its `mean` and interval: the largest value that suffices, and the metric
+    there; `exceeds`, `exceeds_*`: the smallest value above it that significantly exceeds the limit; `fails_below`: one below
+    it that does, so that the error does not grow steadily; each NaN where there is none. `values` and `runs` (of a value, at
+    most): what was tried. `said`: the answer in words.
     """
     return pd.DataFrame([_row(observer, a, axis) for observer, a in found.items()])
 
@@ -136,7 +136,7 @@ def sentence(a: Answer, axis: str) -> str:
     if a.kind == "up to" and a.exceeds:
         parts.append(f"at {a.exceeds.value:g} it {_is(a.exceeds)}")
     elif a.kind == "up to":
-        parts.append("beyond, nothing is sure")
+        parts.append("beyond, nothing is significant")
     if open_ := [p for p in a.points if p.verdict == UNDECIDED and a.largest and p.value > a.largest.value]:
         parts.append(f"at {', '.join(f'{p.value:g}' for p in open_)} it is not decided with {runs:,} runs")
     if a.fails_below and a.largest:

@@ -1,4 +1,4 @@
-"""Who wins a cell, and how surely. No jax."""
+"""Who wins a cell, and with what significance. No jax."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -17,24 +17,24 @@ class Standing(NamedTuple):
     """How observers stand in a cell."""
 
     order: tuple[str, ...]  # the best first: the fewest diverged runs, and then the least mean
-    alike: tuple[str, ...]  # of the others, those that the best is not surely better than
+    alike: tuple[str, ...]  # of the others, those that the best is not significantly better than
     p_value: float  # the largest of Holm's adjusted p-values of the best against another; NaN: there is no test
     factor: float  # the second mean over the best; NaN: there is none
     leaders: tuple[str, ...] = ()  # the best and those alike; empty: all runs diverged, or no test compares these
 
     @property
     def winner(self) -> str:
-        """Return the best where it is surely so; empty where it is not."""
+        """Return the best where it is significantly so; empty where it is not."""
         return self.leaders[0] if len(self.leaders) == 1 else ""
 
 
 def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
     """Return how observers stand in a cell.
 
-    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is surely better than another that
-    surely diverges more often (Wilson's intervals are apart) or is worse by Holm's adjusted p-value; where several runs
-    do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best where all
-    have diverged.
+    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is significantly better than another
+    which diverges significantly more often (Wilson's intervals are apart) or is worse by Holm's adjusted p-value; where
+    several runs do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best
+    where all have diverged.
     """
     return stood(_records(rows), _records(pairs))
 
@@ -80,7 +80,7 @@ def _records(rows: pd.DataFrame) -> list[Row]:
 
 
 def diverges_more(best: "Row | pd.Series", other: "Row | pd.Series") -> bool:
-    """Say whether one row of stats surely has more diverged runs than another."""
+    """Say whether one row of stats has significantly more diverged runs than another."""
     if not other["diverged"]:
         return False
     high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
@@ -100,6 +100,6 @@ def _apart(pairs: list[Row], best: Row, other: Row) -> bool:
         return False
     p, alike = float(row["p_holm"]), float(row["prob_a_better"]) == 0.5
     several, sign = int(row["n"]) != 1, 1 if row["observer_a"] == best["observer"] else -1
-    if sign * float(row["mean_diff"]) > 0:  # fewer runs diverged, not surely, and the others are worse
+    if sign * float(row["mean_diff"]) > 0:  # fewer runs diverged, not significantly, and the others are worse
         return False
     return several and not alike if np.isnan(p) else p <= ALPHA

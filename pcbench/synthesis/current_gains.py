@@ -58,7 +58,7 @@ def find(
         L = np.asarray(found.L, float)
     else:
         start = None if given is None else given / S[:, None] * s
-        L, certificate = _at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
+        L, certificate = at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
             wide = maps or mean
             certificate = _over(L, C1, wide._replace(Phi=wide.Phi * into), decay or 0.0, where)
@@ -75,9 +75,11 @@ def find(
 
 
 @cached_by_value
-def _at_the_mean(
+def at_the_mean(
     method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
 ) -> tuple[Matrix, Certificate]:
+    """Return L and its certificate at the mean period, by one of the first three ways."""
+
     def certify(found: current_estimator.CurrentGain) -> Certificate:
         sharp = sharpened(found)
         return current_estimator.certify(sharp, Phi, C, float(seconds[0]))

@@ -72,7 +72,7 @@ def test_no_number_is_cut_at_any_width(many, width):
 @pytest.mark.ci
 def test_an_axis_column_stands_where_there_is_room(many):
     text = shown(many, 200)
-    assert re.search(r"delay +noise_std +assumed_delay_error +observer +steady_rmse +less the best", text)
+    assert re.search(r"delay +noise_std +assumed_delay_error +observer +steady_rmse +diff. to best", text)
     assert "Left out" not in text
 
 
@@ -93,7 +93,7 @@ def test_a_head_is_the_name_of_one_metric(whole, metric):
         metric,
         f"{metric} [s]",
         f"{metric} [(m)^2]",
-        "less the best",
+        "diff. to best",
         "rms_efficiency",
         "settling_time [s]",
         "rmse",
@@ -138,7 +138,7 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
     done = call(*words, "--signal", "all", "--metric", "max_abs_error")
     assert done.returncode == 0, done.stderr
     assert "error of velocity [m/s], 3 seeds" in done.stdout
-    assert re.search(r"observer +max_abs_error +less the best", done.stdout)
+    assert re.search(r"observer +max_abs_error +diff. to best", done.stdout)
     assert done.stdout.rstrip().endswith(f"Now look at it: pcbench report {tmp_path / 'out'}")
     done = call("run", "cart/slow", "--signal", "speed", "--out", tmp_path / "no")
     assert done.returncode == 2
@@ -164,7 +164,7 @@ def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
     text = shown(many)
     assert "least steady_rmse of position, over 8 cells" in text
     assert "median steady_rmse [m]" in text
-    assert "less the best" not in text, "a footnote of columns that are not there"
+    assert "diff. to best" not in text, "a footnote of columns that are not there"
     order = [line.split()[0] for line in text.splitlines() if line.split()[:1] and line.split()[0] in MANY["observers"]]
     won = {
         line.split()[0]: int(line.split()[1])
@@ -317,7 +317,7 @@ SQUARES = {"nees": (0.7, 0.8, 1.2), "nis": (1.02, 0.95, 1.05)}
 
 
 def believed(cells, squares=SQUARES):
-    """Rows of stats of an observer that is cautious of its error and right about its samples, in some cells."""
+    """Rows of stats of an observer that is pessimistic of its error and right about its samples, in some cells."""
     rows = []
     for cell in range(cells):
         for metric, (mean, low, high) in squares.items():
@@ -333,11 +333,11 @@ def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exa
     assert results.print_consistency("cart/slow", stats, console) == [results.MEANS]
     text = console.file.getvalue()
     if cells == 30:
-        assert "cautious 30" in text
+        assert "pessimistic 30" in text
         assert "consistent 30" in text
         return
-    assert text.count("0.7 cautious" + ("" if exact else " (0.8 .. 1.2)")) == cells
-    assert text.count("1.02 over-confident" if exact else "1.02 consistent (0.95 .. 1.05)") == cells
+    assert text.count("0.7 pessimistic" + ("" if exact else " (0.8 .. 1.2)")) == cells
+    assert text.count("1.02 optimistic" if exact else "1.02 consistent (0.95 .. 1.05)") == cells
     assert ("cell" in text.split("observer")[0]) == (cells > 1)
 
 

@@ -58,15 +58,15 @@ def test_its_numbers_come_out(sitting):
     assert [round(camera["rate"], 1), *late] == pytest.approx([18.8, 0.075, 0.060, 0.115, 0.195])
     first, second = (json.loads(said[name])["innovations"][0] for name in ("replay", "replay again"))
     assert [first[name] for name in ("nis", "nis_low", "nis_high")] == pytest.approx([0.39, 0.92, 1.08], abs=0.006)
-    assert (first["verdict"], second["verdict"]) == ("cautious", "consistent")
-    assert first["p_white"] < 1e-3
+    assert (first["verdict"], second["verdict"]) == ("pessimistic", "consistent")
+    assert first["ljung_box_p"] < 1e-3
     tuned = json.loads(said["tune"])
     found = {row["name"]: row for row in tuned["intensities"]}
     for name, printed, true in (("R", (0.00088, 0.00080, 0.00096), 0.03), ("Q[1]", (0.0025, 0.0020, 0.0031), 0.05)):
         assert [found[name][key] for key in ("found", "low", "high")] == pytest.approx(printed, rel=0.03)
         assert found[name]["low"] < true**2 < found[name]["high"]
     rest = tuned["held_out"]["tuned"]
-    assert [rest["nis"], rest["p_white"], tuned["gain"], tuned["gain_se"]] == pytest.approx(
+    assert [rest["nis"], rest["ljung_box_p"], tuned["gain"], tuned["gain_se"]] == pytest.approx(
         [1.03, 0.25, 0.69, 0.035], abs=0.006
     )
     assert tuned["said"] == ["Q[0]: the log does not tell, so no interval is given; --only tunes the others alone."]

@@ -35,7 +35,7 @@ def expected_of(study):
 
 @pytest.mark.nightly
 def test_expected_squares_are_those_of_the_reference(expected):  # noqa: F811
-    """Told R = (0.1, 0.05) where (0.09, 0.04) is true: a little cautious."""
+    """Told R = (0.1, 0.05) where (0.09, 0.04) is true: a little pessimistic."""
     exact = expected_of(ASKED)
     u = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     plant = surprise.Plant(linear.Model(ODD.A, ODD.B, ODD.C, TICK), u, np.zeros((3, 3)))

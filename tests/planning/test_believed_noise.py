@@ -37,7 +37,7 @@ def test_a_filter_that_believes_in_a_quarter_of_the_variance_is_the_one_told_so_
 
 
 @pytest.mark.nightly
-def test_who_is_told_a_quarter_is_over_confident_and_who_is_told_four_times_cautious():
+def test_who_is_told_a_quarter_is_over_confident_and_who_is_told_four_times_pessimistic():
     study = KNOWN | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}, "seeds": 256}
     stats = pcbench.run(study, axes={"assumed_noise_scale": [0.5, 1.0, 2.0]}).stats
     nis = stats[stats.metric == "nis"].set_index("assumed_noise_scale")["mean"]

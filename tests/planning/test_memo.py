@@ -35,11 +35,11 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
     cells = cells_of(parse.parse(STUDY, "map"))
     several = list(planning.drafts(cells[:1]))
     once = len(solved)
-    riccati._multirate.cache_clear()
+    riccati.multirate.cache_clear()
     several = list(planning.drafts(cells))
     assert once, "pccebo solves a matrix inequality"
     assert len(solved) == 2 * once, "it reads the period, neither noise nor drift"
-    assert riccati._multirate.cache_info().misses == 8, "kf sees the noise, and what drift it has to expect"
+    assert riccati.multirate.cache_info().misses == 8, "kf sees the noise, and what drift it has to expect"
     for p, cell in zip(several, cells, strict=True):
         alone = build.draft(cell, cell.options)
         assert key_of(alone.problem.gains["pccebo"].L) == key_of(p.problem.gains["pccebo"].L)

@@ -61,7 +61,7 @@ def test_what_a_filter_expects_is_what_the_book_says(replayed):
         "samples": len(z),
         "nis": np.mean(z**2),
         "ljung_box": Q,
-        "p_white": p,
+        "ljung_box_p": p,
         "log_likelihood": np.mean(-0.5 * (np.log(2 * np.pi * s) + z**2)),
     }
     for row in found.innovations.to_dict("records"):
@@ -82,7 +82,7 @@ def test_parts_of_a_sequence_say_what_the_whole_says():
     said = innovation_tests.judgement(sums)
     Q, p = reference.ljung_box(z, said["lags"])
     assert said["ljung_box"] == pytest.approx(Q, rel=1e-10)
-    assert said["p_white"] == pytest.approx(p, rel=1e-8)
+    assert said["ljung_box_p"] == pytest.approx(p, rel=1e-8)
     held_out = numbers[counts & late]
     loss = np.log(2 * np.pi) + (held_out[:, 2].sum() + held_out[:, 0].sum()) / held_out[:, 1].sum()
     assert said["log_likelihood_held_out"] == pytest.approx(-0.5 * loss, rel=1e-10)
@@ -94,7 +94,7 @@ def test_of_nothing_nothing_is_said():
     )
     assert said["samples"] == 0
     assert said["verdict"] == "unknown"
-    assert np.isnan([said[k] for k in ("nis", "ljung_box", "p_white", "log_likelihood")]).all()
+    assert np.isnan([said[k] for k in ("nis", "ljung_box", "ljung_box_p", "log_likelihood")]).all()
 
 
 def case():

@@ -137,7 +137,7 @@ def test_stds_of_the_plant_file_change_no_bit(tmp_path):
         np.testing.assert_allclose(
             stated.estimates[f"{name}.level"], plain.estimates[f"{name}.level"], rtol=0, atol=1e-13
         )
-    for column in ("nis", "log_likelihood", "p_white"):
+    for column in ("nis", "log_likelihood", "ljung_box_p"):
         np.testing.assert_allclose(stated.innovations[column], plain.innovations[column], rtol=1e-11)
     np.testing.assert_allclose(stated.distances.rms, plain.distances.rms, rtol=1e-10)
 

@@ -73,7 +73,7 @@ def test_the_filter_with_the_books_variances_is_consistent_and_its_innovations_w
     Q, p = reference.ljung_box(nu / np.sqrt(s), 20)
     assert row["nis"] == pytest.approx(np.mean(nu**2 / s), rel=1e-10)
     assert row["log_likelihood"] == pytest.approx(np.mean(-0.5 * (np.log(2 * np.pi * s) + nu**2 / s)), rel=1e-10)
-    assert (row["ljung_box"], row["p_white"]) == (pytest.approx(Q, rel=1e-10), pytest.approx(p, rel=1e-8))
+    assert (row["ljung_box"], row["ljung_box_p"]) == (pytest.approx(Q, rel=1e-10), pytest.approx(p, rel=1e-8))
     assert row["verdict"] == "consistent"
     assert p > 0.05
     assert np.sum(-0.5 * (np.log(2 * np.pi * s) + nu**2 / s)[1:]) == pytest.approx(
@@ -84,5 +84,5 @@ def test_the_filter_with_the_books_variances_is_consistent_and_its_innovations_w
 def test_a_level_that_hardly_walks_is_seen_to_be_wrong(nile):
     stiff = LEVEL | {"lti": LEVEL["lti"] | {"process_std": 1.0}}
     (row,) = pcbench.replay(nile, stiff, "kf").innovations.to_dict("records")
-    assert row["p_white"] < 0.001
-    assert row["verdict"] == "over-confident"
+    assert row["ljung_box_p"] < 0.001
+    assert row["verdict"] == "optimistic"

@@ -12,7 +12,7 @@ import pytest
 from pcbench.cli.render import results
 from pcbench.cli.render.tables import Screen
 from pcbench.report import captions, headline, summary
-from pcbench.report.summary import _how_surely
+from pcbench.report.summary import _significance
 from pcbench.statistics import ranking
 from pcbench.study import STUDIES
 from pcbench.tables import latex, layout, text
@@ -31,21 +31,21 @@ def standings(*sets):
 
 def test_a_draw_in_every_cell_names_the_observers_that_are_as_good():
     found = standings(*[("kf", "kf-shifted-innovation")] * 4, ("kf-shifted-innovation", "kf"))
-    assert _how_surely(found, NONE, "", False, 64) == "as good as the best: kf, kf-shifted-innovation in 5 of 5 cells"
+    assert _significance(found, NONE, "", False, 64) == "as good as the best: kf, kf-shifted-innovation in 5 of 5 cells"
 
 
 def test_an_observer_that_is_as_good_in_fewer_cells_is_not_named():
     found = standings(("kf", "pco"), ("kf", "ekf"), ("ekf", "kf"), ())
-    assert _how_surely(found, NONE, "", False, 64) == "as good as the best: kf in 3 of 4 cells"
+    assert _significance(found, NONE, "", False, 64) == "as good as the best: kf in 3 of 4 cells"
 
 
 def test_cells_in_which_all_diverge_have_no_best():
-    assert _how_surely(standings((), ()), NONE, "", False, 64) == "all diverge"
+    assert _significance(standings((), ()), NONE, "", False, 64) == "all diverge"
 
 
 def test_cells_of_one_run_have_no_winner_and_no_draw():
     found = standings((), ()).assign(best="kf")
-    assert _how_surely(found, NONE, "", True, 1) == "one run: nothing is sure"
+    assert _significance(found, NONE, "", True, 1) == "one run: nothing is significant"
 
 
 def study_of(cells, runs=64, **means):
@@ -160,7 +160,7 @@ def test_of_one_run_each_nothing_is_marked():
         row for h in headline.headlines(result, "cart/white", "position", "steady_rmse") for row in h.rows if row.best
     ]
     (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
-    assert (row.won, row.sure) == ("one run: nothing is sure", False)
+    assert (row.won, row.sure) == ("one run: nothing is significant", False)
 
 
 def test_a_metric_without_tests_has_no_leaders():

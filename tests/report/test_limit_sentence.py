@@ -39,13 +39,13 @@ def test_a_limit_is_what_a_user_says():
 
 def test_what_is_not_sure_is_not_said():
     wide = rows(("kf", 0.1, 0.010, 0.015, 0), ("kf", 0.2, 0.010, 0.015, 0))
-    assert captions.said(wide, "delay", "m", None) == "Surely below 0.02 m, twice the least: kf not sure anywhere."
+    assert captions.said(wide, "delay", "m", None) == "Surely below 0.02 m, twice the least: kf not decided anywhere."
 
 
 def test_an_error_that_falls_again_is_said():
     odd = rows(("kf", 0.1, 0.05, 0.001, 0), ("kf", 0.2, 0.01, 0.001, 0))
     assert captions.said(odd, "delay", "m", 0.02) == (
-        "Surely below 0.02 m: kf up to 0.2, beyond not sure, but not at 0.1."
+        "Surely below 0.02 m: kf up to 0.2, beyond not decided, but not at 0.1."
     )
 
 

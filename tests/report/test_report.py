@@ -141,7 +141,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     said = html.unescape(figure(text, "cart-white-position-winners"))
     tips = re.findall(r"<title>(.*?), sampling|<title>(.*?), delay", said)
     assert len(tips) == len(found) == 8
-    assert sum("surely" in a + b for a, b in tips) == (found.winner != "").sum()
+    assert sum("significantly" in a + b for a, b in tips) == (found.winner != "").sum()
     cell = frames.telling(result, "cart/white", "position", "steady_rmse")
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
@@ -202,8 +202,8 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     text = page.page(pcbench.open_result(tmp_path / "one"))
     (best,) = re.findall(r'<tr class="best"><td>.*?</span>(\S+)</td>', text)
     assert best == "kf"
-    assert "less the best [m]" in text
-    assert "surely, p &lt; 0.001" in text
+    assert "diff. to best [m]" in text
+    assert "significant, p &lt; 0.001" in text
     for metric in ("steady_rmse", "rms_efficiency"):
         (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'kf'").to_dict(
             "records"

@@ -65,7 +65,7 @@ def test_a_step_of_0_is_none():
 
 @pytest.mark.nightly
 def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wrong_it_is():
-    """D^2/12 beside the noise's own: with the scale that says so its nis is near 1; told nothing it is over-confident."""
+    """D^2/12 beside the noise's own: with the scale that says so its nis is near 1; told nothing it is optimistic."""
     axes = {"assumed_noise_scale": [1.0, float(np.sqrt(1 + 1.5**2 / 12 / 0.3**2))]}
     study = rounded([1.5], 1.0) | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
     found = pcbench.run(study, axes=axes, seeds=256).stats

@@ -59,8 +59,8 @@ def share_of(covariance, word):
 
 def test_a_true_covariance_is_called_inconsistent_in_one_study_of_twenty_and_half_of_one_in_nearly_all():
     assert 1 - share_of(P, "consistent") == pytest.approx(0.05, abs=0.035)  # three standard errors of 400
-    assert share_of(P / 2, "over-confident") > 0.99
-    assert share_of(P * 2, "cautious") > 0.99
+    assert share_of(P / 2, "optimistic") > 0.99
+    assert share_of(P * 2, "pessimistic") > 0.99
     assert verdict(float("nan"), Band(0.9, 1.1)) == "unknown"
 
 
@@ -89,7 +89,7 @@ def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_
         within = wide.loc["position", "nees_band", observer]
         return verdict(wide.loc["position", "nees", observer]["mean"], Band(within.ci_low, within.ci_high))
 
-    assert [word(o) for o in ("kf", "kf-bold", "kf-ignore-delay")] == ["consistent", "over-confident", "over-confident"]
+    assert [word(o) for o in ("kf", "kf-bold", "kf-ignore-delay")] == ["consistent", "optimistic", "optimistic"]
     assert wide.loc["position", INSIDE[0], "kf"]["mean"] == pytest.approx(0.683, abs=0.1)
     assert ("position", "nees", "model-only") not in wide.index, "it has no covariance"
     assert "nees" not in set(result.pairs.metric), "neither a large nor a small one is better"
@@ -111,7 +111,7 @@ def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_qu
         for observer in ("kf", "ekf", "kf-cloning"):
             mine = runs[runs.observer == observer]
             assert 1 - share_called(mine, metric, degrees, "consistent") == pytest.approx(0.05, abs=0.041), metric
-        assert share_called(runs[runs.observer == "kf-bold"], metric, degrees, "over-confident") > 0.97
+        assert share_called(runs[runs.observer == "kf-bold"], metric, degrees, "optimistic") > 0.97
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
 from pcbench.runtime import cache
-from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, riccati, solvers
+from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, riccati, solvers
 from pcbench.synthesis.certificate import Certificate, require_certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -132,6 +132,7 @@ def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
     case = setting(Case(CART, 200, 200))
 
     def design():
+        current_gains.at_the_mean.cache_clear()
         return OBSERVERS["pccebo"].design(case, OBSERVERS["pccebo"].options()).gains.L
 
     good = design()

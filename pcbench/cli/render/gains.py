@@ -101,7 +101,7 @@ def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None
         Column("log-likelihood\nof a number", [f"{each['log_likelihood']:.4g}" for each in held]),
         Column("NIS", [f"{each['nis']:.3f}" for each in held]),
         Column("verdict", [str(each["verdict"]) for each in held], left=True),
-        Column("p white", [f"{each['p_white']:.3g}" for each in held]),
+        Column("ljung_box_p", [f"{each['ljung_box_p']:.3g}" for each in held]),
     ]
     samples = found.held_out["tuned"]["samples"]
     screen.fit(f"tuned on the first part alone: the last part, {samples} samples", columns)

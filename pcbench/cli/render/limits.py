@@ -22,7 +22,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
         Column("observer", [row["observer"] for row in rows], left=True),
         Column(f"suffices\nup to{axis_unit}", [_largest(row) for row in rows]),
         Column(metric, means, spare=1),
-        Column(f"surely not\nfrom{axis_unit}", [plain(row["exceeds"], "g") for row in rows]),
+        Column(f"exceeds\nfrom{axis_unit}", [plain(row["exceeds"], "g") for row in rows]),
         Column(metric, means_beyond, spare=1),
     ]
     limit = f"{about['below']:g} {about['unit']}" if unit else f"{about['below']:g}"

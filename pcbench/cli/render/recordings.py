@@ -108,7 +108,7 @@ def _judged(rows: Rows) -> list[Column]:
         Column("NIS", [_plain(row["nis"]) for row in rows]),
         Column("95 % if right", bands),
         Column("verdict", [row["verdict"] for row in rows], left=True),
-        Column("p white", [_plain(row["p_white"]) for row in rows]),
+        Column("ljung_box_p", [_plain(row["ljung_box_p"]) for row in rows]),
     ]
 
 

@@ -1,4 +1,6 @@
-"""A study's results in the terminal: who is better, by how much, and how surely. Heads are the names that the tables use.
+"""A study's results in the terminal: who is better, by how much, and with what significance.
+
+Heads are the names that the tables use.
 
 Then which observers know how wrong they are, and what the run took.
 """
@@ -24,7 +26,7 @@ LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
 # least first, where there are such
 BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency")
 COST = ("sample", "tick", "memory")  # what observers cost
-LESS = "less the best"
+LESS = "diff. to best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
 EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
 COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
@@ -64,7 +66,7 @@ class View(NamedTuple):
 def closing(
     result: Result, screen: Screen, metric: str, signals: list[str] | None = None, costs: pd.DataFrame | None = None
 ) -> None:
-    """Print who was better and how surely, the least mean `metric` first; with `costs`, what observers cost.
+    """Print who was better and how significantly, the least mean `metric` first; with `costs`, what observers cost.
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
