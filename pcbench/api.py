@@ -318,7 +318,14 @@ def design(
         return design.design(scenario, observer, gain=gain, overrides=overrides)[2]
 
 
-SIMULATED = ("objective", "signal", "optimizer", "exact_objective", "training", "judges")  # arguments of runs alone
+SIMULATED = (
+    "objective",
+    "signal",
+    "optimizer",
+    "exact_objective",
+    "training_seeds",
+    "validation_seeds",
+)  # arguments of runs alone
 
 
 def tune(
@@ -339,7 +346,7 @@ def tune(
         delay: delay of every measurement [s], for a recording without arrival times.
         start: time of tick 0 in the recording [s]. Default: its first time.
         **how: budget, only, out, overrides and progress; without a recording also objective, signal, optimizer,
-            exact_objective, training and judges. See `gains.tune.tune` and `playback.tuning.tune_log`.
+            exact_objective, training_seeds and validation_seeds. See `gains.tune.tune` and `playback.tuning.tune_log`.
 
     Returns:
         The tuned options, and what they reach on seeds, or on a part of the recording, that were not used for tuning.

@@ -104,7 +104,7 @@ def tune(
     signal: Signal = None,
     optimizer: Annotated[str | None, option("descent (with gradients) or search [default: as can be]")] = None,
     exact_objective: Annotated[
-        bool, option("its expected value over all noise: no training seeds, no judging seeds", "--exact-objective")
+        bool, option("its expected value over all noise: no training seeds, no validation seeds", "--exact-objective")
     ] = False,
     only: Annotated[str | None, option("comma-separated options to tune [default: all that can be]")] = None,
     training_seeds: SeedRange = None,
@@ -160,8 +160,8 @@ def tune(
                 signal=signal,
                 optimizer=optimizer,
                 exact_objective=exact_objective,
-                training=_seeds(training_seeds, "--training-seeds", tune.TRAINING),
-                judges=_seeds(validation_seeds, "--validation-seeds", tune.JUDGES),
+                training_seeds=_seeds(training_seeds, "--training-seeds", tune.TRAINING),
+                validation_seeds=_seeds(validation_seeds, "--validation-seeds", tune.VALIDATION),
                 **options,
             )
     if log is not None:

@@ -36,7 +36,7 @@ from pcbench.study.labels import entry_in
 from pcbench.study.parse import grid_of, one_cell
 from pcbench.toml_text import TomlTable
 
-JUDGES = counted(tune.JUDGES.first, 256)
+VALIDATION = counted(tune.VALIDATION.first, 256)
 Options = dict[str, TomlTable]  # by label or observer
 
 
@@ -196,7 +196,7 @@ def trained_on(study: Study) -> Study:
 def _require_other_seeds(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on; of an exact objective there are none."""
     mine = counted(study.first_seed, study.seeds)
-    for its in () if study.tune.exact_objective else (_training(study), JUDGES):
+    for its in () if study.tune.exact_objective else (_training(study), VALIDATION):
         if common(mine, its).many:
             raise UserError(
                 f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
@@ -267,7 +267,7 @@ def _tuned(
 ) -> tuple[str, TomlTable]:
     """Why the start is kept (empty: it is not), and the options found."""
     how = study.tune
-    seeds: TomlTable = {"training": _training(study), "judges": JUDGES}
+    seeds: TomlTable = {"training_seeds": _training(study), "validation_seeds": VALIDATION}
     changes = {"options": study.options | {observer: start}, "tuning": "published", "observers": [observer]}
     try:
         found = tune.tune(

@@ -35,7 +35,7 @@ class AnotherTuning(UserError):
 class Judgement(NamedTuple):
     """An objective's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
 
-    what: str  # training or judging; or exact: expected values, of no seeds
+    what: str  # training or validation; or exact: expected values, of no seeds
     seeds: Seeds
     start: float
     start_se: float

@@ -1,6 +1,6 @@
 """How the objective of a tuning is evaluated, by which optimizer: over training runs, or as its expected value.
 
-The expected value is over all noise, with its gradient: no training runs, no judging runs. Value and derivatives along the
+The expected value is over all noise, with its gradient: no training runs, no validation runs. Value and derivatives along the
 directions in which free parameters move the gains are exact moments (`moments.gradients`); the directions come from the
 observer's own design by central differences, as those over runs do.
 """

@@ -34,7 +34,7 @@ from pcbench.toml_text import TomlTable
 
 BUDGET = 60
 TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
-JUDGES = counted(3_500_000_000, 1024)
+VALIDATION = counted(3_500_000_000, 1024)
 
 
 class NoStart(UserError):
@@ -66,8 +66,8 @@ def tune(
     optimizer: str | None = None,
     exact_objective: bool = False,
     only: list[str] | None = None,
-    training: Seeds = TRAINING,
-    judges: Seeds = JUDGES,
+    training_seeds: Seeds = TRAINING,
+    validation_seeds: Seeds = VALIDATION,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
@@ -75,14 +75,14 @@ def tune(
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). `exact_objective` takes the expected
-    value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With `out`, a folder, the
-    history stands there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for
-    whatever the user can mend.
+    simulated; `training_seeds` and `validation_seeds` are ranges of seeds, (first, one past the last). `exact_objective`
+    takes the expected value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With
+    `out`, a folder, the history stands there, and what was stopped goes on when run again. `progress` hears of each point.
+    Raises UserError for whatever the user can mend.
     """
     where = f"tune {observer}"
-    training, judges = Seeds(*training), Seeds(*judges)
-    _check(budget, training, judges, exact_objective, where)
+    training, validation = Seeds(*training_seeds), Seeds(*validation_seeds)
+    _check(budget, training, validation, exact_objective, where)
     with config.float64(), ending.temporary_folder() as spare:
         study, cell = parse.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
@@ -93,7 +93,7 @@ def tune(
         mine = given(study, cell.scenario, observer)
         asked = own_options(study, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
-        whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {judges}")
+        whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
         target = storage.target(str(out) if out is not None else spare)
         basis = history.basis_of(asked, cell)
         if done := history.finished(target, whole, about, basis):
@@ -125,8 +125,8 @@ def tune(
         if exact_objective:
             judged, kept = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)], ""
         else:
-            progress.note("judging on other seeds")
-            judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
+            progress.note("validation on other seeds")
+            judged = judge(study, observer, found, aim, {"training": training, "validation": validation})
             kept = against(judged)
         chosen = parameters.put(options, every, start if kept else np.array(trials.best.at))
         tuned = Tuning(
@@ -204,20 +204,20 @@ def descend(
     trials.write()
 
 
-def _check(budget: int, training: Seeds, judges: Seeds, exact: bool, where: str) -> None:
+def _check(budget: int, training: Seeds, validation: Seeds, exact: bool, where: str) -> None:
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
-    if exact and (training, judges) != (TRAINING, JUDGES):
+    if exact and (training, validation) != (TRAINING, VALIDATION):
         raise UserError(
             f"{where}: --exact-objective: got seeds to train or judge on, expected none: an expected value needs no runs; "
             "leave --training-seeds and --validation-seeds out, or --exact-objective."
         )
-    for name, seeds in (("--training-seeds", training), ("--validation-seeds", judges)):
+    for name, seeds in (("--training-seeds", training), ("--validation-seeds", validation)):
         if seeds.many < 2 or seeds.first < 0 or seeds.stop > 2**32:
             raise UserError(f"{where}: {name}: got {seeds}, expected two seeds or more of 0:4294967296.")
-    if common(training, judges).many:
+    if common(training, validation).many:
         raise UserError(
-            f"{where}: got training seeds {training} and judging seeds {judges}, which overlap; expected none "
+            f"{where}: got training seeds {training} and validation seeds {validation}, which overlap; expected none "
             "in common, for what is tuned on a draw cannot be judged on it; give others."
         )
 

@@ -50,14 +50,16 @@ def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: 
 
 
 def against(judged: list[Judgement]) -> str:
-    """Return why what was found is not used (worse than its start on the judging runs); empty where it is."""
-    (j,) = (each for each in judged if each.what == "judging")
+    """Return why what was found is not used (worse than its start on the validation runs); empty where it is."""
+    (j,) = (each for each in judged if each.what == "validation")
     if j.diverged[1] > j.diverged[0]:
-        return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, {j.diverged[0]} with the start"
+        return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, {j.diverged[0]} with the start"
     if j.difference != j.difference:
-        return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, as with the start"
+        return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, as with the start"
     if not j.difference <= WORSE * j.difference_se:
-        return f"worse than its start on the judging runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
+        return (
+            f"worse than its start on the validation runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
+        )
     return ""
 
 

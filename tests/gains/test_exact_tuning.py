@@ -135,7 +135,7 @@ def test_what_has_no_exact_value_says_so_and_what_to_do():
     assert "steady_max_abs_error, which has no exact value" in refused(
         "cart/slow", "pccebo", objective="steady_max_abs_error"
     )
-    assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training=(0, 8))
+    assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training_seeds=(0, 8))
     random = refused("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
     assert random.endswith("expected what all runs share, as a gradient is of one schedule; "
                            "leave exact out, and it is tuned on runs.")  # fmt: skip

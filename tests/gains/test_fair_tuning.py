@@ -12,7 +12,7 @@ from pcbench.runtime import config
 from pcbench.study import options_of, parse
 
 pytestmark = pytest.mark.nightly
-HALF = {"training": (3_000_000_000, 3_000_000_256), "judges": (3_500_000_000, 3_500_000_256)}
+HALF = {"training_seeds": (3_000_000_000, 3_000_000_256), "validation_seeds": (3_500_000_000, 3_500_000_256)}
 
 
 def brute_force(grid):

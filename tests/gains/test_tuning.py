@@ -19,7 +19,7 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.validation import against
 from pcbench.observers import OBSERVERS, entry_of
 
-SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "steady_rmse"}
+SMALL = {"budget": 6, "training_seeds": (0, 16), "validation_seeds": (100, 140), "objective": "steady_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
 
 
@@ -66,7 +66,7 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
 
 
 JUDGED = Judgement(
-    what="judging", seeds=counted(100, 64), start=2.0, start_se=0.1, tuned=1.0, tuned_se=0.1,
+    what="validation", seeds=counted(100, 64), start=2.0, start_se=0.1, tuned=1.0, tuned_se=0.1,
     difference=-1.0, difference_se=0.1, diverged=(0, 0),
 )  # fmt: skip
 
@@ -76,10 +76,10 @@ JUDGED = Judgement(
     [
         ({}, ""),
         ({"difference": 0.19}, ""),  # less than two standard errors
-        ({"difference": 0.21}, "worse than its start on the judging runs by 0.21"),
+        ({"difference": 0.21}, "worse than its start on the validation runs by 0.21"),
         ({"diverged": (3, 2)}, ""),
-        ({"diverged": (2, 3)}, "3 of 64 judging runs diverge, 2 with the start"),
-        ({"difference": np.nan, "diverged": (64, 64)}, "64 of 64 judging runs diverge, as with the start"),
+        ({"diverged": (2, 3)}, "3 of 64 validation runs diverge, 2 with the start"),
+        ({"difference": np.nan, "diverged": (64, 64)}, "64 of 64 validation runs diverge, as with the start"),
     ],
 )
 def test_what_is_found_is_used_where_the_judging_runs_do_not_speak_against_it(changes, why):
@@ -172,13 +172,13 @@ def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path)
     real = tune.judge
     monkeypatch.setattr(tune, "judge", lambda study, o, found, *how: real(study, o, {"L": [[1.9], [0.0]]}, *how))
     found = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
-    assert "worse than its start on the judging runs" in found.kept_start
+    assert "worse than its start on the validation runs" in found.kept_start
     assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]
 
 
 @pytest.mark.nightly
 def test_an_observer_without_slopes_is_searched():
-    given = SMALL | {"training": (0, 4), "judges": (10, 14), "budget": 5}
+    given = SMALL | {"training_seeds": (0, 4), "validation_seeds": (10, 14), "budget": 5}
     found = pcbench.tune("cart/slow", "pccebo", **given | {"objective": "settling_time"})
     assert found.method == "search"
     assert len(found.points) == 5
@@ -238,5 +238,8 @@ def test_the_command_says_what_it_found(tmp_path):
 def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
     scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["kf", "pccebo"]}
     studies = [scenario | {"options": {"pccebo": {"q": R}}} for R in (0.02, 0.03)]
-    one, two = (tune.tune(each, "kf", budget=2, training=(0, 4), judges=(4, 8), out=tmp_path / "t") for each in studies)
+    one, two = (
+        tune.tune(each, "kf", budget=2, training_seeds=(0, 4), validation_seeds=(4, 8), out=tmp_path / "t")
+        for each in studies
+    )
     assert (one.found, one.judged) == (two.found, two.judged)

@@ -102,7 +102,13 @@ def test_the_guides_table_is_what_comes_out():
 def test_tuning_finds_an_extended_filter_that_does_not_fail():
     """Forty looks at 64 runs, judged on others."""
     found = pcbench.tune(
-        "reactor/batch", "ekf", budget=40, objective="steady_rmse", only=["Q"], training=(0, 64), judges=(100, 164)
+        "reactor/batch",
+        "ekf",
+        budget=40,
+        objective="steady_rmse",
+        only=["Q"],
+        training_seeds=(0, 64),
+        validation_seeds=(100, 164),
     )
     study = {
         "name": "tuned",

@@ -235,8 +235,8 @@ def test_intervals_hold_the_truth_of_95_of_100_logs(tmp_path):
     ("given", "sentence"),
     [
         (
-            {"log": "log", "objective": "rmse", "judges": (0, 2)},
-            "objective: got it with a log.*leave objective and judges out",
+            {"log": "log", "objective": "rmse", "validation_seeds": (0, 2)},
+            "objective: got it with a log.*leave objective and validation_seeds out",
         ),
         ({"delay": 0.1}, "delay: got it without a log"),
         ({"start": 0.1}, "start: got it without a log"),

@@ -35,11 +35,17 @@ def test_a_study_says_how_many_runs_there_are_and_steps_over_all_of_them():
 def test_a_tuning_steps_once_a_point():
     progress, heard = listener()
     found = tune.tune(
-        "cart/gaussian", "pccebo", budget=2, optimizer="search", training=(0, 4), judges=(4, 8), progress=progress
+        "cart/gaussian",
+        "pccebo",
+        budget=2,
+        optimizer="search",
+        training_seeds=(0, 4),
+        validation_seeds=(4, 8),
+        progress=progress,
     )
     assert heard[0] == ("begin", "points", 2)
     assert [said for said in heard if said[0] == "step"] == [("step", 1)] * len(found.points)
-    assert heard[-1] == ("note", "judging on other seeds")
+    assert heard[-1] == ("note", "validation on other seeds")
 
 
 def lines(clock=None):

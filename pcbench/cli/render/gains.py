@@ -56,7 +56,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
 
 
 def tuned(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
-    """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
+    """Print what a tuning found: start against tuned on training and validation seeds, and the options."""
     aim, judged, of_runs = found.objective, found.judged, not found.exact
     columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
     columns += [
