@@ -36,6 +36,7 @@ MORE = {  # folders with tests that are about a folder of the package, besides i
     "engine": ("simulation", "invariants"),
     "observers": ("invariants",),
     "dynamics": ("plants", "observers"),
+    "statistics": ("limits",),
 }
 
 

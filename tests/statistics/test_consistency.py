@@ -11,7 +11,7 @@ from pcbench.errors import UserError
 from pcbench.moments import nees
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation.innovation_stats import normalised
-from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
+from pcbench.statistics.consistency import INSIDE, Band, band, exact_band, inside, verdict
 
 P = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -62,6 +62,10 @@ def test_a_true_covariance_is_called_inconsistent_in_one_study_of_twenty_and_hal
     assert share_of(P / 2, "optimistic") > 0.99
     assert share_of(P * 2, "pessimistic") > 0.99
     assert verdict(float("nan"), Band(0.9, 1.1)) == "unknown"
+    assert [verdict(1 + off, exact_band()) for off in (-2e-6, -5e-7, 5e-7, 2e-6)] == [
+        *("pessimistic", "consistent"),
+        *("consistent", "optimistic"),
+    ]
 
 
 def test_shares_within_one_two_and_three_sigma_are_the_normal_ones():
