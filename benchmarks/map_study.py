@@ -22,4 +22,4 @@ def say(study: dict[str, Any]) -> None:
     took = {"seconds": time.perf_counter() - start, "cpu": time.process_time() - cpu}
     said = {what: result.provenance[what] for what in SAID if what in result.provenance}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps(took | said | {"runs": result.provenance["runs_added"], "max_abs_error": peak}))
+    print(json.dumps(took | said | {"runs": result.provenance["runs_added"], "peak_mib": peak}))

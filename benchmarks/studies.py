@@ -214,7 +214,7 @@ def _parts(found: dict[str, float]) -> str:
     each = ", ".join(
         f"{what.removesuffix('_seconds')} {found[what]:.1f}" for what in found if what.endswith("_seconds")
     )
-    rest = f"{found['cpu']:.1f} s of CPU, {found['runs']:,.0f} runs, peak {found['max_abs_error']:.0f} MiB"
+    rest = f"{found['cpu']:.1f} s of CPU, {found['runs']:,.0f} runs, peak {found['peak_mib']:.0f} MiB"
     return f"{found['seconds']:.1f} s ({each}), {rest}"
 
 

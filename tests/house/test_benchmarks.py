@@ -42,6 +42,7 @@ ROWS = {  # what each prints, and how often
     },
     "own_code": {"here, ": 2, "workers, ": 2},
     "replay": {"replay: ": 1},
+    "first_use": {"short: ": 1},
 }
 
 

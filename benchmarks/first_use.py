@@ -1,0 +1,156 @@
+"""What built-in studies take: a new user's first run, with empty caches, and the same again. Each run is a process of its own.
+
+    python benchmarks/first_use.py                              # half an hour on two cores
+    python benchmarks/first_use.py quick cart --turns 3
+    python benchmarks/first_use.py quick --against ../older     # ratios to another checkout, in turn
+    python benchmarks/first_use.py --small                      # one short study: its figures mean nothing
+
+A row per study: wall seconds and processor seconds of the first run and of the next one, peak memory, how many programs were
+compiled for at least 0.3 s, and processor seconds that compiling took. `new-plant` is a linear plant in a TOML file, two
+observers, 256 runs; `900000-runs` are three observers with 300,000 runs each.
+
+Checked: the second run compiles nothing, and both do the same number of runs. Exit code 1 if not.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+HERE = Path(__file__).resolve().parent.parent
+NEW_PLANT = """name = "new-plant"
+seeds = 256
+
+[lti]
+A = [[0.0, 1.0], [-2.0, -0.6]]
+B = [[0.0], [1.5]]
+C = [[1.0, 0.0]]
+x0 = [1.0, 0.0]
+sampling_period = 0.1
+delay = 0.2
+noise_std = 0.05
+observers = ["kf", "pccebo"]
+"""
+MANY = """name = "900000-runs"
+scenarios = ["cart/gaussian"]
+observers = ["pccebo", "kfbo", "kf"]
+seeds = 300000
+"""
+SHORT = """name = "short"
+seeds = 16
+observers = ["pccebo"]
+
+[scenario]
+base = "cart/white"
+duration = 1.0
+steady_start = 0.5
+"""
+FILES = {"new-plant": NEW_PLANT, "900000-runs": MANY, "short": SHORT}
+STUDIES = (
+    *(
+        "quick",
+        "new-plant",
+        "cart",
+        "unequal-delays",
+        "period-delay-map",
+        "variable-sampling",
+        "reactor",
+        "model-mismatch",
+    ),
+    *(
+        "delayed-measurements",
+        "measurement-errors",
+        "equal-tuning",
+        "equal-tuning-reactor",
+        "unknown-input",
+        "helicopter",
+    ),
+    *("all", "900000-runs"),
+)
+
+
+class Took(NamedTuple):
+    """What one run took."""
+
+    wall: float  # s
+    cpu: float  # s, of all its threads
+    peak: float  # MiB
+    programs: int  # in the cache after it
+    compiling: float  # s, of a processor
+    runs: int
+
+
+def once(study: str, checkout: Path, cache: Path) -> Took:
+    """Run a study with the checkout's command line, its results thrown away."""
+    environment = os.environ | {"PCBENCH_CACHE": str(cache), "PYTHONPATH": str(checkout)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    with tempfile.TemporaryDirectory() as place:
+        name = study
+        if study in FILES:
+            name = str(Path(place) / f"{study}.toml")
+            Path(name).write_text(FILES[study])
+        words = [sys.executable, "-m", "pcbench", "run", name, "--out", f"{place}/out", "--quiet"]
+        start = time.perf_counter()
+        process = subprocess.Popen(words, cwd=place, env=environment, stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - start
+        if status:
+            raise SystemExit(f"first_use: pcbench run {study} ended with {os.waitstatus_to_exitcode(status)}.")
+        record = json.loads((Path(place) / "out" / "provenance.json").read_text())
+    programs = len(list((cache / "programs").glob("*-cache")))
+    cpu, peak = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+    return Took(wall, cpu, peak, programs, record.get("compile_seconds", 0.0), record["runs_added"])
+
+
+def first_and_again(study: str, checkout: Path) -> tuple[Took, Took]:
+    """Run a study with empty caches, and again; raise SystemExit if the second run compiles, or does other runs."""
+    with tempfile.TemporaryDirectory() as place:
+        first, again = (once(study, checkout, Path(place)) for _ in range(2))
+    if first.runs != again.runs or first.programs != again.programs:
+        raise SystemExit(
+            f"first_use: {study}: got {again.runs} runs and {again.programs - first.programs} new programs the second time, "
+            f"expected {first.runs} and none."
+        )
+    return first, again
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("studies", nargs="*", help="names of built-in studies [default: all of them]")
+    parser.add_argument("--turns", type=int, default=1, help="how often; medians are printed [default: 1]")
+    parser.add_argument("--against", type=Path, help="another checkout, run in turn")
+    parser.add_argument("--small", action="store_true", help="one short study")
+    given = parser.parse_args()
+    places = [HERE] + ([given.against.resolve()] if given.against else [])
+    print("study: first, again [s] (processor s); peak [MiB]; programs, compiling [s]", flush=True)
+    for study in ["short"] if given.small else given.studies or STUDIES:
+        found: dict[Path, list[tuple[Took, Took]]] = {place: [] for place in places}
+        for _ in range(given.turns):
+            for place in places:
+                found[place].append(first_and_again(study, place))
+        for place, each in found.items():
+            first, again = (
+                Took(*map(statistics.median, zip(*turns, strict=True))) for turns in zip(*each, strict=True)
+            )
+            where = f"{study} in {place}" if given.against else study
+            print(
+                f"{where}: {first.wall:.1f}, {again.wall:.1f} ({first.cpu:.1f}, {again.cpu:.1f}); "
+                f"{max(first.peak, again.peak):.0f}; {first.programs:.0f}, {first.compiling:.1f}",
+                flush=True,
+            )
+        if given.against:
+            here, there = (found[place] for place in places)
+            for i, what in enumerate(("first", "again")):
+                ratios = [a[i].wall / b[i].wall for a, b in zip(here, there, strict=True)]
+                print(f"{study}: {what} takes {statistics.median(ratios):.3f} of what the other takes", flush=True)
+
+
+if __name__ == "__main__":
+    main()
