@@ -49,6 +49,14 @@ TEXTS = {
         'pcbench.tune_log("log", P, "kf", budget=9)',
         'pcbench.tune(P, "kf", log="log", budget=9)',
     ),
+    "tuning on runs": (
+        'pcbench.tune(s, "dkf", training=(0, 4), judges=(4, 8))',
+        'pcbench.tune(s, "kf", training_seeds=(0, 4), validation_seeds=(4, 8))',
+    ),
+    "verdicts": (
+        'assert row["p_white"] > 0.05 and row.verdict in ("over-confident", "cautious")',
+        'assert row["ljung_box_p"] > 0.05 and row.verdict in ("optimistic", "pessimistic")',
+    ),
     "types": ("pcbench.Surprise(1, 2), pcbench.Setting", "pcbench.InnovationStats(1, 2), pcbench.DesignContext"),
     "studies in python": (
         'pcbench.run("late", out="results/map")',

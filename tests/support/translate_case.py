@@ -55,6 +55,10 @@ WORDS = {
     "nees_states": "nees_dof",
     "carries_input": "predicts_unknown_input",
     "first_bad_time": "divergence_time",
+    "p_white": "ljung_box_p",
+    "p white": "ljung_box_p",
+    "less the best": "diff. to best",
+    "over-confident": "optimistic",
     **{f"inside_{k}_sigma": f"coverage_{k}_sigma" for k in (1, 2, 3)},
 }
 NAMES = {  # that are words of English too
@@ -74,6 +78,7 @@ NAMES = {  # that are words of English too
     "unsettled": "unsettled_rate",
     "cost": "lq_cost",
     "bound": "divergence_threshold",
+    "cautious": "pessimistic",
 }
 VALUES = {  # of keys of a study
     ("vary", "each"): "one-at-a-time",
@@ -90,6 +95,8 @@ WHERE = {  # names whose meaning depends on what stands before them in the line:
     (r"\b(?:design|trade_off)\(", "method="): "gain=",
     (r"\btune\(", "method="): "optimizer=",
     (r"\btune\(", "exact="): "exact_objective=",
+    (r"\btune\(", "training="): "training_seeds=",
+    (r"\btune\(", "judges="): "validation_seeds=",
     (r"\b(?:suffices|find_limit)\(", "over="): "axis=",
     (r"\b(?:suffices|find_limit)\(", "below="): "threshold=",
     (r"\b(?:suffices|find_limit)\(", "within="): "tol=",
