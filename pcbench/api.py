@@ -217,7 +217,7 @@ def simulate(
 
         from pcbench.simulation import trajectory
 
-        out = trajectory.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
+        out = trajectory.jit_record()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
         digits.require_of_trace(p, out.x, [out.estimates[called] for called, _ in p.layout.observers])
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []

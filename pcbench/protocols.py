@@ -209,7 +209,7 @@ class Estimate(Protocol):
     def __call__(self, gains: Gains, memory: Memory, /) -> Float[Array, " signals"]: ...
 
 
-class Sampled(Protocol):
+class OnSample(Protocol):
     """Take note in memory that the channels of `mask` are sampled now, before anything of it arrives."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"], /) -> Memory: ...
@@ -248,7 +248,7 @@ class ObserverField(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, y: Float[Array, " q"], /) -> Memory: ...
 
 
-class Seeded(Protocol):
+class InitRandom(Protocol):
     """Return the memory at the start of a run that has `words` of its own, from which the observer draws, and xhat(0)."""
 
     def __call__(
@@ -266,6 +266,6 @@ class Observer(NamedTuple):
     estimate: Estimate
     field: ObserverField | None = None  # where it runs on continuous measurement as well
     covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
-    on_sample: Sampled | None = None  # where it must be told at sampling time that a sample will come
+    on_sample: OnSample | None = None  # where it must be told at sampling time that a sample will come
     innovation: Innovation | None = None  # where it says what it expects of a sample
-    init_random: Seeded | None = None  # where it draws numbers itself
+    init_random: InitRandom | None = None  # where it draws numbers itself

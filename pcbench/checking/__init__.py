@@ -12,7 +12,7 @@ from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import STUDIES, parse
 from pcbench.study.plugins import registry, user_code
-from pcbench.study.scenario_template import said
+from pcbench.study.scenario_template import toml_value
 
 DEFAULT = "cart/white"  # what an observer and a controller are tried on
 
@@ -46,7 +46,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
                     "out."
                 )
             parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
-            found = study.findings(target, [f"{key}={said(value)}" for key, value in given.items()])
+            found = study.findings(target, [f"{key}={toml_value(value)}" for key, value in given.items()])
             return Checked(kind, label, "", found)
         if kind == "plant":
             s = _of_plant(target, label, scenario, given)

@@ -30,7 +30,7 @@ from pcbench.simulation import law_conformance
 from pcbench.study import controller_table
 from pcbench.study.axes import COMMANDS
 from pcbench.study.grid import cell_of
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_code import UserPlugin
 
 TICKS, ROOM = 40, 8  # the horizon of its numbers; commands kept and on their way
 TICK = 5  # at which functions are asked
@@ -70,7 +70,7 @@ class Trial(NamedTuple):
         return self.told.every(getattr(self.options, "period", None))
 
 
-def trial(label: str, mine: Own, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
+def trial(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
     """Return a controller's trial and what its options are; raise UserError where they cannot be made, or do not fit."""
     same = scenario.own.get("controller")
     control = dict(scenario.loop.control) if same and same.code == mine.code else {}
@@ -79,11 +79,13 @@ def trial(label: str, mine: Own, scenario: Scenario, options: Mapping[str, Any])
     opened = scenario.having(
         controller="", control={}, own={k: v for k, v in scenario.own.items() if k != "controller"}
     )
-    s = controller_table.closed(opened.having(actuator_delay=None), given, "options", {label: mine})
+    s = controller_table.close_loop(opened.having(actuator_delay=None), given, "options", {label: mine})
     cell = cell_of(s)
     made = loop_setup.options(cell)
     said = ", ".join(f"{name} = {shown(value)}" for name, value in made.model_dump().items())
-    return Trial(label, s, made, loop_setup.told(cell, loop_setup.Reach(ROOM, ROOM), TICKS)), said or "it takes none"
+    return Trial(
+        label, s, made, loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
+    ), said or "it takes none"
 
 
 def numbers(t: Trial) -> PyTree:
@@ -200,6 +202,6 @@ BASIC = ("numbers", "shapes")
 NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "purity"), "run": (*BASIC, "lanes")}
 
 
-def findings(label: str, mine: Own, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
+def findings(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
     """Return what every check says of a controller that closes the loop of a scenario."""
     return ask("options", partial(trial, label, mine, scenario, options), CHECKS, NEEDS)

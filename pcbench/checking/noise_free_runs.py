@@ -70,7 +70,7 @@ def recorded(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.floa
     if not noise:
         problem = problem._replace(noise_std=np.zeros_like(problem.noise_std))
     return Recording(
-        *jax.tree.map(np.asarray, tuple(trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(seed))))
+        *jax.tree.map(np.asarray, tuple(trajectory.jit_record()(p.layout, problem, np.asarray(0), np.asarray(seed))))
     )
 
 

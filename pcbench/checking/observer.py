@@ -30,7 +30,7 @@ from pcbench.simulation.simulate_runs import Shift
 from pcbench.simulation.trajectory import Recording
 from pcbench.simulation.types import GridPointParams, Layout, present
 from pcbench.study.grid import cell_of
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 
 ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
 RATE = 1.4  # a correction by a rate grows from tick to tick, by nearly 2 at first; a late one is there at once
@@ -95,7 +95,7 @@ def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
     """Record a run of the trial's observer on the numbers `p`, its packets shifted; room for all packets at once."""
     quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
     layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.notes), False)
-    return trajectory.compiled()(layout, quiet, np.asarray(0), np.asarray(0), shift)
+    return trajectory.jit_record()(layout, quiet, np.asarray(0), np.asarray(0), shift)
 
 
 def perfect_start(t: Trial) -> str:
@@ -227,7 +227,7 @@ def _many(t: Trial) -> str:
 
 def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
     """In a scenario's loop, true start, no noise: no error where it claims so, else one that stays within the bound."""
-    label, mine = candidate.label, Own(candidate.entry, Code("", candidate.label, (), ""))
+    label, mine = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
     cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: mine})
     (p,) = planned(quiet(short(cell)))
     out, where = recorded(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"

@@ -103,9 +103,9 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
     """Return the schedules to try, without gains; with runs `near` the operating point."""
     measured, size = scenario.sampling, NEAR if near else 1.0
     x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
-    every, at_once = times.whole(measured.sampling_period[0], scenario), len(measured.delay)
+    every, at_once = times.to_ticks(measured.sampling_period[0], scenario), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
-    usual = all(not isinstance(d, str) and times.whole(d, scenario) <= 3 * every for d in measured.delay)
+    usual = all(not isinstance(d, str) and times.to_ticks(d, scenario) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
         truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
         loop=Loop(input="zero"),

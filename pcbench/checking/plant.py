@@ -284,7 +284,7 @@ def tick(t: Trial) -> str:
     """A tick of the plant is as exact as two of half its length."""
     if motion(t) == "step":
         raise Skipped("it is given by its step: a tick is what that says")
-    dt, ticks = t.scenario.dt, times.whole(t.scenario.duration, t.scenario)
+    dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
     own, by = jax.jit(functions(t)["step"]), stepping(t)
     off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:

@@ -12,7 +12,7 @@ from pcbench.errors import UserError, raised, short, unknown
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.registry import KINDS, called
+from pcbench.study.plugins.registry import KINDS, describe_kind
 
 WHERE = "check"
 STUDY = "study"
@@ -42,7 +42,7 @@ def kind_of(target: str) -> str:
     expected = " or ".join(
         f"{'an' if name[0] in 'aeiou' else 'a'} {name} ({kind.expected})" for name, kind in KINDS.items()
     )
-    raise UserError(f"{WHERE}: got {called(found)} called {code.name}, expected {expected}; name one of those.")
+    raise UserError(f"{WHERE}: got {describe_kind(found)} called {code.name}, expected {expected}; name one of those.")
 
 
 PASSES, FAILS, SKIPPED, NOTE = "passes", "fails", "skipped", "note"

@@ -192,7 +192,7 @@ def found(kind: str, name: str | None = None) -> dict[str, Description]:
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)
     members, describe = CATALOGUE[kind]
-    installed = registry.installed(kind.removesuffix("s"))
+    installed = registry.find_plugins(kind.removesuffix("s"))
     if name is None:
         packages = {
             each: {"summary": f"of the package {offer.package}", "use": offer.reference}

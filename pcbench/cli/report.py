@@ -43,10 +43,10 @@ def report(
     setup()
     from pcbench import statistics
     from pcbench.plots.layout import PAPER
-    from pcbench.report.figures import Shown
+    from pcbench.report.figures import FigureOptions
     from pcbench.runtime import config
 
-    statistics.compared(metric, "--metric")
+    statistics.require_metric(metric, "--metric")
     if threshold is not None and not threshold > 0:
         raise UserError(
             f"--threshold: got {threshold:g}, expected a positive limit of {metric}; write --threshold 0.05."
@@ -55,7 +55,7 @@ def report(
         raise UserError(
             f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
         )
-    shown = Shown(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
+    shown = FigureOptions(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
     with config.float64(), working(quiet) as progress:
         if figures is not None:
             from pcbench.dataset.result import open_result

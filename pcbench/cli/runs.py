@@ -72,7 +72,7 @@ def run(
     from pcbench import api, statistics
     from pcbench.study import parse
 
-    statistics.compared(metric, "--metric")
+    statistics.require_metric(metric, "--metric")
     asked, where = parse.outline(study, changes or []), chosen(signal)
     parse.require_signals(asked, where, "--signal")
     if (evaluation or asked.evaluation) == "exact":
@@ -101,7 +101,7 @@ def run(
     if result.study.custom_observers and find_spec("matplotlib"):
         from pcbench.report import figures
 
-        shown = figures.Shown(metric=metric, signals=where)
+        shown = figures.FigureOptions(metric=metric, signals=where)
         figures.places(result, list(result.study.scenarios), shown)  # while the user's own code is at hand
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))

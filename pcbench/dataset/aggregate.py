@@ -68,7 +68,7 @@ def rows_of_cells(study: str, cells: list[CellBlocks], runs: list[Chunk]) -> tup
 def _tables(
     study: str,
     cells: list[CellBlocks],
-    described: dict[str, statistics.Described],
+    described: dict[str, statistics.ObserverSummary],
     compared: dict[statistics.Pair, statistics.PairResult],
 ) -> tuple[pa.Table, pa.Table]:
     cell = cells[0].cell

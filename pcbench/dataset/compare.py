@@ -29,7 +29,7 @@ from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.confidence_intervals import Values
 from pcbench.study import Study
-from pcbench.study.grid import identity, rooted
+from pcbench.study.grid import identity, reseed
 from pcbench.study.serialize import to_toml
 
 LEVEL = 0.05
@@ -88,7 +88,7 @@ def _rooted(owned: Owned, other: Study) -> Owned:
     if other.root_seed == owned.study.root_seed:  # as it is: options of a user's observer may not be known here
         return owned
     study = owned.study.model_copy(update={"root_seed": other.root_seed})
-    every = rooted(owned.cells, other.root_seed)
+    every = reseed(owned.cells, other.root_seed)
     return Owned(study, every, to_toml(study, every))
 
 

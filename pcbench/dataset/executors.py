@@ -19,7 +19,7 @@ import jax
 from pcbench.engine import runner
 from pcbench.errors import UserError, shown_address
 from pcbench.runtime import config, ending
-from pcbench.runtime.memory import allowed
+from pcbench.runtime.memory import memory_budget
 
 if TYPE_CHECKING:
     from distributed import LocalCluster
@@ -49,9 +49,9 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
     if workers is not None and address != "local":
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
-        return SHARE if memory is None else allowed(memory) / 2
+        return SHARE if memory is None else memory_budget(memory) / 2
     at_once = (workers or runner.cores()) if address else len(runner.devices(count))
-    return allowed(memory) / (2 * max(at_once, 1))
+    return memory_budget(memory) / (2 * max(at_once, 1))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.study import Study, parse
-from pcbench.study.grid import Cell, Grid, channels_apart, numbered, with_engine
+from pcbench.study.grid import Cell, Grid, channels_apart, number_cells, with_engine
 from pcbench.study.serialize import to_toml
 from pcbench.toml_text import TomlTable
 
@@ -60,7 +60,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> Owned:
         cells = _cells_of_blocks(target, grid, blocks)
     elif text is not None:
         there = read_text(target, text)
-        cells = numbered(cells, there["resolved"]["cells"])
+        cells = number_cells(cells, there["resolved"]["cells"])
         if blocks:  # seeds of a run that was stopped, which have no block, bind nobody
             standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
             left = common(counted(there["first_seed"], there["seeds"]), standing)
@@ -107,7 +107,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
     for scenario, digests in numbers.items():
         rest = (c.digest for c in grid.cells if c.scenario.name == scenario and c.digest not in digests.values())
         order[scenario] = [digests.get(i) or next(rest) for i in range(max(digests, default=-1) + 1)]
-    return numbered(grid.cells, order)
+    return number_cells(grid.cells, order)
 
 
 def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
@@ -131,7 +131,7 @@ def opened(target: storage.Target, run: bool = False) -> Owned:
         )
     there = read_text(target, text)
     study, cells = parse.grid(_unresolved(there), f"{target.name}/{TEXT}", stored_code.gate(target, there, run))
-    return Owned(study, numbered(cells, there["resolved"]["cells"]), text.decode())
+    return Owned(study, number_cells(cells, there["resolved"]["cells"]), text.decode())
 
 
 def digests(owned: Owned) -> dict[tuple[str, int], str]:
@@ -177,7 +177,7 @@ def _unresolved(there: TomlTable) -> TomlTable:
 def _reshaped(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
     where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
-    old = parse.described(_unresolved(there) | {"seeds": 1}, where, gate)
+    old = parse.build_study(_unresolved(there) | {"seeds": 1}, where, gate)
     for name in sorted(channels_apart(old) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 

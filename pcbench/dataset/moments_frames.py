@@ -13,7 +13,7 @@ from pcbench.dataset.aggregate import seen_bound
 from pcbench.errors import UserError, unknown
 from pcbench.moments import exactness, stats_rows
 from pcbench.moments.propagate import COVARIANCE
-from pcbench.moments.solve import Asked, CellMoments, planned, solve
+from pcbench.moments.solve import CellMoments, MomentRequest, plan_cells, solve
 from pcbench.plants import signals_of
 from pcbench.runtime import config
 from pcbench.study.grid import Cell, Grid
@@ -63,7 +63,7 @@ class Exact:
         """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
         cell = m.planned.cell
         names = [name for name, _ in signals_of(cell.scenario)]
-        ticks = np.arange(0, cell.times.ticks + 1, Asked(0, 0, points=points).every(cell.times.ticks))
+        ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).every(cell.times.ticks))
         for label, place in m.signals.items():
             if m.why[label] or not m.rows:
                 continue
@@ -106,8 +106,8 @@ class Exact:
     def solved(self, cells: list[Cell], recorded: str = "", points: int = 0) -> Iterator[CellMoments]:
         """Yield the moments of cells; of many an observer at a time."""
         with config.float64():
-            asked = Asked(self.grid.study.root_seed, self.schedules, recorded, points)
-            for m in solve(planned(cells, recorded == COVARIANCE), asked):
+            asked = MomentRequest(self.grid.study.root_seed, self.schedules, recorded, points)
+            for m in solve(plan_cells(cells, recorded == COVARIANCE), asked):
                 yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
 
     def rows(self, m: CellMoments) -> dict[str, list[object]]:
@@ -117,7 +117,7 @@ class Exact:
         bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
         order, parts = columns.stats_order(columns.axes_of(head)), []
         for label in m.signals:
-            rows = stats_rows.described(m, label, m.why[label], bound)
+            rows = stats_rows.stats_columns(m, label, m.why[label], bound)
             about = head | {
                 "plant": cell.scenario.plant,
                 "observer": label,

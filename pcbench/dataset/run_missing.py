@@ -143,7 +143,7 @@ class Planned(NamedTuple):
         """
         programs: dict[Hashable, list[Plan]] = {}
         for p in self.kept:
-            programs.setdefault(padding.key_of(padding.fitted(p, self.room, self.ask)), []).append(p)
+            programs.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.ask)), []).append(p)
         cells = {cell.key: cell for cell in self.owned.cells}
         begun: set[Hashable] = set()
         for expensive in sorted(
@@ -162,7 +162,7 @@ class Planned(NamedTuple):
             }
             if not ranges:
                 continue
-            fitted = padding.fitted(p, self.room, self.ask)
+            fitted = padding.fit_to_capacity(p, self.room, self.ask)
             program = padding.key_of(fitted)
             for each in task.tasks(fitted, p.layout.width, ranges):
                 if program not in begun:
@@ -197,7 +197,7 @@ def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
     plan, room, left = Planned(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
     kept: list[Plan] = []
     seen: set[int] = set()  # arrays, all alive in drafts that are kept
-    for p in padding.checked(plan.drafts()):
+    for p in padding.check_drafts(plan.drafts()):
         room = padding.larger(room, padding.room_of(p))
         if left >= 0:
             new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in seen}

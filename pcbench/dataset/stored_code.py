@@ -14,8 +14,8 @@ from pcbench.dataset.study_diff import Files
 from pcbench.errors import UserError, short
 from pcbench.study import Study
 from pcbench.study.plugins import registry, user_code, user_controllers, user_observers, user_plants
-from pcbench.study.plugins.references import SCENARIO, Gate, Named
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.references import SCENARIO, Gate, PluginReference
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.serialize import codes
 from pcbench.toml_text import TomlTable
 
@@ -75,7 +75,7 @@ def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
     refused in either case: the study of a dataset has their tables.
     """
 
-    def load(named: Named, where: str) -> Own:
+    def load(named: PluginReference, where: str) -> UserPlugin:
         if named.kind == SCENARIO:
             raise UserError(
                 f"{where}: got '{short(named.reference)}', expected a table: the study of a dataset names no scenario by "
@@ -100,7 +100,7 @@ def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
     return Gate(load, files=False)
 
 
-def _absent(named: Named, code: user_code.Code, resolved: TomlTable) -> Own:
+def _absent(named: PluginReference, code: user_code.Code, resolved: TomlTable) -> UserPlugin:
     """What stands for a user's own whose code is left alone, by what a study's text says of it."""
     key = named.key if named.kind == "observer" else f"{named.kind} {code.name}"
     code = code._replace(digest=code.digest or resolved.get("code", {}).get(key, ""))

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 from pcbench.dataset.seed_ranges import common, counted
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.references import Named, renamed
+from pcbench.study.plugins.references import PluginReference, replace_references
 from pcbench.toml_text import TomlTable
 
 Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest of each file
@@ -20,7 +20,7 @@ def changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files] = ({},
     """
     code = list(_recoded(there, here, files))
     yield from code
-    old_texts, new_texts = (renamed(study, _undated) for study in (there, here))
+    old_texts, new_texts = (replace_references(study, _undated) for study in (there, here))
     for key in sorted((there.keys() | here.keys()) - GROWN):
         if old_texts.get(key) != new_texts.get(key):
             yield _phrase(key, old_texts.get(key), new_texts.get(key))
@@ -71,7 +71,7 @@ def _recoded(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> I
         yield f"the code of {name}: {where[0]} there, {where[1]} here"
 
 
-def _undated(each: Named) -> str:
+def _undated(each: PluginReference) -> str:
     """MODULE:NAME as it is whatever the content of its file."""
     return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.dataset import columns
 from pcbench.dataset.columns import Columns, words
-from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, Described, Pair, PairResult, Results
+from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, ObserverSummary, Pair, PairResult, Results
 
 Head = dict[str, object]  # what the rows of a cell have in common, by column
 Facts = list[dict[str, dict[str, bool | None]]]  # [C] what is so of each observer, by column
@@ -19,7 +19,9 @@ Signals = Sequence[tuple[str, str]]  # name and unit
 Indices = NDArray[np.int64]
 
 
-def stats_table(heads: list[Head], facts: Facts, signals: Signals, described: Mapping[str, Described]) -> pa.Table:
+def stats_table(
+    heads: list[Head], facts: Facts, signals: Signals, described: Mapping[str, ObserverSummary]
+) -> pa.Table:
     """Return the rows of stats: by cell, by observer, by signal, every metric."""
     each = list(described.values())
     shown = np.concatenate([d.shown for d in each], 1)

@@ -207,11 +207,11 @@ def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
     for cell in cells:
         again = {label for each in by.get(cell.key, {}).values() for label in each}
         asked.append(cell._replace(options={o: given for o, given in cell.options.items() if o in again}))
-    room = padding.needed(planning.drafts(cells, ()))
+    room = padding.required_capacity(planning.drafts(cells, ()))
     for draft in planning.drafts(asked, by, apart=True):
         for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
-                yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
+                yield task.Task(padding.fit_to_capacity(draft, room), ((seeds, labels),))
 
 
 def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: executors.Hold) -> tuple[int, list[str]]:

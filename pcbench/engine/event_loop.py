@@ -39,7 +39,7 @@ def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array,
 
     `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
     """
-    layout = innovation_stats.watched(layout) if layout.consistency else layout
+    layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], tick_sampler(layout, p, root_seed, seeds)

@@ -121,9 +121,9 @@ def _compiled(layout: Layout, device: jax.Device, tree: PyTree, shapes: tuple[Py
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds, maps)
 
-    mapped = jax.jit(partial(every_map, innovation_stats.watched(layout) if layout.consistency else layout)).trace(
-        given[0]
-    )
+    mapped = jax.jit(
+        partial(every_map, innovation_stats.add_innovation_stats(layout) if layout.consistency else layout)
+    ).trace(given[0])
     shapes_of_maps = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), mapped.out_info)
     way = "defined" if layout.defined else "stepped"  # of observers that have no maps
     with thread_pools.pool(1) as thread:  # each takes seconds

@@ -13,7 +13,7 @@ from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn, EqnParams
-from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, known, place_of, written
+from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, number_entries, place_of, written
 from pcbench.planning.operation_counts import ONCE
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
@@ -156,10 +156,12 @@ def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     rest = [i for i in range(a.ndim) if i not in axes]
     flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
     out = np.empty(flat.shape[:-1], object)
-    how, none = FOLDS[eqn.primitive.name], known(0)
+    how, none = FOLDS[eqn.primitive.name], number_entries(0)
     if not a.size:  # what a fold of no entry is
         v = eqn.invars[0].aval
-        none = known(np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0])
+        none = number_entries(
+            np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0]
+        )
     for i in np.ndindex(out.shape):
         each = [written(x) for x in flat[i]]
         if not each:
@@ -209,7 +211,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     kind, out = kind_of(aval.dtype), np.empty(aval.size, object)
     for at, (k, i, j) in enumerate(np.ndindex(a.shape[0], a.shape[1], b.shape[1])):
         terms = [f"{written(x)} * {written(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
-        out[at] = w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else known(0.0)[()]
+        out[at] = w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else number_entries(0.0)[()]
     return out.reshape(aval.shape)
 
 

@@ -22,7 +22,7 @@ from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
 from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
-from pcbench.playback.setup import Prepared, open_playback
+from pcbench.playback.setup import PlaybackSetup, open_playback
 from pcbench.runtime import config
 from pcbench.study.grid import Cell
 from pcbench.study.load import Described
@@ -102,7 +102,7 @@ def _recorded(
 
 
 def _exported(
-    cell: Cell, label: str, name: str, p: padding.Plan | Prepared, known: DesignContext, rows: int, run: Vector
+    cell: Cell, label: str, name: str, p: padding.Plan | PlaybackSetup, known: DesignContext, rows: int, run: Vector
 ) -> Exported:
     """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by."""
     o = dict(p.layout.observers)[name]

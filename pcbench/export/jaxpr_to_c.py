@@ -13,7 +13,17 @@ from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.engine.jaxpr_compat import ClosedJaxpr, Eqn, Jaxpr
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places
-from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known, scalar, stored, written
+from pcbench.export.terms import (
+    Entries,
+    Term,
+    Writer,
+    array_entries,
+    is_known,
+    kind_of,
+    number_entries,
+    scalar,
+    written,
+)
 
 Rule = Callable[[Writer, Eqn, list[Entries]], Entries]
 MOVES = jaxpr_compat.STRUCTURAL | {"split", "stack", "tile"}
@@ -38,7 +48,7 @@ class Hindered(UserError):
 
 def write(w: Writer, closed: ClosedJaxpr, args: list[Entries]) -> list[Entries]:
     """Write a program at some entries, and return what it makes; raise Hindered with the primitive that cannot be written."""
-    return _walk(w, closed.jaxpr, [known(c) for c in closed.consts], args)
+    return _walk(w, closed.jaxpr, [number_entries(c) for c in closed.consts], args)
 
 
 def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
@@ -58,7 +68,7 @@ def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
     def read(v: jaxpr_compat.Atom) -> Entries:
-        return known(np.asarray(v.val)) if isinstance(v, jaxpr_compat.Literal) else env[v]
+        return number_entries(np.asarray(v.val)) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
         try:
@@ -81,7 +91,7 @@ def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     if name in ("scan", "while", "cond"):
         return {"scan": _scan, "while": _while, "cond": _cond}[name](w, eqn, args)
     if name == "iota":
-        return [known(np.asarray(eqn.primitive.bind(**eqn.params)))]
+        return [number_entries(np.asarray(eqn.primitive.bind(**eqn.params)))]
     if name == "platform_index":
         return [
             scalar(np.int32(next(i for i, p in enumerate(jaxpr_compat.param(eqn, "platforms")) if not p or "cpu" in p)))
@@ -161,7 +171,7 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
         out = write(w, body, [*args[:consts], *state, *mine])
         kinds = _kinds(body.jaxpr.outvars[carry:])
         left = [
-            (kind, stored(a.flat[0].store, b.shape, f"{n} * {b.size}"), b)
+            (kind, array_entries(a.flat[0].store, b.shape, f"{n} * {b.size}"), b)
             for kind, a, b in zip(kinds, made, out[carry:], strict=True)
             if b.size
         ]
@@ -176,7 +186,7 @@ def _row(n: str, table: Term | None, rows: Entries) -> Entries:
         return np.empty(rows.shape[1:], object)
     size = int(np.prod(rows.shape[1:]))
     base = f"{table.base} + {n} * {size}" if table.base else f"{n} * {size}"
-    return stored(table.store, rows.shape[1:], base, table.place)
+    return array_entries(table.store, rows.shape[1:], base, table.place)
 
 
 def _cond(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:

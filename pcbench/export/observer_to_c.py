@@ -18,7 +18,7 @@ from pcbench.engine.jaxpr_compat import ClosedJaxpr
 from pcbench.errors import UserError
 from pcbench.export import jaxpr_to_c, structs
 from pcbench.export.structs import Field
-from pcbench.export.terms import Entries, Writer, kind_of, stored
+from pcbench.export.terms import Entries, Writer, array_entries, kind_of
 from pcbench.protocols import Arrival, Now, Observer
 
 
@@ -88,7 +88,7 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
             entry
             for each in args
             for entry in (
-                structs.entries(each, there[each]) if each in there else [stored(each, vectors[each][0].shape)]
+                structs.entries(each, there[each]) if each in there else [array_entries(each, vectors[each][0].shape)]
             )
         ]
         into = structs.entries("m", there["m"]) if changes == "m" else None
@@ -194,7 +194,7 @@ def _lines(
     kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
     if w.checks and refuses:
         w.say("if (outside) return 1;")
-    jaxpr_to_c.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
+    jaxpr_to_c.assign(w, [*zip(kinds, into or [array_entries(changes, left[0].shape)], left, strict=True)])
     w.count()
     if refuses:
         w.say("return 0;")

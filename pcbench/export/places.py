@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn
-from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, known, place_of, stored, written
+from pcbench.export.terms import Entries, Entry, Term, Writer, array_entries, kind_of, number_entries, place_of, written
 
 FILL = (GatherScatterMode.FILL_OR_DROP,)
 
@@ -35,8 +35,8 @@ def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         return out
     name, first = _copied(w, eqn, operand), _offset(w, operand.shape, starts)
     for i in np.ndindex(update.shape):
-        w.say(f"{stored(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
-    return stored(name, operand.shape)
+        w.say(f"{array_entries(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
+    return array_entries(name, operand.shape)
 
 
 def _starts(
@@ -101,9 +101,9 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
             for axis, k in zip(d.update_window_dims, i, strict=True):
                 at[axis] = k
             window[windowed] = i
-            place = stored(name, (1,), first, _flat(operand.shape, tuple(window)))[0].text
+            place = array_entries(name, (1,), first, _flat(operand.shape, tuple(window)))[0].text
             w.say(f"if ({there}) {place} {'+=' if adds else '='} {written(updates[tuple(at)])};")
-    return stored(name, operand.shape)
+    return array_entries(name, operand.shape)
 
 
 def held(w: Writer, kind: str, values: Entries) -> Term:
@@ -124,7 +124,7 @@ def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window
     here = held(w, kind_of(eqn.invars[0].aval.dtype), operand)
     first = _offset(w, operand.shape, starts, here.base)
     for i in np.ndindex(out.shape):
-        out[i] = stored(here.store, (1,), first, here.place + _flat(operand.shape, tuple(window[i])))[0]
+        out[i] = array_entries(here.store, (1,), first, here.place + _flat(operand.shape, tuple(window[i])))[0]
     return out
 
 
@@ -155,7 +155,7 @@ def _or_else(w: Writer, eqn: Eqn, found: Entries, there: str) -> Entries:
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
     none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
-    other, out = written(known(none if fill is None else fill)[()]), np.empty(found.shape, object)
+    other, out = written(number_entries(none if fill is None else fill)[()]), np.empty(found.shape, object)
     for i in np.ndindex(found.shape):
         out[i] = w.let(kind, f"{there} ? {written(found[i])} : {other}")
     return out

@@ -6,12 +6,12 @@ from pcbench.errors import UserError
 from pcbench.export.structs import Vector, happening
 from pcbench.plants import estimated_of
 from pcbench.playback import stream
-from pcbench.playback.setup import Playback, Prepared, prepared, room_of
+from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
 
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def recorded(a: Playback, tells: bool) -> tuple[Prepared, Vector]:
+def recorded(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
     """Return an observer prepared for a recording, and the recording as a run, still without what is expected of it.
 
     Raises UserError for a recording that is too long to become a table in C.
@@ -26,7 +26,7 @@ def recorded(a: Playback, tells: bool) -> tuple[Prepared, Vector]:
             f"{a.name}: got the noise of each measurement of {', '.join(with_std)}, expected a recording without: the C has "
             "one variance for each channel; leave std and variance out of the recording."
         )
-    p = prepared(a, room_of(a))
+    p = prepare_observers(a, room_of(a))
     parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last + 1]

@@ -7,7 +7,7 @@ from pcbench.export import c_files
 from pcbench.export.c_files import About, plain
 from pcbench.export.observer_to_c import Source
 from pcbench.export.structs import Vector
-from pcbench.export.terms import known, written
+from pcbench.export.terms import number_entries, written
 
 MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
    With the argument `estimates` it prints them instead, a line a tick. */
@@ -154,7 +154,7 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         f"    int64_t age[{q}], index[{q}], ticks_since_arrival;",
         "} event;",
         "",
-        f"static const char *const names[] = {{{', '.join(_quoted(name) for name, _ in about.signals[:s])}}};",
+        f"static const char *const names[] = {{{', '.join(_quote_name(name) for name, _ in about.signals[:s])}}};",
         f"static const {about.label}_real first[] = {{{_row(v.xhat0)}}};",
         f"static const double before[][{m}] = {{{', '.join(f'{{{_row(u)}}}' for u in v.before)}}};",
         *_table("inputs", m, v.inputs),
@@ -173,12 +173,12 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
     return plain("\n".join(lines))
 
 
-def _quoted(name: str) -> str:
+def _quote_name(name: str) -> str:
     return '"' + name.replace('"', "'") + '"'
 
 
 def _row(values: ArrayLike) -> str:
-    return ", ".join(written(x) for x in known(values).flat)
+    return ", ".join(written(x) for x in number_entries(values).flat)
 
 
 def _table(name: str, many: int, rows: np.ndarray) -> list[str]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pcbench.engine import initial_state, lane_array
 from pcbench.engine.common_schedule import prepare
 from pcbench.engine.interpreter import vmap_entrywise
-from pcbench.export.terms import Entries, Term, kind_of, known, scalar, stored, written
+from pcbench.export.terms import Entries, Term, array_entries, kind_of, number_entries, scalar, written
 from pcbench.planning.padding import Plan
 from pcbench.recordings.windows import Window
 from pcbench.simulation import measurements, trajectory
@@ -67,11 +67,11 @@ def entries(pointer: str, given: Iterable[Field]) -> list[Entries]:
     out = []
     for f in given:
         text = f"{pointer}->{f.name}"
-        out.append(stored(text, f.shape) if f.shape else scalar(Term(text)))
+        out.append(array_entries(text, f.shape) if f.shape else scalar(Term(text)))
     return out
 
 
-def declared(name: str, given: Iterable[Field]) -> list[str]:
+def declare_struct(name: str, given: Iterable[Field]) -> list[str]:
     """Return the lines that declare a struct; C has no empty one."""
     lines = ["typedef struct {"]
     for f in given:
@@ -91,7 +91,7 @@ def initialiser(given: Iterable[Field], values: Iterable[np.ndarray]) -> list[st
     for f, value in zip(given, values, strict=True):
         if not f.size:
             continue
-        each = [written(x) for x in known(value).flat]
+        each = [written(x) for x in number_entries(value).flat]
         rows = [", ".join(each[i : i + 8]) for i in range(0, len(each), 8)]
         if f.shape:
             lines += [f"    .{f.name} = {{", *(f"        {row}," for row in rows), "    },"]
@@ -132,12 +132,12 @@ class Vector(NamedTuple):
 def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     """Return a run of a plan of one observer, on a schedule of that run (`planning.alone`), with `rows` inputs from before."""
     (name, _), root, index = p.layout.observers[0], np.asarray(root_seed), np.asarray(seed)
-    out = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, root, index))
+    out = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, p.problem, root, index))
     ask = jax.jit(beginning, static_argnums=(0, 1))
     xhat0, before = ask(p.layout._replace(width=1), rows, p.problem, root, index[None])
     schedule, n = p.problem.schedule, p.problem.x0.shape[0]
     many = 1 + max(int(schedule.sample.max(initial=0)), int(schedule.early.max(initial=0)))
-    seen = measurements.compiled()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
+    seen = measurements.jit_measure_runs()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
     values = packets(schedule, *(np.asarray(each)[..., 0] for each in seen))
     window = Window(
         sense=schedule.snapshot,

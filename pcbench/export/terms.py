@@ -66,14 +66,14 @@ class Writer:
         name, texts = self.name("a"), [written(x) for x in values.flat]
         fixed = "static const " if not any(isinstance(x, Term) for x in values.flat) else ""
         self.say(f"{fixed}{kind} {name}[{values.size}] = {{{', '.join(texts)}}};")
-        return stored(name, values.shape)
+        return array_entries(name, values.shape)
 
     def room(self, kind: str, shape: tuple[int, ...]) -> Entries:
         """Write an array without values yet, and return its entries; a number alone is a name."""
         name, size = self.name("v"), int(np.prod(shape))
         if size:
             self.say(f"{kind} {name}{f'[{size}]' if shape else ''};")
-        return stored(name, shape) if shape else scalar(Term(name))
+        return array_entries(name, shape) if shape else scalar(Term(name))
 
     @contextmanager
     def block(self, head: str) -> Iterator[None]:
@@ -101,7 +101,7 @@ def scalar(x: Entry) -> Entries:
     return out
 
 
-def known(value: ArrayLike) -> Entries:
+def number_entries(value: ArrayLike) -> Entries:
     """Return the entries of an array of numbers."""
     given = np.asarray(value)
     out = np.empty(given.shape, object)
@@ -115,7 +115,7 @@ def is_known(*arrays: Entries) -> bool:
     return not any(isinstance(x, Term) for a in arrays for x in a.flat)
 
 
-def stored(name: str, shape: tuple[int, ...], base: str = "", first: int = 0) -> Entries:
+def array_entries(name: str, shape: tuple[int, ...], base: str = "", first: int = 0) -> Entries:
     """Return the entries of an array of C, behind an index `base` and `first` more."""
     out = np.empty(int(np.prod(shape)), object)
     for i in range(out.size):
@@ -148,7 +148,7 @@ def written(x: Entry) -> str:
     if isinstance(x, bool | np.bool_):
         return "true" if x else "false"
     if np.issubdtype(np.asarray(x).dtype, np.integer):
-        return _whole(int(x))
+        return _format_integer(int(x))
     value = float(x)
     if np.isnan(value):
         return "(real)NAN"
@@ -157,7 +157,7 @@ def written(x: Entry) -> str:
     return f"R({value!r})" if value >= 0 and not np.signbit(value) else f"(-R({-value!r}))"
 
 
-def _whole(value: int) -> str:
+def _format_integer(value: int) -> str:
     if value == -(2**63):
         return "INT64_MIN"
     text = str(abs(value)) + ("LL" if abs(value) >= LONG else "")

@@ -65,11 +65,11 @@ Floats = NDArray[np.float64]
 class Guest(Protocol):
     """What makes the estimates of one run."""
 
-    def step(self, t: float, u: Floats, arrivals: list["Arrived"], /) -> ArrayLike:
+    def step(self, t: float, u: Floats, arrivals: list["ChannelArrival"], /) -> ArrayLike:
         """Return xhat at t [s]."""
 
 
-class Arrived(NamedTuple):
+class ChannelArrival(NamedTuple):
     """One sampling instant, of which some channels arrive now; q outputs."""
 
     sampled: float  # [s]
@@ -123,16 +123,16 @@ def of_cell(
         yield pd.DataFrame(keys | dict(zip(names, found.T, strict=True)))
 
 
-def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[Arrived]]:
+def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[ChannelArrival]]:
     """Return by tick what arrives then, the oldest sampling instant first."""
-    out: dict[int, list[Arrived]] = {}
+    out: dict[int, list[ChannelArrival]] = {}
     if samples is None:
         return out
     for _, rows in samples.groupby(["arrived_tick", "sampled_tick"], sort=True):
         sampled, tick, taken = (rows[name].iloc[0] for name in ("sampled", "arrived_tick", "sampled_tick"))
         value = np.full(q, np.nan)
         value[rows.channel.to_numpy() - 1] = rows.value.to_numpy()
-        out.setdefault(int(tick), []).append(Arrived(float(sampled), int(taken), value, ~np.isnan(value)))
+        out.setdefault(int(tick), []).append(ChannelArrival(float(sampled), int(taken), value, ~np.isnan(value)))
     return out
 
 
@@ -141,7 +141,7 @@ def of_run(
     cell: dict[str, Any],
     xhat0: Floats,
     inputs: Floats,
-    coming: dict[int, list[Arrived]],
+    coming: dict[int, list[ChannelArrival]],
     where: str,
 ) -> Floats:
     """Return a guest's estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for what it raises, or returns amiss."""

@@ -101,7 +101,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
     with config.float64():
         target = storage.target(out)
         owned = manifest.claim(target, grid)
-        plans = [runs.planned(cell) for cell in owned.cells]
+        plans = [runs.plan_without_observers(cell) for cell in owned.cells]
         storage.make(target)
         if storage.text(target, manifest.TEXT) is None:
             manifest.renew(target, owned)
@@ -120,8 +120,8 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
         tables = {
             "samples": pa.Table.from_arrays(columns, schema=schema),
-            "starts": _joined(starts),
-            "inputs": _joined([_inputs(p) for p in plans]),
+            "starts": _concat_tables(starts),
+            "inputs": _concat_tables([_inputs(p) for p in plans]),
         }
         files = {f"{FOLDER}/{name}.parquet": parquet_io.encoded(table) for name, table in tables.items()}
         for name, table in tables.items():
@@ -167,7 +167,7 @@ def _inputs(p: Plan) -> dict[str, object]:
     )
 
 
-def _joined(parts: list[dict[str, object]]) -> pa.Table:
+def _concat_tables(parts: list[dict[str, object]]) -> pa.Table:
     return pa.concat_tables([pa.table(part) for part in parts], promote_options="default")
 
 

@@ -32,7 +32,7 @@ class Run(NamedTuple):
     values: Floats  # [samples]
 
 
-def planned(cell: Cell) -> Plan:
+def plan_without_observers(cell: Cell) -> Plan:
     """Return a cell laid out without observers; raise UserError of one that no guest can take part in."""
     s = cell.scenario
     if s.loop.controller:
@@ -63,7 +63,7 @@ def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
     first = _starts(layout, still, root, seeds)
     each = [_samples(p, root_seed, int(seed)) for seed in seeds]
     many = 1 + max(s.number for mine in each for s in mine)
-    clean, noise = (np.asarray(a) for a in measurements.compiled()(layout, many, still, root, seeds, x[:, :n]))
+    clean, noise = (np.asarray(a) for a in measurements.jit_measure_runs()(layout, many, still, root, seeds, x[:, :n]))
     for i, (seed, mine) in enumerate(zip(seeds, each, strict=True)):
         values = [clean[max(s.taken, 0), s.channel, i] + noise[s.number, s.channel, i] for s in mine]
         yield Run(int(seed), x[..., i], first[:, i], mine, np.array(values))
@@ -79,4 +79,4 @@ def _samples(p: Plan, root_seed: int, seed: int) -> list[common_times.Sample]:
     clocks, ticks = p.cell.times.clocks, p.cell.times.ticks
     if not p.cell.times.random:
         return [s for s in common_times.samples(clocks, ticks) if s.taken <= ticks]
-    return random_times.realised(clocks, ticks, len(p.problem.noise_std), root_seed, seed)
+    return random_times.draw_samples(clocks, ticks, len(p.problem.noise_std), root_seed, seed)

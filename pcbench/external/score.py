@@ -84,7 +84,7 @@ def score(
         cells = [cell for cell in owned.cells if name in cell.options]
         signals = {cell.key: [s for s, _ in estimated_of(cell.scenario)] for cell in cells}
         every = list(dict.fromkeys(s for names in signals.values() for s in names))
-        tables = sorted_(read(file), where, every, cells[0].key if len(cells) == 1 else None)
+        tables = sort_by_cell(read(file), where, every, cells[0].key if len(cells) == 1 else None)
         seeds = _seeds(target, grid)
         blocks = []
         progress.begin("runs", seeds.many * len(cells))
@@ -92,7 +92,7 @@ def score(
             here = f"{where}: {cell.scenario.name}, cell {cell.number}"
             mine = tables.get(cell.key)
             xhat = estimates_of(mine, here, signals[cell.key], np.arange(*seeds), cell.times.ticks)
-            p = runs.planned(cell)
+            p = runs.plan_without_observers(cell)
             blocks.append((p, _results(p, grid.study.root_seed, seeds, xhat, progress)))
         manifest.begin(target, owned)
         work = task.Work(target.uri, grid.study.name, grid.study.root_seed)
@@ -146,12 +146,12 @@ def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Prog
     for first in range(0, len(xhat), runs.TOGETHER):
         given = xhat[first : first + runs.TOGETHER]
         numbers = np.arange(*seeds)[first : first + len(given)]
-        parts.append(scored(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), given))
+        parts.append(compute_metrics(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), given))
         progress.step(len(given))
     return {name: np.concatenate([part[name] for part in parts], -1) for name in parts[0]}
 
 
-def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
+def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
     """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
     n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
     many = xhat.shape[-1]
@@ -207,7 +207,7 @@ def read(file: str | Path) -> pd.DataFrame:
         ) from None
 
 
-def sorted_(
+def sort_by_cell(
     table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None
 ) -> dict[tuple[str, int], pd.DataFrame]:
     """Return the rows of each cell, in the order of seeds and ticks; of a study of `only` one cell its names may be left out.

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pcbench.errors import UserError, unknown
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
-from pcbench.planning import designed, setting
+from pcbench.planning import run_design, setting
 from pcbench.runtime import config
 from pcbench.study import Study
 from pcbench.study.grid import Cell
@@ -45,8 +45,8 @@ def design(
         valid = get_args(entry.options.model_fields[way].annotation)
         if gain not in valid:
             raise unknown("--gain", f"way to find gains of {label}", gain, valid)
-        study, cell = one_cell(changed(study, label, {way: gain}), [label], [])
-    return study, cell, designed(label, cell.entry(label), setting(cell), cell.options[label])
+        study, cell = one_cell(replace_options(study, label, {way: gain}), [label], [])
+    return study, cell, run_design(label, cell.entry(label), setting(cell), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> TomlTable:
@@ -114,7 +114,7 @@ def trade_off(
         row |= {"certified": None, "refused": ""}
         try:
             with config.float64():
-                c = design(changed(study, observer, {name: value}), observer, gain=gain)[2].certificate
+                c = design(replace_options(study, observer, {name: value}), observer, gain=gain)[2].certificate
             row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback}
             row["certified"] = is_certified(c._asdict())
             for key, number in c.numbers.items():
@@ -132,7 +132,7 @@ def trade_off(
     return pd.DataFrame(rows)
 
 
-def changed(study: Study, observer: str, options: TomlTable) -> Study:
+def replace_options(study: Study, observer: str, options: TomlTable) -> Study:
     """Return a study with some options of an observer changed."""
     given = study.options.get(observer, {})
     return study.model_copy(update={"options": study.options | {observer: given | options}})
@@ -166,8 +166,10 @@ def _proven_again(study: Study, cell: Cell, observer: str, chosen: TomlTable) ->
     slower = [chosen | {"decay": BACK * chosen["decay"]}] if chosen.get("decay") else []
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
-            here = changed(study.model_copy(update={"options": {}}), observer, each)
-            designed(observer, cell.entry(observer), setting(cell), one_cell(here, [observer], [])[1].options[observer])
+            here = replace_options(study.model_copy(update={"options": {}}), observer, each)
+            run_design(
+                observer, cell.entry(observer), setting(cell), one_cell(here, [observer], [])[1].options[observer]
+            )
         except UserError:
             continue
         return each

@@ -29,7 +29,7 @@ from pcbench.gains import objective_eval, parameters, tune, validation
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.study import Study, TunedCell, TunedOptions, given, observers_of, scenarios_of
+from pcbench.study import Study, TunedCell, TunedOptions, merge_options, observers_of, scenarios_of
 from pcbench.study.grid import Grid, cells
 from pcbench.study.grid import points as grid_points
 from pcbench.study.labels import entry_in
@@ -85,7 +85,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
         objective_eval.require_exact_value(aim, where)
     _require_other_seeds(study)
     _require_own_folder(study, out, overwrite)
-    published = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
+    published = {o: merge_options(study, scenario, o) for o in observers_of(study, scenario.name)}
     validation.require_tunable(study, list(published))
     validation.require_free_labels(study, scenario, list(published))
     tunes, points, gains = "tuned" in study.tunings, [TomlTable()], []
@@ -152,7 +152,7 @@ def _gains_in(study: Study, published: Options, aim: Objective, folder: str | No
                 gains.options[f"{observer}-{tuning}"] = paper | dict(more)
     if "tuned" in study.tunings:
         for observer, start in _better(study, gains.versions, gains.options, aim, progress).items():
-            note, found = _tuned(study, observer, start, folder, progress)
+            note, found = _tune_observer(study, observer, start, folder, progress)
             label = f"{observer}-tuned"
             gains.versions.append(Version(label, observer, "tuned", note))
             gains.options[label], gains.found[label] = start | found, found
@@ -255,14 +255,14 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
     here = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(here, [observer], [])[1]
     entry, known, chosen = cell.entry(observer), planning.setting(cell), cell.options[observer]
-    designed = planning.designed(observer, entry, known, chosen)
+    designed = planning.run_design(observer, entry, known, chosen)
     try:
-        return bool(tune.freed(observer, entry, known, chosen, designed, only, study.name))
+        return bool(tune.free_parameters(observer, entry, known, chosen, designed, only, study.name))
     except parameters.NothingFree:
         return False
 
 
-def _tuned(
+def _tune_observer(
     study: Study, observer: str, start: TomlTable, folder: str | None, progress: Progress
 ) -> tuple[str, TomlTable]:
     """Why the start is kept (empty: it is not), and the options found."""

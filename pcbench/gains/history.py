@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
 from pcbench.study import Study
 from pcbench.study.grid import Cell
-from pcbench.study.serialize import resolved
+from pcbench.study.serialize import resolve_study
 from pcbench.toml_text import TomlTable
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
@@ -102,7 +102,7 @@ class History:
 
 def basis_of(study: Study, cell: Cell) -> TomlTable:
     """Return what a tuning depends on: its study with all options, and the digests of the files of users' code."""
-    return json.loads(json.dumps({"study": resolved(study, [cell]), "files": stored_code.files_of(study)}))
+    return json.loads(json.dumps({"study": resolve_study(study, [cell]), "files": stored_code.files_of(study)}))
 
 
 def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
@@ -145,7 +145,7 @@ def finish(target: storage.Target, about: str, tuned: Any) -> None:
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(target: storage.Target, whole: str, about: str, basis: TomlTable) -> TomlTable | None:
+def load_finished(target: storage.Target, whole: str, about: str, basis: TomlTable) -> TomlTable | None:
     """Return what an earlier run of the same tuning has found; None where there is none.
 
     `whole` describes the finished tuning, `about` and `basis` its history.

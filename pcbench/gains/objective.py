@@ -11,7 +11,7 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import jumps
 from pcbench.simulation import reverse_mode
 from pcbench.statistics import COMPARED, OF_RUN, POOLED
-from pcbench.study.times import whole
+from pcbench.study.times import to_ticks
 
 MEASURES = (*COMPARED, *POOLED)
 
@@ -56,7 +56,7 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
 
     Raises UserError for an unknown one.
     """
-    ticks = whole(scenario.duration, scenario)
+    ticks = to_ticks(scenario.duration, scenario)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
     there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
     there = [m for m in there if m not in OF_RUN]  # of no signal

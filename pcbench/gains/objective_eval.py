@@ -21,7 +21,7 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.moments import gradients, stats_rows
 from pcbench.moments.exactness import refusal
-from pcbench.moments.realisations import Realised
+from pcbench.moments.realisations import Realisation
 from pcbench.planning import run_local
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Gains
@@ -110,7 +110,7 @@ def require_exact_value(aim: Objective, where: str) -> None:
         )
 
 
-def exact_cell(aim: Objective, p: Plan, where: str) -> Realised:
+def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     """Return the cell as its moments move; raise UserError where its objective has no exact value."""
     require_exact_value(aim, where)
     one = gradients.single(p)
@@ -128,13 +128,13 @@ def exact_cell(aim: Objective, p: Plan, where: str) -> Realised:
 
 
 def exact_evaluator(
-    p: Plan, one: Realised, aim: Objective, many: int, design: Callable[[Vector], Gains], where: str
+    p: Plan, one: Realisation, aim: Objective, many: int, design: Callable[[Vector], Gains], where: str
 ) -> Evaluate:
     """Return what evaluates a point of `many` free parameters: infinite where its gains are refused, or nothing is exact.
 
     Raises UserError where nothing is exact at the first point: that is the observer's nature, not its gains'.
     """
-    call, (kind, part) = gradients.sloped(p, one, many), SUMS[aim.base]
+    call, (kind, part) = gradients.build_gradients(p, one, many), SUMS[aim.base]
     count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
     seen: list[Vector] = []
 

@@ -109,7 +109,9 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
 
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
-    calls = [_padded(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)]
+    calls = [
+        _pad_seeds(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)
+    ]
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
     compiled: list[Compiled] = []
 
@@ -137,7 +139,7 @@ def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vecto
     """Return for each free parameter the derivatives of the gains' numbers by it, NaN where all around is refused."""
     out = []
     for step in STEP * np.eye(len(at)):
-        sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]
+        sides = [(sign, found) for sign in (1, -1) if (found := _try_design(design, at + sign * step)) is not None]
         if len(sides) < 2:  # one side is refused: from the middle
             sides.append((0, numbers(design(at))))
         (m, ahead), (n, behind) = sides[0], sides[-1]
@@ -146,7 +148,7 @@ def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vecto
     return out
 
 
-def _allowed(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | None:
+def _try_design(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | None:
     """The gains at a point as numbers; None where its design refuses."""
     try:
         return numbers(design(at))
@@ -154,7 +156,7 @@ def _allowed(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | None
         return None
 
 
-def _padded(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np.int64], Vector]:
+def _pad_seeds(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np.int64], Vector]:
     weights = np.where(np.arange(width) < len(seeds), 1 / many, 0.0)
     return np.resize(seeds, width), weights
 

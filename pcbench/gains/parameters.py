@@ -115,10 +115,10 @@ def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Fr
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
     scale = high - low if high - low > LEAST else 1.0  # a gain of 0 says nothing of its size
     one = Free(name, kind, number.shape, low, scale, first)
-    return one, _unbounded(number, one).ravel()
+    return one, _to_unbounded(number, one).ravel()
 
 
-def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
+def sensitive_names(found: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
     """Return the names of those that the `gains` depend on at a point; not all do in every way of finding them."""
     here, out = gains(at), []
     for f in found:
@@ -147,11 +147,11 @@ def written(free: list[Free], at: Vector) -> TomlTable:
     out = {}
     for f in free:
         part = at[f.first : f.first + f.size]
-        out[f.name] = _bounded(part if f.kind == "covariance" else part.reshape(f.shape), f).tolist()
+        out[f.name] = _to_bounded(part if f.kind == "covariance" else part.reshape(f.shape), f).tolist()
     return out
 
 
-def _bounded(z: Vector, f: Free) -> Vector:
+def _to_bounded(z: Vector, f: Free) -> Vector:
     if f.kind == "positive":
         return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
     if f.kind == "between":
@@ -167,7 +167,7 @@ def _bounded(z: Vector, f: Free) -> Vector:
     return np.where(np.abs(z) < NOTHING, 0.0, z * f.scale)
 
 
-def _unbounded(value: Vector, f: Free) -> Vector:
+def _to_unbounded(value: Vector, f: Free) -> Vector:
     if f.kind == "positive":
         return np.asarray(np.log(np.maximum(value, LEAST)))
     if f.kind == "covariance":

@@ -14,7 +14,7 @@ from pcbench.dataset import storage
 from pcbench.dataset.seed_ranges import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import history, objective_eval, optimizers, parameters
-from pcbench.gains.design import BACK, changed
+from pcbench.gains.design import BACK, replace_options
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
@@ -24,7 +24,7 @@ from pcbench.planning import padding
 from pcbench.protocols import Gains, Leaf
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.study import Study, given, parse
+from pcbench.study import Study, merge_options, parse
 from pcbench.study.labels import label_of
 from pcbench.study.options import own_options
 from pcbench.study.plugins.references import absolute
@@ -90,24 +90,24 @@ def tune(
         aim = objective_of(objective or ("pooled_rmse" if exact_objective else "rmse"), cell.scenario, signal, where)
         draws = "exact" if exact_objective else f"seeds {training}"
         how_far = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
-        mine = given(study, cell.scenario, observer)
+        mine = merge_options(study, cell.scenario, observer)
         asked = own_options(study, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
         whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
         target = storage.target(str(out) if out is not None else spare)
         basis = history.basis_of(asked, cell)
-        if done := history.finished(target, whole, about, basis):
+        if done := history.load_finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
-        designed = planning.designed(observer, cell.entry(observer), known, cell.options[observer])
+        designed = planning.run_design(observer, cell.entry(observer), known, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain found for a rate stands at its edge, where another proof of the same rate may fail
-            study, cell = parse.one_cell(changed(study, observer, {"decay": BACK * decay}), [observer], [])
+            study, cell = parse.one_cell(replace_options(study, observer, {"decay": BACK * decay}), [observer], [])
         options, entry = cell.options[observer], cell.entry(observer)
-        every, start = freed(observer, entry, known, options, designed, only, where)
+        every, start = free_parameters(observer, entry, known, options, designed, only, where)
 
         def design(at: Vector) -> Gains:
-            return planning.designed(observer, entry, known, parameters.put(options, every, at)).gains
+            return planning.run_design(observer, entry, known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         objective_eval.check_estimates(p, aim, where)
@@ -138,14 +138,14 @@ def tune(
             points=trials.points,
             method=how,
             objective=aim,
-            certified=is_certified(planning.designed(observer, entry, known, chosen).certificate._asdict()),
+            certified=is_certified(planning.run_design(observer, entry, known, chosen).certificate._asdict()),
             exact=exact_objective,
         )
         history.finish(target, whole, tuned)
         return tuned
 
 
-def freed(
+def free_parameters(
     observer: str,
     entry: ObserverSpec,
     known: DesignContext,
@@ -160,10 +160,10 @@ def freed(
 
     def gains(there: Vector) -> list[Leaf]:
         return optimizers.numbers(
-            planning.designed(observer, entry, known, parameters.put(options, every, there)).gains
+            planning.run_design(observer, entry, known, parameters.put(options, every, there)).gains
         )
 
-    used = parameters.used(every, at, gains)
+    used = parameters.sensitive_names(every, at, gains)
     if not used:
         names = ", ".join(f.name for f in every)
         raise parameters.NothingFree(

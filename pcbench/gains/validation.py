@@ -12,7 +12,7 @@ from pcbench.gains.objective import Objective
 from pcbench.observers import base_of
 from pcbench.scenarios import Scenario
 from pcbench.statistics import POOLED
-from pcbench.study import Study, given, parse, scenarios_of
+from pcbench.study import Study, merge_options, parse, scenarios_of
 from pcbench.study.labels import entry_in
 from pcbench.toml_text import TomlTable
 
@@ -22,7 +22,7 @@ WORSE = 2.0  # standard errors that tuned may be worse than its start
 def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: dict[str, Seeds]) -> list[Judgement]:
     """Run start and tuned on the same draws, for each range of seeds."""
     base = base_of(observer) or observer
-    mine = given(study, scenarios_of(study)[study.scenarios[0]], observer)
+    mine = merge_options(study, scenarios_of(study)[study.scenarios[0]], observer)
     labels = f"{base}-start", f"{base}-tuned"
     options = {k: v for k, v in study.options.items() if k != observer or k == base}
     options |= {labels[0]: mine, labels[1]: mine | found}

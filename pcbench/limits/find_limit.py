@@ -35,7 +35,7 @@ from pcbench.statistics.limit_verdicts import NULL, REFUSED, Point
 from pcbench.study import fits, grid, observers_of
 from pcbench.study.grid import Cell, Grid
 from pcbench.study.load import Described, raw_of, where_of
-from pcbench.study.parse import FROM_HERE, described, scenario_in
+from pcbench.study.parse import FROM_HERE, build_study, scenario_in
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
 
@@ -100,7 +100,7 @@ def find_limit(
     raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
     raw |= {key: plain(value) for key, value in given.items() if value is not None}
-    raw = all_observers.resolved(raw, where)
+    raw = all_observers.resolve_observers(raw, where)
     for sentence in all_observers.sentences(raw.get("excluded")):
         say(sentence)
     if len(named) == 2:
@@ -110,7 +110,7 @@ def find_limit(
         )
     ends = _range(between)
     with config.float64(), ExitStack() as stack:
-        q = question(described(raw, where, FROM_HERE), where, named[0], metric, signal, threshold)
+        q = question(build_study(raw, where, FROM_HERE), where, named[0], metric, signal, threshold)
         scale = scale_of(q.axis, q.scenario, ends, tol)
         if max_seeds is not None and max_seeds < 1:
             raise UserError(f"--max-seeds: got {max_seeds}, expected a number of seeds, 1 or more; leave it out.")
@@ -146,7 +146,7 @@ def _frontier(
     ends = list(between) if np.iterable(between) else []
     several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
     first, second = (_range(each) for each in (ends if several else (between, None)))
-    s = scenario_in(described(raw, where, FROM_HERE), where)
+    s = scenario_in(build_study(raw, where, FROM_HERE), where)
     names = [each.partition("[")[0].strip().replace("-", "_") for each in named]
     axis = axis_of(named[0], s, raw.get("axes", {}).get(names[0]), where)
     if axis.name == names[1]:

@@ -178,7 +178,9 @@ def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> 
         raise UserError(
             f"--axis: got {name}, whose values are words or lists, expected an axis of numbers such as sampling_period."
         )
-    held: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in given or []] or [_own(name, s)]
+    held: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in given or []] or [
+        _scenario_value(name, s)
+    ]
     if not isinstance(held[0], tuple):
         if at is not None:
             raise UserError(
@@ -200,7 +202,7 @@ def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> 
     return Axis(name, at, first, tuple(v for v in own if v != INTERVAL))
 
 
-def _own(name: str, s: Scenario) -> axes.Value | None:
+def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
     """What a scenario says of an axis; of process noise that it has none of, zeros."""
     if name.startswith("plant."):
         numbers, name = numbers_of(s), name.removeprefix("plant.")

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from pcbench.moments.affinity import asks_last_arrival
 from pcbench.moments.inputs import Mix
-from pcbench.moments.realisations import Mode, Realised
+from pcbench.moments.realisations import Mode, Realisation
 from pcbench.planning.padding import Plan
 from pcbench.simulation.schedule import common_times, sampling
 from pcbench.simulation.schedule.common_times import Schedule
@@ -48,7 +48,7 @@ class Chain(NamedTuple):
     following: Values  # [m, m] from one to the next
 
 
-def over_modes(p: Plan) -> list[Realised] | None:
+def over_modes(p: Plan) -> list[Realisation] | None:
     """Return a cell of one observer in each of its modes; None where its schedules are averaged over, or not random."""
     clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
     if not delays_alone(p):
@@ -70,7 +70,7 @@ def over_modes(p: Plan) -> list[Realised] | None:
         weight = np.array([_share(chain, each) * chain.following[each[0], mode[0]] for each in before])
         source = tuple(number[each] for each in before)
         about = Mode(number[mode], _share(chain, mode), source, tuple((weight / weight.sum()).tolist()), merged)
-        out.append(Realised(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=about))
+        out.append(Realisation(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=about))
     return out
 
 

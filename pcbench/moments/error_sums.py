@@ -19,7 +19,7 @@ AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
 
 
-class Seen(NamedTuple):
+class RunSignals(NamedTuple):
     """What is read of a run at a tick: of one lane, or of many arrays [..., C]."""
 
     errors: Array  # [Z] of all observers, in the order of their labels
@@ -44,9 +44,9 @@ class Sums(NamedTuple):
 
 
 class Read(NamedTuple):
-    """What a tick gives to the sums; V numbers that are read, in the order of `Seen`."""
+    """What a tick gives to the sums; V numbers that are read, in the order of `RunSignals`."""
 
-    runs: Seen  # [1 + P, ..., C]
+    runs: RunSignals  # [1 + P, ..., C]
     covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
     moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
 
@@ -68,7 +68,7 @@ def nothing(signals: int, targets: int, cells: int) -> Sums:
     )
 
 
-def strayed(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
+def relative_deviation(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
     """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
 
     An error that is 0 but for the rounding of its state has no size to compare with. `reached`: that of `Outcome`, or ().
@@ -83,7 +83,7 @@ def strayed(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64
     return part
 
 
-def added(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
+def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
     """Take tick k into the sums; counts [2]: whether it counts, and in the tail."""
     c, runs, mean = read.covariance, read.runs.errors, read.runs.errors[0]
     square = c[:, 0] if c.shape[1] == 1 else jnp.einsum("vvc->vc", c)

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, PyTree
 
-from pcbench.moments.inputs import Event, Given, Mix, Numbers
-from pcbench.moments.noise_state import Form, OneCell, both, over_cells, product, slope, squared, vector, vectors
+from pcbench.moments.inputs import Event, Mix, MomentInputs, Numbers
+from pcbench.moments.noise_state import Form, OneCell, both, outer_square, over_cells, product, slope, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.simulate_runs import Run, select
@@ -55,12 +55,12 @@ class Batch(NamedTuple):
 
     layout: Layout
     shape: Shape
-    given: Given
+    given: MomentInputs
     over: Callable[[OneCell], Callable[..., PyTree]]  # noise_state.over_cells
     std: Array  # [q, C] of a sample
 
 
-def batch(layout: Layout, shape: Shape, given: Given) -> Batch:
+def batch(layout: Layout, shape: Shape, given: MomentInputs) -> Batch:
     """Return a batch."""
     p, std = given.problem, jnp.asarray(given.problem.noise_std)
     return Batch(
@@ -81,7 +81,7 @@ def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: PyTre
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, mask: Array) -> Run:
     """Return the run after observers were told which channels [q] are sampled now, where any is."""
-    return _updated(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
+    return _update_memories(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
 
 
 def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, rest: tuple[Array, ArrivalInfo]) -> Run:
@@ -100,10 +100,10 @@ def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, 
         row.number,
         ticks_since_arrival=row.ticks_since_arrival,
     )
-    return _updated(there, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
+    return _update_memories(there, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
 
 
-def _updated(there: Array, memories: PyTree, run: Run) -> Run:
+def _update_memories(there: Array, memories: PyTree, run: Run) -> Run:
     """The run with new memories, where they are `there`; of the types that they had."""
     new = jax.tree.map(lambda a, b: a.astype(b.dtype), select(there, memories, run.memories), run.memories)
     return run._replace(memories=new)
@@ -179,7 +179,7 @@ def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, no
     A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
     packets = packets.at[1:, :q].add(scaled)
     jumped = jax.vmap(lambda run, packet: by.over(partial(jump, by.layout))(k, run, packet, rest))(m.runs, packets)
-    runs = jax.tree.map(partial(_mixed, by.given.chance), jumped, m.runs)
+    runs = jax.tree.map(partial(_mix_by_chance, by.given.chance), jumped, m.runs)
     step = vectors(form, jumped) - vectors(form, m.runs)
     G = M[:, A : A + q] * by.std[None]
 
@@ -191,14 +191,16 @@ def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, no
         return jnp.concatenate([found, P[A:]])
 
     after = _each(rows, m.apart)
-    spread = squared(jnp.moveaxis(jnp.concatenate([step[:1], (after - m.apart)[len(scaled) :, :A]]), 0, 1))
+    spread = outer_square(jnp.moveaxis(jnp.concatenate([step[:1], (after - m.apart)[len(scaled) :, :A]]), 0, 1))
     pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.given.chance[None, None]
-    added = by.given.chance[None, None] * (squared(G) + (1 - by.given.chance)[None, None] * spread)
-    P = _mixed(by.given.chance, both(rows, m.P), m.P).at[:A, :A].add(added)
-    return m._replace(runs=runs, P=P, apart=_mixed(by.given.chance, after, m.apart).at[: len(scaled), :A].add(pushed))
+    added = by.given.chance[None, None] * (outer_square(G) + (1 - by.given.chance)[None, None] * spread)
+    P = _mix_by_chance(by.given.chance, both(rows, m.P), m.P).at[:A, :A].add(added)
+    return m._replace(
+        runs=runs, P=P, apart=_mix_by_chance(by.given.chance, after, m.apart).at[: len(scaled), :A].add(pushed)
+    )
 
 
-def _mixed(chance: Numbers, after: Array, before: Array) -> Array:
+def _mix_by_chance(chance: Numbers, after: Array, before: Array) -> Array:
     """The mean of what is so with a chance, and as before otherwise; to the bit what is so where that is sure."""
     if not jnp.issubdtype(before.dtype, jnp.floating):
         return after
@@ -239,7 +241,7 @@ def _merge_modes(form: Form, mix: Mix, k: Array, m: Moving) -> Moving:
     middle, P = mean(z), jnp.zeros_like(m.P)
     for source, weight in zip(mix.source, mix.weight, strict=True):
         apart = jnp.moveaxis(z[..., source] - middle, 0, 1)
-        P = P + on(weight, P) * (m.P[..., source] + squared(apart))
+        P = P + on(weight, P) * (m.P[..., source] + outer_square(apart))
     leaves, tree = jax.tree.flatten(m.runs)
     unlike, runs = jnp.zeros_like(m.unlike), []
     for a, moves in zip(leaves, form.moving, strict=True):

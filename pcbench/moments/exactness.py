@@ -15,7 +15,7 @@ square (`programs`).
 import numpy as np
 
 from pcbench.moments.affinity import ROUNDING
-from pcbench.moments.error_sums import AMPLIFIED, strayed
+from pcbench.moments.error_sums import AMPLIFIED, relative_deviation
 from pcbench.moments.solve import CellMoments
 from pcbench.planning.digits import EPS, amount
 from pcbench.plants import signals_of
@@ -35,7 +35,7 @@ def lost(cell: CellMoments, label: str) -> str:
     size, deviation, band = size[:n], deviation[:n], np.asarray(p.problem.band)[:n]
     square = np.asarray(s.square)[1, state].min(-1) / (p.cell.times.ticks - p.cell.times.tail)
     with np.errstate(over="ignore", invalid="ignore"):
-        failed = (strayed(s, mine) > ROUNDING).any()
+        failed = (relative_deviation(s, mine) > ROUNDING).any()
         trial = failed & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
         squares = EPS * deviation**2 > SQUARES * square
         bad = (trial & (EPS * size > ROUNDING * TRIFLE * band)) | (squares & (np.sqrt(EPS) * deviation > TRIFLE * band))
@@ -69,7 +69,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
     if said := lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."
-    part = strayed(s, mine, cell.reached)
+    part = relative_deviation(s, mine, cell.reached)
     worst = int(np.argmax(part))
     reach = s.reach[mine].max(-1)
     bounded = (

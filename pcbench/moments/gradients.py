@@ -19,60 +19,60 @@ from numpy.typing import NDArray
 from pcbench.moments.affinity import ROUNDING, bend
 from pcbench.moments.error_sums import Sums
 from pcbench.moments.events import Shape
-from pcbench.moments.inputs import Given, own_of, together
+from pcbench.moments.inputs import MomentInputs, own_of, stack_inputs
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import compile_program
 from pcbench.moments.propagate import run
-from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
-from pcbench.moments.solve import CellMoments, refused
+from pcbench.moments.realisations import Realisation, draw_realisation, losses_alone, over_losses, random
+from pcbench.moments.solve import CellMoments, nan_sums
 from pcbench.planning.padding import Plan
 
 OFF = 1e-3  # relative
 Direction = list[NDArray[np.float64]]  # of every array of real numbers among the gains
 
 
-class Sloped(NamedTuple):
+class CellGradients(NamedTuple):
     """Of one cell with one observer."""
 
     cell: CellMoments
     slopes: Sums  # [..., D] by direction
 
 
-def single(p: Plan) -> Realised | None:
+def single(p: Plan) -> Realisation | None:
     """Return a planned cell of one observer as its moments move; None where they are known by drawn schedules alone."""
     mixed = over_losses(p) if losses_alone(p) else None
-    return mixed or (None if random(p) else realised(p, 0, 0))
+    return mixed or (None if random(p) else draw_realisation(p, 0, 0))
 
 
-def sloped(p: Plan, one: Realised, directions: int) -> Callable[[PyTree, list[Direction]], Sloped]:
+def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyTree, list[Direction]], CellGradients]:
     """Return a function of gains and of so many directions among them; it is compiled when it is first called."""
     (label, _), *_ = p.layout.observers
     tree = jax.tree.structure(p.problem.gains[label])
     real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     width = directions + 1
     bare = one.problem._replace(gains={})
-    given = together([bare] * width, [one.network] * width, [one.chance] * width)
+    given = stack_inputs([bare] * width, [one.network] * width, [one.chance] * width)
     every = jax.tree.map(lambda a: np.size(a) > 0, p.problem.gains[label])
     flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
     shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
     off = bend(p)
     compiled: list[Callable[..., PyTree]] = []
 
-    def sums(given: Given, others: list[Array], reals: list[Array]) -> Sums:
+    def sums(given: MomentInputs, others: list[Array], reals: list[Array]) -> Sums:
         left, right = iter(reals), iter(others)
         gains = jax.tree.unflatten(tree, [next(left if mine else right) for mine in real])
         problem = given.problem._replace(gains={label: gains})
         return run(one.layout, shape, given._replace(problem=problem)).sums
 
-    def both(given: Given, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
+    def both(given: MomentInputs, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
         return jax.jvp(partial(sums, given, others), (reals,), (ways,))
 
-    def at(gains: PyTree, ways: list[Direction]) -> Sloped:
+    def at(gains: PyTree, ways: list[Direction]) -> CellGradients:
         if off > ROUNDING:
-            nothing = refused(len(p.problem.band), off)
-            return Sloped(_cell(p, one, nothing), nothing)
+            nothing = nan_sums(len(p.problem.band), off)
+            return CellGradients(_cell(p, one, nothing), nothing)
         leaves = [np.asarray(a) for a in jax.tree.leaves(gains)]
-        reals = [_beside(a, width) for a, mine in zip(leaves, real, strict=True) if mine]
+        reals = [_stack_perturbed(a, width) for a, mine in zip(leaves, real, strict=True) if mine]
         others = [np.stack([a] * width, -1) if a.size else a for a, mine in zip(leaves, real, strict=True) if not mine]
         empty = [np.zeros_like(a) for a, mine in zip(leaves, real, strict=True) if mine]
         tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
@@ -81,12 +81,12 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[PyTree, list[Di
             compiled.append(compile_program(both, *call))
         value, slopes = jax.tree.map(np.asarray, compiled[0](*call))
         mine = jax.tree.map(lambda a: a[..., :1], value)
-        return Sloped(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))
+        return CellGradients(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))
 
     return at
 
 
-def _beside(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+def _stack_perturbed(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     """An array of gains for each place, the last a little off; an empty one as it is."""
     if not a.size:
         return a
@@ -95,6 +95,6 @@ def _beside(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     return np.stack([a] * (width - 1) + [a + off], -1)
 
 
-def _cell(p: Plan, one: Realised, sums: Sums) -> CellMoments:
+def _cell(p: Plan, one: Realisation, sums: Sums) -> CellMoments:
     """The moments of the cell itself."""
     return CellMoments(p, False, {p.labels[0]: slice(0, len(sums.mean))}, sums, mixture=one.chance < 1)

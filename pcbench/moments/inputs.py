@@ -59,7 +59,7 @@ class Mix(NamedTuple):
     here: Numbers  # [N+1, C] whether it does at a tick
 
 
-class Given(NamedTuple):
+class MomentInputs(NamedTuple):
     """The numbers of C cells."""
 
     problem: GridPointParams  # own arrays of each cell are [..., C]; its schedule stands in `plan`
@@ -124,9 +124,9 @@ def shared_of(problem: GridPointParams) -> Hashable:
     return tree, tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
 
 
-def together(
+def stack_inputs(
     problems: list[GridPointParams], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]
-) -> Given:
+) -> MomentInputs:
     """Lay out the numbers of cells that share their long tables side by side."""
     flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
     own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
@@ -138,7 +138,7 @@ def together(
     every = len(p.process_std) + (len(p.network.std) if p.network else 0)
     ticks, slots = p.schedule.arrive.shape
     size = np.asarray(SCALES)
-    return Given(
+    return MomentInputs(
         problem=jax.tree.unflatten(tree, leaves),
         plan=plan_of([p.schedule for p in problems]),
         arrivals=draw(size=(ticks, len(size), slots, len(p.noise_std))) * size[:, None, None],

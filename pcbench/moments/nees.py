@@ -17,7 +17,7 @@ from pcbench.statistics.confidence_intervals import Values
 from pcbench.statistics.consistency import SIGMAS
 
 
-class Believed(NamedTuple):
+class FinalErrors(NamedTuple):
     """The errors of one observer's n states at the last tick, in S realisations."""
 
     mean: Values  # [n, S]
@@ -34,20 +34,20 @@ class Squares(NamedTuple):
     states: Values  # [1, S] that rank
 
 
-def squares(b: Believed) -> Squares:
+def squares(b: FinalErrors) -> Squares:
     """Return the expected normalised squares."""
     second = b.covariance + b.mean[:, None] * b.mean[None]
     whole, many = [], []
     for s in range(b.P.shape[-1]):
         counts = _counts(b)[:, s]
         mine = np.ix_(counts, counts)
-        trace, rank = _normalised(b.P[..., s][mine], second[..., s][mine])
+        trace, rank = _normalized_trace(b.P[..., s][mine], second[..., s][mine])
         many.append(rank)
         whole.append(trace / rank if rank else np.nan)
     return Squares(np.array([whole]), _diagonal(second) / _variances(b), np.array([many], float))
 
 
-def _normalised(P: Values, second: Values) -> tuple[float, int]:
+def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
     """Return the trace of P^+ S, and the rank of P."""
     std = np.sqrt(np.diag(P))
     size, V = np.linalg.eigh(P / np.outer(std, std))
@@ -56,7 +56,7 @@ def _normalised(P: Values, second: Values) -> tuple[float, int]:
     return float(np.sum(along[spans] / size[spans])), int(spans.sum())
 
 
-def inside(b: Believed) -> list[Values]:
+def inside(b: FinalErrors) -> list[Values]:
     """Return for each of SIGMAS the share [n, S] of normal errors that lies within so many, NaN of a state that is known."""
     from scipy.special import ndtr
 
@@ -67,11 +67,11 @@ def inside(b: Believed) -> list[Values]:
     return [np.where(std > 0, high - low, alone) for (high, low), alone in zip(ends, still, strict=True)]
 
 
-def _counts(b: Believed) -> np.ndarray:
+def _counts(b: FinalErrors) -> np.ndarray:
     return _diagonal(b.P) > np.square(KNOWN * b.prior)[:, None]
 
 
-def _variances(b: Believed) -> Values:
+def _variances(b: FinalErrors) -> Values:
     return np.where(_counts(b), _diagonal(b.P), np.nan)
 
 

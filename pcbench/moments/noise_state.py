@@ -127,19 +127,19 @@ def product(M: Float[Array, "i j C"], X: Float[Array, "j k C"]) -> Float[Array, 
     return total
 
 
-def turned(P: Array) -> Array:
+def transpose_cells(P: Array) -> Array:
     """Return the transpose of each cell's matrix."""
     return jnp.swapaxes(P, 0, 1)
 
 
-def squared(G: Float[Array, "D j C"]) -> Float[Array, "D D C"]:
+def outer_square(G: Float[Array, "D j C"]) -> Float[Array, "D D C"]:
     """Return G G'."""
-    return product(G, turned(G))
+    return product(G, transpose_cells(G))
 
 
 def both(move: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
     """Return T P T', T what `move` does to rows."""
-    return turned(move(turned(move(P))))
+    return transpose_cells(move(transpose_cells(move(P))))
 
 
 def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
@@ -171,7 +171,7 @@ def over_cells(
     def over(f: OneCell) -> Callable[..., PyTree]:
         def by_entries(k: PyTree, *each: PyTree) -> PyTree:
             found = interpreter.vmap_entrywise(f)(parted, k, *jax.tree.map(_entries, each))
-            return jax.tree.map(partial(_joined, cells), found, is_leaf=is_lanes)
+            return jax.tree.map(partial(_join_cells, cells), found, is_leaf=is_lanes)
 
         def mapped(k: PyTree, *each: PyTree) -> PyTree:
             return jax.vmap(f, (axes, None, *(-1 for _ in each)), -1)(p, k, *each)
@@ -186,6 +186,6 @@ def _entries(a: PyTree) -> PyTree:
     return split(a) if a.size else jnp.zeros(a.shape[:-1], a.dtype)
 
 
-def _joined(cells: int, a: PyTree) -> Array:
+def _join_cells(cells: int, a: PyTree) -> Array:
     """An array [..., C] again, of what is the same in all cells too."""
     return join(a) if is_lanes(a) else jnp.broadcast_to(jnp.asarray(a)[..., None], (*jnp.shape(a), cells))

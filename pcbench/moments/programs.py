@@ -9,24 +9,24 @@ from jaxtyping import PyTree
 from pcbench.engine import runner
 from pcbench.moments.delay_modes import mix_of
 from pcbench.moments.events import Shape
-from pcbench.moments.inputs import own_of, together
+from pcbench.moments.inputs import own_of, stack_inputs
 from pcbench.moments.noise_state import WRITTEN_OUT, form_of
 from pcbench.moments.propagate import Outcome, run
-from pcbench.moments.realisations import Realised
+from pcbench.moments.realisations import Realisation
 from pcbench.runtime import program_cache
 from pcbench.simulation.schedule import common_times
 
 FEW, SOME, MANY = 8, 64, 128  # cells a call; of the cart's a cell costs four fifths with 128 of what it does with 64
 
 
-def compute(ones: list[Realised], recorded: str, every: int = 1, width: int | None = None) -> Outcome:
+def compute(ones: list[Realisation], recorded: str, every: int = 1, width: int | None = None) -> Outcome:
     """Return what a batch leaves, [..., FEW, SOME or MANY], with what is recorded at every so many ticks.
 
     `width` is how many the call is for; None: as few as have room for the batch.
     """
     own, width = own_of(ones[0].problem), width or width_of(ones, set())
     each = _pad_schedules([ones[min(i, len(ones) - 1)] for i in range(width)])
-    given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
+    given = stack_inputs([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     if modes := [one.mode for one in each if one.mode]:
         given = given._replace(mix=mix_of(modes))
     layout, form = each[0].layout, form_of(each[0].layout, each[0].problem)
@@ -44,7 +44,7 @@ def compile_program(f: Callable[..., PyTree], *given: PyTree) -> Callable[..., P
     return jax.jit(f).lower(*given).compile(runner.OPTIONS if jax.devices()[0].platform == "cpu" else None)
 
 
-def width_of(ones: list[Realised], wide: set[Hashable]) -> int:
+def width_of(ones: list[Realisation], wide: set[Hashable]) -> int:
     """Return how many cells a call for these is for: of a kind that is `wide` already, the last ones go by its program."""
     kind = ones[0].layout, own_of(ones[0].problem)
     if len(ones) <= FEW:
@@ -55,7 +55,7 @@ def width_of(ones: list[Realised], wide: set[Hashable]) -> int:
     return MANY
 
 
-def _pad_schedules(each: list[Realised]) -> list[Realised]:
+def _pad_schedules(each: list[Realisation]) -> list[Realisation]:
     """Give the schedules of some cells one shape."""
     slots = max(one.problem.schedule.arrive.shape[1] for one in each)
     early = max(len(one.problem.schedule.early) for one in each)

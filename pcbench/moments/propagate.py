@@ -20,19 +20,19 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.moments import error_sums
-from pcbench.moments.error_sums import Read, Seen, Sums
+from pcbench.moments.error_sums import Read, RunSignals, Sums
 from pcbench.moments.events import Batch, Moving, Shape, batch, happen, sense, take_samples
-from pcbench.moments.inputs import SCALES, Given, Numbers, begin
-from pcbench.moments.noise_state import Form, along, product, slope, squared, steady, turned, vector
+from pcbench.moments.inputs import SCALES, MomentInputs, Numbers, begin
+from pcbench.moments.noise_state import Form, along, outer_square, product, slope, steady, transpose_cells, vector
 from pcbench.simulation import command_network, innovation_stats, simulate_runs
-from pcbench.simulation.closed_loop import off_target, pushed
+from pcbench.simulation.closed_loop import add_command_noise, off_target
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 COVARIANCE = "covariance"
 
 
-class Recorded(NamedTuple):
+class MomentRecord(NamedTuple):
     """Moments at T ticks, 0 and every so many after it; Z signals of all observers, one after another."""
 
     mean: Numbers  # [T, Z, C]
@@ -46,14 +46,14 @@ class Last(NamedTuple):
     assumed: dict[str, Numbers]  # by observer that has a covariance, of what it estimates: [z, z, C]
 
 
-class Carried(NamedTuple):
+class PropagationState(NamedTuple):
     """From tick to tick."""
 
     moving: Moving
     matrix: Array  # [A + V, A + w, C] of the last tick
     product: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): it is the same at every tick
     sums: Sums
-    rows: Recorded | tuple[()]
+    rows: MomentRecord | tuple[()]
     last: Last | tuple[()]  # of a layout with consistency
 
 
@@ -61,7 +61,7 @@ class Outcome(NamedTuple):
     """What a batch leaves."""
 
     sums: Sums
-    rows: Recorded | tuple[()]  # (): nothing is recorded
+    rows: MomentRecord | tuple[()]  # (): nothing is recorded
     last: Last | tuple[()] = ()
     unlike: Numbers | tuple[()] = ()  # [C] of modes, as in `events.Moving`
     reached: (
@@ -69,13 +69,13 @@ class Outcome(NamedTuple):
     ) = ()  # [2, n, C] of the final state: its size in the runs, its deviation without the start's
 
 
-def run(layout: Layout, shape: Shape, given: Given) -> Outcome:
+def run(layout: Layout, shape: Shape, given: MomentInputs) -> Outcome:
     """Return the moments of a batch of cells over ticks 0 .. N - 1, or recorded, 0 .. N."""
     by = batch(layout, shape, given)
     plan, end = given.plan, given.problem.windows[-1, 1]
     stop = end + 1 if shape.recorded else end
 
-    def segment(at: tuple[Array, Carried]) -> tuple[Array, Carried]:
+    def segment(at: tuple[Array, PropagationState]) -> tuple[Array, PropagationState]:
         number, c = at
         k, now = plan.at[number], jax.tree.map(lambda a: a[number], plan.events)
         c = c._replace(moving=happen(by, k, now, c.moving, given.arrivals[k]))
@@ -91,7 +91,7 @@ def run(layout: Layout, shape: Shape, given: Given) -> Outcome:
     return Outcome(c.sums, rows, c.last, c.moving.unlike, reached)
 
 
-def first(by: Batch) -> Carried:
+def first(by: Batch) -> PropagationState:
     """Return everything before tick 0; packets taken before it have measured the start."""
     given, shape, layout, p = by.given, by.shape, by.layout, by.given.problem
     cells, zero, form = shape.cells, jnp.asarray(0), shape.form
@@ -132,18 +132,20 @@ def first(by: Batch) -> Carried:
     M = matrix(zero, mean, none, late) if is_steady else jnp.zeros(new.shape)
     shown = () if is_steady else jnp.full((len(M), cells), jnp.nan)
     Z = len(seen.errors)
-    rows: Recorded | tuple[()] = ()
+    rows: MomentRecord | tuple[()] = ()
     last: Last | tuple[()] = ()
     if shape.recorded:
         T = -(-len(given.arrivals) // shape.every) + 1  # one place more for what is not recorded
-        rows = Recorded(jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.recorded == COVARIANCE else 1, cells)))
+        rows = MomentRecord(
+            jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.recorded == COVARIANCE else 1, cells))
+        )
     if layout.consistency:
-        assumed = jax.eval_shape(by.over(partial(_assumed, layout)), zero, mean, jnp.zeros((0, cells)), ())
+        assumed = jax.eval_shape(by.over(partial(_assumed_covariances, layout)), zero, mean, jnp.zeros((0, cells)), ())
         last = Last(jnp.zeros((Z, Z, cells)), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), assumed))
-    return Carried(m, M, shown, error_sums.nothing(Z, len(seen.off), cells), rows, last)
+    return PropagationState(m, M, shown, error_sums.nothing(Z, len(seen.off), cells), rows, last)
 
 
-def tick(by: Batch, k: Array, c: Carried) -> Carried:
+def tick(by: Batch, k: Array, c: PropagationState) -> PropagationState:
     """Estimate, control and flow: one tick of all cells, and what is kept of it."""
     given, shape, layout, m, w = by.given, by.shape, by.layout, c.moving, by.given.ticks[k]
     late = tuple(each[k // given.problem.network.every] for each in given.network) if layout.pending else ()
@@ -155,33 +157,35 @@ def tick(by: Batch, k: Array, c: Carried) -> Carried:
     apart = apart.at[: len(w)].add(jnp.sum(N[None] * w[:, None, :, None], 2))
     X, start = product(M_z, m.P[:A]), jnp.moveaxis(apart[len(w) :, A:], 0, 1)
     if shape.recorded == COVARIANCE or layout.consistency or layout.controller:
-        covariance = product(X[A:, :A], turned(S)) + squared(N[A:]) + squared(start)
+        covariance = product(X[A:, :A], transpose_cells(S)) + outer_square(N[A:]) + outer_square(start)
     else:  # variances alone
         covariance = (jnp.sum(X[A:, :A] * S, 1) + jnp.sum(N[A:] ** 2, 1) + jnp.sum(start**2, 1))[:, None]
-    P = m.P.at[:A, :A].set(product(X[:A, :A], turned(M_z[:A])) + squared(N[:A]))
+    P = m.P.at[:A, :A].set(product(X[:A, :A], transpose_cells(M_z[:A])) + outer_square(N[:A]))
     if len(P) > A:  # what is on the network stays as it is
-        P = P.at[:A, A:].set(X[:A, A:]).at[A:, :A].set(turned(X[:A, A:]))
+        P = P.at[:A, A:].set(X[:A, A:]).at[A:, :A].set(transpose_cells(X[:A, A:]))
     read, p = Read(seen, covariance, apart[: len(w), A:]), given.problem
     rows, last = c.rows, c.last
     if rows:
         row = jnp.where(k % shape.every == 0, k // shape.every, len(rows.mean) - 1)
-        new = Recorded(seen.errors[0], covariance[:Z, : rows.covariance.shape[2]])
+        new = MomentRecord(seen.errors[0], covariance[:Z, : rows.covariance.shape[2]])
         rows = jax.tree.map(lambda room, a: room.at[row].set(a), rows, new)
     if layout.consistency:
         here, mean = jnp.zeros((0, shape.cells)), jax.tree.map(lambda a: a[0], m.runs)
         last = lax.cond(
             k == p.windows[-1, 1] - 1,
-            lambda: Last(covariance[:Z, :Z], by.over(partial(_assumed, layout))(k, mean, here, ())),
+            lambda: Last(covariance[:Z, :Z], by.over(partial(_assumed_covariances, layout))(k, mean, here, ())),
             lambda: c.last,
         )
     counts = jnp.stack([k < p.windows[-1, 1], (k < p.windows[-1, 1]) & (k >= p.windows[0, 1])])
-    sums = error_sums.added(c.sums, read, counts, p.weights, k)
-    return Carried(m._replace(runs=runs, apart=m.apart.at[:, :A].set(apart[:, :A]), P=P), M, shown, sums, rows, last)
+    sums = error_sums.add_tick(c.sums, read, counts, p.weights, k)
+    return PropagationState(
+        m._replace(runs=runs, apart=m.apart.at[:, :A].set(apart[:, :A]), P=P), M, shown, sums, rows, last
+    )
 
 
 def _flow(
-    by: Batch, k: Array, runs: Run, noise: Array, late: tuple[Array, ...], c: Carried
-) -> tuple[Run, Seen, Array, Array | tuple[()]]:
+    by: Batch, k: Array, runs: Run, noise: Array, late: tuple[Array, ...], c: PropagationState
+) -> tuple[Run, RunSignals, Array, Array | tuple[()]]:
     """The runs after a tick, what is seen of them, the matrix of the tick, and what shows whether it is still that."""
     form, one = by.shape.form, partial(one_cell, by.layout)
     if isinstance(c.product, tuple):
@@ -209,29 +213,29 @@ def _matrix(by: Batch) -> Callable[..., Array]:
 
 def one_cell(
     layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, late: tuple[Array, ...]
-) -> tuple[Run, Seen]:
+) -> tuple[Run, RunSignals]:
     """Go one tick with one cell, by `simulate_runs.advance`, and read what is read of it."""
     process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
-    command = command_network.Drawn(late[0], late[1], noise[process:]) if layout.pending else ()
+    command = command_network.CommandDraws(late[0], late[1], noise[process:]) if layout.pending else ()
 
-    def read(k: Array, run: Run) -> Seen:
-        return Seen(
+    def read(k: Array, run: Run) -> RunSignals:
+        return RunSignals(
             errors=jnp.concatenate([e for _, e in sorted(simulate_runs.errors(layout, p, p.params, k, run).items())]),
             off=off_target(loop, p, k, run.x) if loop else none,
             x=run.x if loop else none,
-            u=pushed(present(p, k, True, run.commands), run.commands).u if loop else none,
+            u=add_command_noise(present(p, k, True, run.commands), run.commands).u if loop else none,
         )
 
     new, seen = simulate_runs.advance(layout, p, p.params, k, run, noise[:process], command, read)
     return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, run), seen
 
 
-def flat(form: Form, state_and_seen: tuple[Run, Seen]) -> Array:
+def flat(form: Form, state_and_seen: tuple[Run, RunSignals]) -> Array:
     """Return what noise reaches of the state, and all that is seen."""
     return jnp.concatenate([vector(form, state_and_seen[0]), *state_and_seen[1]])
 
 
-def _assumed(
+def _assumed_covariances(
     layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, rest: tuple[()]
 ) -> dict[str, Array]:
     """The covariances that the observers of one cell assume of their errors at tick k."""

@@ -32,7 +32,7 @@ class Mode(NamedTuple):
     merged: NDArray[np.bool_]  # [N+1] ticks at which it takes their place
 
 
-class Realised(NamedTuple):
+class Realisation(NamedTuple):
     """A cell with everything drawn but its noise."""
 
     layout: Layout
@@ -49,7 +49,7 @@ def random(p: Plan) -> bool:
     return isinstance(p.problem.schedule, ClockParams) or p.layout.drifting or network
 
 
-def realised(p: Plan, root_seed: int, seed: int) -> Realised:
+def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
     """Return a cell as one run has it, but for its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
     layout, problem, plant = one.layout._replace(width=1, watch=False, lifted=0), one.problem, one.layout.plant
@@ -64,7 +64,7 @@ def realised(p: Plan, root_seed: int, seed: int) -> Realised:
             np.asarray(rng.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]
             for stream in ("command_jitter", "command_loss")
         )
-    return Realised(layout, problem, network)
+    return Realisation(layout, problem, network)
 
 
 @lru_cache(1024)
@@ -81,7 +81,7 @@ def losses_alone(p: Plan) -> bool:
     return not clocks[0]._replace(loss=0.0).random
 
 
-def over_losses(p: Plan) -> Realised | None:
+def over_losses(p: Plan) -> Realisation | None:
     """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
 
     That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance; or
@@ -97,4 +97,4 @@ def over_losses(p: Plan) -> Realised | None:
     if (drawn.moving, drawn.other) != (form.moving, form.other) or any(form.other) or asks_last_arrival(layout, one):
         return None
     ring = max(layout.ring, common_times.in_flight(sure))
-    return Realised(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)
+    return Realisation(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from pcbench.engine import runner
 from pcbench.moments.affinity import ROUNDING, bend, is_curved
 from pcbench.moments.delay_modes import over_modes
-from pcbench.moments.error_sums import Sums, nothing, strayed
+from pcbench.moments.error_sums import Sums, nothing, relative_deviation
 from pcbench.moments.inputs import Numbers, shared_of
-from pcbench.moments.nees import Believed
+from pcbench.moments.nees import FinalErrors
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import MANY, compute, width_of
-from pcbench.moments.propagate import Outcome, Recorded
-from pcbench.moments.realisations import Realised, losses_alone, over_losses, random, realised
+from pcbench.moments.propagate import MomentRecord, Outcome
+from pcbench.moments.realisations import Realisation, draw_realisation, losses_alone, over_losses, random
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.runtime import thread_pools
@@ -37,7 +37,7 @@ PACKETS = 8  # room of cells that have no more on the network: at an event all o
 WINDOW = 8 * MANY  # realisations that are planned before those of one kind that fill no call are computed
 
 
-class Asked(NamedTuple):
+class MomentRequest(NamedTuple):
     """What is asked of all cells of a study."""
 
     root_seed: int
@@ -57,8 +57,8 @@ class CellMoments(NamedTuple):
     random: bool  # other runs have other schedules
     signals: dict[str, slice]  # by observer label, its place among the Z signals
     sums: Sums  # arrays [..., S]
-    rows: Recorded | tuple[()] = ()  # [..., S]
-    last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
+    rows: MomentRecord | tuple[()] = ()  # [..., S]
+    last: dict[str, FinalErrors] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     reached: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
@@ -69,14 +69,14 @@ class Work(NamedTuple):
     """A planned cell, its realisations, and the calls that compute them."""
 
     planned: Plan
-    ones: list[Realised]  # none of a cell whose plant is not affine
+    ones: list[Realisation]  # none of a cell whose plant is not affine
     random: bool
     trial: bool  # whether it has to go on drawn schedules yet, unless what was tried answers
     bend: float
     calls: list[tuple[Future[Outcome], int]]  # with the place of each realisation among those of its call
 
 
-def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
+def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     """Yield the cells ready to run, one for each of their observers unless these are to be `together`.
 
     They have one of two rooms for packets: few shapes, few programs; or what a cell needs, where noise reaches what is on the
@@ -88,9 +88,9 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
 
     most = max(map(ring, cells))
     least = PACKETS if len(cells) > WINDOW else most  # of so many cells another program is worth its time
-    for p in padding.checked(drafts(cells)):
+    for p in padding.check_drafts(drafts(cells)):
         room, own = padding.room_of(p), ring(p.cell)
-        fitted = padding.fitted(p, room)  # a loop has its controller's numbers from here on
+        fitted = padding.fit_to_capacity(p, room)  # a loop has its controller's numbers from here on
         layout = fitted.layout
         places = power_of_2(own if _flight(fitted) else most if own > least else min(most, least))
         layout = layout._replace(ring=max(room.ring, places))
@@ -109,7 +109,7 @@ def _flight(p: Plan) -> bool:
     return form_of(p.layout._replace(drifting=drifting), p.problem).flight
 
 
-def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
+def solve(plans: Iterable[Plan], asked: MomentRequest) -> Iterator[CellMoments]:
     """Yield the moments of each planned cell, in their order."""
     unlike, wide = set[Hashable](), set[Hashable]()  # of this call alone: what was computed before decides no bit
     with thread_pools.pool(runner.cores()) as threads:
@@ -121,7 +121,7 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
         yield from (_moments(work, asked, unlike) for work in before)
 
 
-def _windows(plans: Iterable[Plan], asked: Asked, unlike: set[Hashable]) -> Iterator[list[Work]]:
+def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
     """Yield cells with their realisations, some at a time; cells whose kind is `unlike` are not tried by modes."""
     window: list[Work] = []
     for p in plans:
@@ -134,7 +134,7 @@ def _windows(plans: Iterable[Plan], asked: Asked, unlike: set[Hashable]) -> Iter
     yield window
 
 
-def _realisations(p: Plan, asked: Asked, unlike: set[Hashable]) -> tuple[list[Realised], bool, bool]:
+def _realisations(p: Plan, asked: MomentRequest, unlike: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
     """A cell as its moments move: once, in each of its modes, or on each drawn schedule; on the first alone, to try.
 
     With whether schedules are drawn, and whether it is a trial.
@@ -144,15 +144,15 @@ def _realisations(p: Plan, asked: Asked, unlike: set[Hashable]) -> tuple[list[Re
         return modes, False, True
     if alone and losses_alone(p) and (mixed := over_losses(p)):
         return [mixed], False, False
-    first, drawn = realised(p, asked.root_seed, 0), random(p)
+    first, drawn = draw_realisation(p, asked.root_seed, 0), random(p)
     if alone and drawn and asked.schedules > 1 and is_curved(first.layout, first.problem):
         return [first], True, True
-    return [first, *_drawn(p, asked, 1)], drawn, False
+    return [first, *_draw_realisations(p, asked, 1)], drawn, False
 
 
-def _drawn(p: Plan, asked: Asked, first: int) -> list[Realised]:
+def _draw_realisations(p: Plan, asked: MomentRequest, first: int) -> list[Realisation]:
     """A random cell on its drawn schedules, from the first of some seeds on."""
-    return [realised(p, asked.root_seed, seed) for seed in range(first, asked.schedules)] if random(p) else []
+    return [draw_realisation(p, asked.root_seed, seed) for seed in range(first, asked.schedules)] if random(p) else []
 
 
 def _kind(p: Plan) -> Hashable:
@@ -160,11 +160,11 @@ def _kind(p: Plan) -> Hashable:
     return p.layout.observers, jax.tree.structure(p.problem)
 
 
-def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: Asked, wide: set[Hashable]) -> None:
+def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentRequest, wide: set[Hashable]) -> None:
     """Have the realisations of some cells computed, those of a kind side by side; all modes of a cell share a call."""
-    groups: dict[Hashable, list[tuple[Work, Realised]]] = {}
+    groups: dict[Hashable, list[tuple[Work, Realisation]]] = {}
 
-    def call(group: list[tuple[Work, Realised]]) -> None:
+    def call(group: list[tuple[Work, Realisation]]) -> None:
         ones = [one for _, one in group]
         future = threads.submit(runner.in_float64, _compute, ones, asked, width_of(ones, wide))
         for at, (work, _) in enumerate(group):
@@ -182,20 +182,20 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: Asked, wide:
         call(group)
 
 
-def _compute(ones: list[Realised], asked: Asked, width: int | None = None) -> Outcome:
+def _compute(ones: list[Realisation], asked: MomentRequest, width: int | None = None) -> Outcome:
     return compute(ones, asked.recorded, asked.every(int(ones[0].problem.windows[-1, 1])), width)
 
 
-def _moments(work: Work, asked: Asked, unlike: set[Hashable]) -> CellMoments:
+def _moments(work: Work, asked: MomentRequest, unlike: set[Hashable]) -> CellMoments:
     """The moments of a cell; on all drawn schedules if its observer remembers more than its modes tell, or is affine."""
     p = work.planned
     if not work.ones:
-        return _gather(work, [Outcome(refused(sum(_signals(p).values()), work.bend), ())])
+        return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
     each = [jax.tree.map(lambda a, at=at: a[..., [at]], future.result()) for future, at in work.calls]
     if work.trial and not _is_answered(work, each):
         if work.ones[0].mode:
             unlike.add(_kind(p))
-        work, each = work._replace(ones=_drawn(p, asked, 0), random=True), []
+        work, each = work._replace(ones=_draw_realisations(p, asked, 0), random=True), []
         for first in range(0, len(work.ones), MANY):
             ones = work.ones[first : first + MANY]
             outcome, many = runner.in_float64(_compute, ones, asked), len(ones)
@@ -208,10 +208,10 @@ def _is_answered(work: Work, each: list[Outcome]) -> bool:
     if work.ones[0].mode:
         return bool(max(np.max(outcome.unlike) for outcome in each) <= ROUNDING)
     (outcome,) = each
-    return bool((strayed(outcome.sums, slice(None), outcome.reached) > ROUNDING).any())
+    return bool((relative_deviation(outcome.sums, slice(None), outcome.reached) > ROUNDING).any())
 
 
-def refused(signals: int, off: float) -> Sums:
+def nan_sums(signals: int, off: float) -> Sums:
     """Return what is left of a cell that was not computed: how far it is from affine."""
     nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), nothing(signals, 0, 1))
     return nan._replace(apart=np.full((signals, 1), off), size=np.ones((signals, 1)))
@@ -232,7 +232,7 @@ def _gather(work: Work, each: list[Outcome]) -> CellMoments:
         for name, P in outcome.last.assumed.items():
             mine = slice(signals[labels[name]].start, signals[labels[name]].start + n)
             true = np.asarray(outcome.sums.mean[mine]), np.asarray(outcome.last.covariance[mine, mine])
-            last[labels[name]] = Believed(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
+            last[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
     total = outcome if shares is None else _over_modes(outcome, shares)
     return CellMoments(
         planned=p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={})),
@@ -278,5 +278,5 @@ def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
         middle = mean(rows.mean)
         apart, wide = rows.mean - middle, rows.covariance.shape[2] > 1
         between = apart[:, :, None] * apart[:, None] if wide else np.square(apart)[:, :, None]
-        rows = Recorded(middle, mean(rows.covariance + between))
+        rows = MomentRecord(middle, mean(rows.covariance + between))
     return outcome._replace(sums=s._replace(std=std, **worst), rows=rows)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.moments import nees
 from pcbench.moments.solve import CellMoments
-from pcbench.statistics.confidence_intervals import Estimate, Values, moments, positive, reached, root, student
+from pcbench.statistics.confidence_intervals import Estimate, Values, moments, positive, rms_efficiency, root, student
 from pcbench.statistics.consistency import INSIDE
 from pcbench.statistics.distributions import normal_quantile
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
@@ -50,7 +50,7 @@ NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
 Columns = dict[str, list[Any]]
 
 
-def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
+def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
     """Return the rows of an observer as columns, each with its `method` and the `reason` for a blank.
 
     `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
@@ -95,7 +95,7 @@ def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str,
             if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):
                 out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
-            out["rms_efficiency"] = reached(bound[: len(pooled.mean)], pooled)
+            out["rms_efficiency"] = rms_efficiency(bound[: len(pooled.mean)], pooled)
     if label in cell.last:
         b = cell.last[label]
         for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(b), strict=True):

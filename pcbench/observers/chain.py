@@ -33,7 +33,7 @@ from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled_model import sampled
+from pcbench.synthesis.sampled_model import sample_plant
 
 
 class Links(NamedTuple):
@@ -158,7 +158,7 @@ OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Find every link's gains and certify the map of one sample; refuse what is no chain."""
-    where, plant = f"chain in {setting.scenario}", sampled(setting, "chain", options.q)
+    where, plant = f"chain in {setting.scenario}", sample_plant(setting, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
             f"{where}: got a (believed) delay of 0 in every channel, expected one above 0: without delays there is nothing "

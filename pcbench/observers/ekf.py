@@ -28,7 +28,16 @@ from jaxtyping import Float
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at, carried, nearest, seen, sensed, value_of, within
+from pcbench.observers.parts.nonlinear_model import (
+    Gains,
+    at,
+    clip_parameters,
+    linearize_output,
+    linearize_sensor,
+    nearest,
+    predict_joint,
+    value_of,
+)
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.observers.parts.robust_update import Known
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer
@@ -52,17 +61,17 @@ class Options(nonlinear_model.Options):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
-    z, q = nonlinear_model.started(gains, xhat0), gains.C.shape[0]
-    first = robust_update.begun(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
+    z, q = nonlinear_model.initial_augmented(gains, xhat0), gains.C.shape[0]
+    first = robust_update.initial_posterior(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
     return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
 
 
 def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
-    z, P = carried(gains, now, before, sample.taken)
+    z, P = predict_joint(gains, now, before, sample.taken)
     if gains.sensor is not None:
         z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
-        return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
+        return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, left_out)
     value, left_out, R = value_of(gains, sample.value), [], sample.variances(gains.R)
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
@@ -74,14 +83,14 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
         left_out.append(out)
-    return robust_update.after(before, within(gains, z), P, sample.taken, left_out)
+    return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, left_out)
 
 
 def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
     P, left_out, R = before.P, [], sample.variances(gains.R)
-    y, C = sensed(gains, there, z[: gains.P0.shape[0]])
+    y, C = linearize_sensor(gains, there, z[: gains.P0.shape[0]])
     C, value = kalman.wide(C, z.shape[0]), nearest(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], R[channel]
@@ -101,13 +110,15 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     buffer, newest = reorder_buffer.replay(
         lambda state, sample: update(gains, now, state, sample), memory.buffer, sample
     )
-    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.mean)
+    z = lax.fori_loop(
+        newest.taken, now.tick, lambda k, z: clip_parameters(gains, gains.motion(at(now, k), z)), newest.mean
+    )
     return Memory(buffer, z)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Move the mean by one tick."""
-    return memory._replace(z=within(gains, gains.motion(now, memory.z)))
+    return memory._replace(z=clip_parameters(gains, gains.motion(now, memory.z)))
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
@@ -122,7 +133,7 @@ def newest(gains: Gains, memory: Memory, now: Now) -> Known:
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
     """Return what the filter believes of its error now: P at the newest sample used, by the slopes of every tick since."""
-    return carried(gains, now, newest(gains, memory, now), now.tick)[1]
+    return predict_joint(gains, now, newest(gains, memory, now), now.tick)[1]
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
@@ -132,7 +143,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
 
     def copy(state: Known, sample: Measurement) -> Known:
-        z, P = carried(gains, now, state, sample.taken)
+        z, P = predict_joint(gains, now, state, sample.taken)
         return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), taken=sample.taken)
 
     if buffer.samples.taken.shape[0]:
@@ -141,13 +152,13 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         state = reorder_buffer.newest_with_copy(use, copy, start, sample._replace(taken=marker))
         z, P = state.mean[N:], state.P[N:, N:]
     else:
-        z, P = carried(gains, now, first, sample.taken)
-    (y, C), predicted = seen(gains, at(now, sample.taken), z), z
-    value, total, R = nearest(gains, sample.value, y), kalman.unjudged(), sample.variances(gains.R)
+        z, P = predict_joint(gains, now, first, sample.taken)
+    (y, C), predicted = linearize_output(gains, at(now, sample.taken), z), z
+    value, total, R = nearest(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
         c, r = C[channel], R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r
-        total = kalman.judged(total, nu, s, mask[channel])
+        total = kalman.add_innovation(total, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])
         z, P = z + K * nu, kalman.covariance(P, K, c, r)
     return total

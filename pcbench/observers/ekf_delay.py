@@ -29,7 +29,7 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.common import no_snapshot
-from pcbench.observers.parts.unknown_delay import Gains, carried, read, spread
+from pcbench.observers.parts.unknown_delay import Gains, predict_linear, read, spread
 from pcbench.protocols import Arrival, Leaf, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
@@ -67,7 +67,7 @@ def joint(gains: Gains) -> tuple[Array, Array, Array]:
     return beside(gains.Phi, 1.0), Gamma, beside(gains.Q, gains.own)
 
 
-class Seen(NamedTuple):
+class SamplePrediction(NamedTuple):
     """The tick of a sample and the next, as predicted from the base, and their slopes by it."""
 
     x: Float[Array, " n"]
@@ -76,27 +76,27 @@ class Seen(NamedTuple):
     after: tuple[Array, Array]  # and of the next
 
 
-def predicted(gains: Gains, now: Now, x: Array, base: Array, first: Array) -> Seen:
+def predict_sample(gains: Gains, now: Now, x: Array, base: Array, first: Array) -> SamplePrediction:
     """Return what the model says of ticks `first` and `first` + 1, and of now, from the state at `base`."""
 
-    def tick(k: Array, c: Seen) -> Seen:
+    def tick(k: Array, c: SamplePrediction) -> SamplePrediction:
         here = c.x, c.F
         before = tuple(jnp.where(k == first, a, b) for a, b in zip(here, c.before, strict=True))
         x, F = gains.Phi @ c.x + gains.Gamma @ now.past_u(now.tick - k), gains.Phi @ c.F
         after = tuple(jnp.where(k == first, a, b) for a, b in zip((x, F), c.after, strict=True))
-        return Seen(x, F, before, after)  # type: ignore[arg-type]
+        return SamplePrediction(x, F, before, after)  # type: ignore[arg-type]
 
     here = x, jnp.eye(x.shape[0])
-    return lax.fori_loop(base, now.tick, tick, Seen(*here, here, here))
+    return lax.fori_loop(base, now.tick, tick, SamplePrediction(*here, here, here))
 
 
-def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Carry state and delay to the base, update there by a sample between ticks, and go to now."""
     base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
-    z, P = carried(*joint(gains), now, memory.z, memory.P, memory.at, base)
+    z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.at, base)
     place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
     first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
-    part, seen = place - first, predicted(gains, now, z[:n], base, first)
+    part, seen = place - first, predict_sample(gains, now, z[:n], base, first)
     (xa, Fa), (xb, Fb) = seen.before, seen.after
     H = jnp.concatenate([gains.C @ ((1 - part) * Fa + part * Fb), -(gains.C @ (xb - xa) / gains.dt)[:, None]], 1)
     y, start = gains.C @ ((1 - part) * xa + part * xb), z
@@ -111,7 +111,7 @@ def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Update state and delay by what arrives, and go to now."""
-    return vmap_as_unit(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
+    return vmap_as_unit(lambda memory, arrival: _update_at_sample(gains, memory, now, arrival))(memory, arrival)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -128,7 +128,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     """Return the covariance that is assumed of the error now: P at its base, carried on."""
 
     def present(z: Array, P: Array, at: Array) -> Array:
-        return spread(gains, carried(*joint(gains), now, z, P, at, now.tick)[1])
+        return spread(gains, predict_linear(*joint(gains), now, z, P, at, now.tick)[1])
 
     return vmap_as_unit(present)(memory.z, memory.P, memory.at)
 

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Linear
-from pcbench.observers.parts.nonlinear_model import Gains, seen, within
+from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, linearize_output
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import State
 from pcbench.protocols import InnovationStats, Now
@@ -34,30 +34,30 @@ class Options(nonlinear_model.Options):
 def tick(gains: Gains, now: Now, state: State) -> State:
     """Move mean and covariance by the slope there."""
     F = gains.slope(now, state.mean)
-    return state._replace(mean=within(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
+    return state._replace(mean=clip_parameters(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
 
-def looked(
+def update_about(
     gains: Gains, now: Now, state: State, sample: Measurement, about: Array
 ) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, by the sensor's slope at `about`."""
-    return kalman.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
+    return kalman.by_slope(gains, state.mean, state.P, Linear(*linearize_output(gains, now, about), about), sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
     """Correct by a sample of the state's tick, as often as `own` is long."""
     z, P = state.mean, state.P
     for _ in range(gains.own.shape[0]):
-        z, P, _ = looked(gains, now, state, sample, z)
-    return state._replace(mean=within(gains, z), P=P)
+        z, P, _ = update_about(gains, now, state, sample, z)
+    return state._replace(mean=clip_parameters(gains, z), P=P)
 
 
-def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> InnovationStats:
+def innovation_at_mean(gains: Gains, now: Now, state: State, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it, by the slope at the prediction."""
-    return looked(gains, now, state, sample, state.mean)[2]
+    return update_about(gains, now, state, sample, state.mean)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected))
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_at_mean))
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -25,7 +25,7 @@ from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled_model import ROWS, by_poles, delayed_radius, power, sampled
+from pcbench.synthesis.sampled_model import ROWS, by_poles, delayed_radius, power, sample_plant
 
 OBSERVER = assumed_age.OBSERVER
 
@@ -40,7 +40,7 @@ class Options(StrictOptions):
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Design for the believed delay and certify that alone; the delays as they are enter as a disturbance."""
-    where, plant = f"equal-delay in {setting.scenario}", sampled(setting, "equal-delay")
+    where, plant = f"equal-delay in {setting.scenario}", sample_plant(setting, "equal-delay")
     d, A = options.delay or max(min(plant.tau), 1), plant.A
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)

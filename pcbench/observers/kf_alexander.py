@@ -61,7 +61,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     )
 
 
-def carried(gains: Gains, memory: Memory, now: Now) -> Memory:
+def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with covariance and gains of now."""
     age, powers = now.tick - memory.at, gains.motion.powers
     J, n, q = memory.K.shape
@@ -72,7 +72,7 @@ def carried(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Update the covariance by what is taken now, and keep its gain until it arrives."""
-    memory = carried(gains, memory, now)
+    memory = predict_memory(gains, memory, now)
     mine = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
     P, L = memory.P, jnp.where(mine[:, None, None], 0.0, memory.K)
     for channel in range(gains.C.shape[0]):
@@ -93,7 +93,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add what the late innovations are worth now."""
-    sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+    sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
     mine = (memory.taken == sample.taken).astype(float)
     expected = gains.C @ (sample.snapshot + mine @ memory.then)
     e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)

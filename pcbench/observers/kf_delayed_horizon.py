@@ -25,14 +25,14 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import kept
+from pcbench.observers.parts.common import select_memory
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 
 
-class Own(NamedTuple):
+class HorizonParams(NamedTuple):
     """What it has besides a filter."""
 
     lag: Int[Leaf, ""]  # ticks
@@ -76,11 +76,11 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         return jnp.where(jnp.reshape(place, (-1, *[1] * one.ndim)), one[None], room)
 
     waits = memory._replace(waiting=jax.tree.map(put, memory.waiting, sample))
-    chosen = kept(sample.mask & (sample.taken > due), waits, memory)
-    return kept(sample.mask & (sample.taken == due), _used(gains, memory, now.tick, sample), chosen)
+    chosen = select_memory(sample.mask & (sample.taken > due), waits, memory)
+    return select_memory(sample.mask & (sample.taken == due), _apply_sample(gains, memory, now.tick, sample), chosen)
 
 
-def _used(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
+def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
     """The memory after a sample was used, at a tick."""
     posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
     there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
@@ -97,7 +97,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         jnp.max(jnp.where(jnp.any(which, 1)[:, None], every.snapshot, -jnp.inf), 0),
     )  # fmt: skip
     sample = sample._replace(snapshot=jnp.where(jnp.any(which), sample.snapshot, 0.0))
-    return kept(which, _used(gains, memory, memory.tick, sample), memory)
+    return select_memory(which, _apply_sample(gains, memory, memory.tick, sample), memory)
 
 
 OBSERVER = Observer(
@@ -116,5 +116,5 @@ def design(setting: DesignContext, options: Options) -> Design:
         )
     room = setting.flight * max(1, -(-lag // max(latest, 1)))
     why = "" if lag == latest else "samples are used later than they could be, or not at all"
-    own = Own(np.asarray(lag), np.zeros(room))
+    own = HorizonParams(np.asarray(lag), np.zeros(room))
     return linear_filter.design(setting, options, "kf-delayed-horizon", np.zeros(0), own, unproven=why)

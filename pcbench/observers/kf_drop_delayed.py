@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from pcbench.observers.parts import linear_filter
-from pcbench.observers.parts.common import kept
+from pcbench.observers.parts.common import select_memory
 from pcbench.observers.parts.prediction import Memory
 from pcbench.protocols import Arrival, Gains, InnovationStats, Now
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -29,7 +29,7 @@ class Options(linear_filter.Options):
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what is no older than the limit [ticks]."""
     mask = arrival.mask & (arrival.age <= gains.own)
-    return kept(mask, linear_filter.jump(gains, memory, now, arrival._replace(mask=mask)), memory)
+    return select_memory(mask, linear_filter.jump(gains, memory, now, arrival._replace(mask=mask)), memory)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:

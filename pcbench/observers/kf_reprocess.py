@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from pcbench.observers.parts import linear_filter, reorder_buffer
-from pcbench.observers.parts.common import kept
+from pcbench.observers.parts.common import select_memory
 from pcbench.observers.parts.prediction import Memory
 from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, DesignContext
@@ -31,7 +31,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what is no older than the state before the samples kept."""
     sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
     used = linear_filter.use(gains, memory, now, sample)
-    return kept(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
+    return select_memory(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump)

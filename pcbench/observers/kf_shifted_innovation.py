@@ -27,19 +27,19 @@ from pcbench.synthesis.certificate import Design, DesignContext
 Options = linear_filter.Options
 
 
-def shifted(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
+def shift_to_now(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
     """Return what arrives as a sample of now with the note of its own time."""
     return reorder_buffer.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Compare with the response to the input of the sample's own time, and correct now."""
-    return linear_filter.use(gains, memory, now, shifted(gains, now, arrival))
+    return linear_filter.use(gains, memory, now, shift_to_now(gains, now, arrival))
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what is expected of it by the estimate of now."""
-    return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shifted(gains, now, arrival))
+    return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shift_to_now(gains, now, arrival))
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)

@@ -28,7 +28,14 @@ from pydantic import Field
 from pcbench.errors import UserError, shown
 from pcbench.observers import ekf_iterated
 from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
-from pcbench.observers.parts.nonlinear_model import Gains, at, nearest, seen, started, within
+from pcbench.observers.parts.nonlinear_model import (
+    Gains,
+    at,
+    clip_parameters,
+    initial_augmented,
+    linearize_output,
+    nearest,
+)
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
@@ -76,7 +83,7 @@ class Options(nonlinear_model.Options):
 
 def first(gains: Gains, xhat0: Array) -> Window:
     """Return an empty window after the prior."""
-    z, M = started(gains, xhat0), gains.own.window.shape[0]
+    z, M = initial_augmented(gains, xhat0), gains.own.window.shape[0]
     none = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
     return Window(
@@ -105,14 +112,14 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
     return lax.fori_loop(since, until, tick, (z, jnp.eye(z.shape[0]), jnp.zeros_like(gains.Q)))
 
 
-def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
+def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
     """Return the chain of slopes along a path."""
     N, q = path.shape[1], gains.C.shape[0]
     since = jnp.append(w.since, w.samples.taken[:-1])
 
     def one(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
         f, F, Q = stage(gains, now, z, begin, sample.taken)
-        y, H = seen(gains, at(now, sample.taken), next_)
+        y, H = linearize_output(gains, at(now, sample.taken), next_)
         value = nearest(gains, sample.value, y) - y + H @ next_
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
@@ -123,7 +130,7 @@ def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -
 
 def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window:
     """Take a sample of the state's tick into the window, the oldest out, and look at all of them again."""
-    z, P, _ = ekf_iterated.looked(gains, now, state, sample, state.mean)
+    z, P, _ = ekf_iterated.update_about(gains, now, state, sample, state.mean)
 
     def shifted(rows: Array, new: Array) -> Array:
         return jnp.concatenate([rows[1:], jnp.asarray(new)[None]])
@@ -135,17 +142,17 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
         known=state.spreads[0],
         since=state.samples.taken[0],
     )
-    path = jnp.concatenate([state.path, within(gains, z)[None]])
+    path = jnp.concatenate([state.path, clip_parameters(gains, z)[None]])
 
     def again(_: Array, path: Array) -> Array:
-        chain, bounds = linearised(gains, now, w, path), gains.own.bounds
-        return structured_qp.solved(chain, bounds, path) if bounds else structured_qp.smoothed(chain)
+        chain, bounds = linearize_path(gains, now, w, path), gains.own.bounds
+        return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
     path = lax.fori_loop(0, gains.own.iterations.shape[0], again, path)
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
 
 
-OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.expected, first))
+OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.innovation_at_mean, first))
 
 
 def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:

@@ -82,7 +82,7 @@ def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
     return jnp.zeros(1)
 
 
-def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
+def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
     """Return means [M, n] and covariances of ticks `stop` [M] from those of ticks `start`, under the stored inputs."""
 
     def tick(i: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -96,7 +96,7 @@ def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Arra
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
 
 
-def updated(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple[Array, Array, Array]:
+def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Return mean and covariance of one filter after a sample of its tick, and the logarithm of what that was likely."""
     likelihood = jnp.zeros(())
     for channel in range(gains.C.shape[0]):
@@ -112,8 +112,8 @@ def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filter
     """Update every filter at the time that it believes a sample to be of, and weigh it by what it expected."""
     came = sample.snapshot[0].astype(int)
     taken = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
-    x, P = carried(gains, now, before.x, before.P, before.at, taken)
-    x, P, likelihood = jax.vmap(partial(updated, gains, sample))(x, P)
+    x, P = predict_models(gains, now, before.x, before.P, before.at, taken)
+    x, P, likelihood = jax.vmap(partial(update_model, gains, sample))(x, P)
     return Filters(x, P, taken, jax.nn.log_softmax(before.weight + likelihood))
 
 
@@ -124,7 +124,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         came = jnp.asarray(now.tick, float)[None]
         sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
         buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
-        present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
+        present = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
         return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
 
     return vmap_as_unit(jumped)(memory, arrival)
@@ -150,7 +150,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
     def mixed(memory: Memory) -> Array:
         at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
-        x, P = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
+        x, P = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
         share, n = jnp.exp(at.weight), gains.C.shape[1]
         z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
         apart = z - (share @ z)[None]

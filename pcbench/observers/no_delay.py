@@ -22,7 +22,7 @@ from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled_model import by_poles, delayed_radius, sampled
+from pcbench.synthesis.sampled_model import by_poles, delayed_radius, sample_plant
 
 OBSERVER = assumed_age.OBSERVER
 
@@ -38,7 +38,7 @@ class Options(StrictOptions):
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Design without delays; certified where the radius with the delays is below 1 as well."""
-    where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
+    where, plant = f"no-delay in {setting.scenario}", sample_plant(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
     undelayed, delayed = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)

@@ -36,7 +36,7 @@ def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:
     known = memory.past.taken <= taken
     newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last that holds: several may be of one tick
     before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
-    there = linear_filter.predicted(gains, before, memory.posterior.taken)
+    there = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
     x, P, _ = memory.posterior
     inverse = jnp.linalg.inv(there.P)
     return Last(there.P, inverse @ (x - there.mean), inverse @ (there.P - P) @ inverse)

@@ -24,7 +24,7 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.nonlinear_model import Gains, at_points, nearest, started, within
+from pcbench.observers.parts.nonlinear_model import Gains, at_points, clip_parameters, initial_augmented, nearest
 from pcbench.observers.parts.options import normals, tunable, uniforms
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import Memory
@@ -61,24 +61,24 @@ class Options(nonlinear_model.Options):
     resample: float = tunable(0.5, (0.0, 1.0), ge=0, le=1, description="share of effective particles that is too few")
 
 
-def drawn(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"]) -> Cloud:
+def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"]) -> Cloud:
     """Return the particles of a run at tick 0."""
     S, zero = gains.own.room.shape[0], jnp.asarray(0)
     x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.own.start.T
-    x = jax.vmap(lambda each: within(gains, each))(x)
+    x = jax.vmap(lambda each: clip_parameters(gains, each))(x)
     return Cloud(x, jnp.full(S, -jnp.log(float(S))), words, zero)
 
 
 def first(gains: Gains, xhat0: Array) -> Cloud:
     """Return the particles of a run that has not said who it is."""
-    return drawn(gains, started(gains, xhat0), jnp.zeros(2, jnp.uint32))
+    return draw_particles(gains, initial_augmented(gains, xhat0), jnp.zeros(2, jnp.uint32))
 
 
 def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at the start of the run of these words."""
 
     def begun(words: Array, xhat0: Array) -> tuple[Cloud, Array]:
-        now = drawn(gains, started(gains, xhat0), words)
+        now = draw_particles(gains, initial_augmented(gains, xhat0), words)
         return now, mean(gains, now)
 
     now, z = vmap_as_unit(begun)(words, xhat0)
@@ -89,14 +89,14 @@ def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
     """Move every particle by a tick, and by a draw of process noise; one that overflows stays, with weight 0."""
     moved = jax.vmap(lambda z: gains.motion(now, z))(state.x)
     moved = moved + normals(state.words, PROCESS, now.tick, moved.shape) @ gains.own.process.T
-    moved = jax.vmap(lambda z: within(gains, z))(moved)
+    moved = jax.vmap(lambda z: clip_parameters(gains, z))(moved)
     finite = jnp.all(jnp.isfinite(moved), axis=1)
     left = jnp.where(finite, state.weight, -jnp.inf)
     weight = jnp.where(jnp.all(finite), left, left - jax.nn.logsumexp(left))
     return state._replace(x=jnp.where(finite[:, None], moved, state.x), weight=weight)
 
 
-def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
+def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
     """Return what every particle would have measured."""
     n = gains.C.shape[1]
     if gains.sensor is None:
@@ -106,7 +106,7 @@ def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
 
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weigh the particles by a sample of their tick, and resample where too few are left."""
-    y = seen(gains, now, state.x)
+    y = predict_outputs(gains, now, state.x)
     off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y))
     off = off / sample.variances(gains.R)[None]
     off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
@@ -120,7 +120,7 @@ def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     return state._replace(x=x, weight=jnp.where(few, -jnp.log(float(S)), weight))
 
 
-def weighted(weight: Float[Array, " S"], points: Float[Array, "S k"]) -> tuple[Array, Array]:
+def weighted_moments(weight: Float[Array, " S"], points: Float[Array, "S k"]) -> tuple[Array, Array]:
     """Return mean and covariance of points."""
     m = jnp.sum(jnp.exp(weight)[:, None] * points, axis=0)
     d = points - m[None]
@@ -129,30 +129,30 @@ def weighted(weight: Float[Array, " S"], points: Float[Array, "S k"]) -> tuple[A
 
 def mean(gains: Gains, state: Cloud) -> Float[Array, " N"]:
     """Return the weighted mean."""
-    return weighted(state.weight, state.x)[0]
+    return weighted_moments(state.weight, state.x)[0]
 
 
 def spread(gains: Gains, state: Cloud) -> Float[Array, "N N"]:
     """Return the weighted covariance."""
-    return weighted(state.weight, state.x)[1]
+    return weighted_moments(state.weight, state.x)[1]
 
 
-def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> InnovationStats:
+def innovation_of_cloud(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the particles' mean and covariance expect of it."""
-    y = seen(gains, now, state.x)
+    y = predict_outputs(gains, now, state.x)
     lost = jnp.any(~jnp.isfinite(y) & sample.mask[None], axis=1)  # as in `update`: weight 0
     left = jnp.where(lost, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
     both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
-    return kalman.by_points(gains, *weighted(weight, both), sample)[2]
+    return kalman.by_points(gains, *weighted_moments(weight, both), sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected, first, mean, spread))._replace(
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_of_cloud, first, mean, spread))._replace(
     init_random=init_random
 )
 
 
-def rooted(M: np.ndarray) -> np.ndarray:
+def symmetric_root(M: np.ndarray) -> np.ndarray:
     """Return the symmetric root of a covariance, which may be singular."""
     values, V = np.linalg.eigh(M)
     return np.asarray((V * np.sqrt(np.maximum(values, 0.0))) @ V.T)
@@ -170,6 +170,8 @@ def design(setting: DesignContext, options: Options) -> Design:
         )
 
     def swarm(gains: Gains) -> Swarm:
-        return Swarm(np.zeros(options.particles), rooted(gains.P0), rooted(gains.Q), np.asarray(options.resample))
+        return Swarm(
+            np.zeros(options.particles), symmetric_root(gains.P0), symmetric_root(gains.Q), np.asarray(options.resample)
+        )
 
     return nonlinear_model.design(setting, options, "particle", swarm)

@@ -55,7 +55,7 @@ class Gains(NamedTuple):
     room: Room  # for samples that may be overtaken
 
 
-class Reduced(NamedTuple):
+class ReducedState(NamedTuple):
     """The reduced-order PI observer at the time of a sample."""
 
     point: Point  # inv(T) [y; w]
@@ -80,11 +80,11 @@ class ProportionalIntegral(Proportional):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from xhat(0), nothing measured."""
-    state = Reduced(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
+    state = ReducedState(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
     return prediction.start(xhat0, state, gains.room, gains.D.shape[0])
 
 
-def reduced(gains: Gains, before: Reduced, sample: Measurement) -> Reduced:
+def step_reduced(gains: Gains, before: ReducedState, sample: Measurement) -> ReducedState:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
     predicted = gains.T @ (sample.snapshot + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
@@ -92,10 +92,10 @@ def reduced(gains: Gains, before: Reduced, sample: Measurement) -> Reduced:
     push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
     xhat = gains.T_inv @ jnp.concatenate([predicted[:l] + nu, predicted[l:] + push])
-    return Reduced(Point(xhat - sample.snapshot, sample.taken), L, jnp.asarray(True))
+    return ReducedState(Point(xhat - sample.snapshot, sample.taken), L, jnp.asarray(True))
 
 
-jump = prediction.jumping(reduced, lambda state: state.point)
+jump = prediction.jumping(step_reduced, lambda state: state.point)
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 

@@ -30,7 +30,7 @@ from pcbench.synthesis.certificate import Design, DesignContext, require_certifi
 from pcbench.synthesis.unknown_input import injection, split
 
 
-def _printed() -> pi_lmi.PIGains:
+def _published_gains() -> pi_lmi.PIGains:
     one = np.ones(2)
     P = pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), 0.8261 * one, 0.3339 * one, 0.3328 * one)
     KP = np.array([[21.7396, 0.0278], [0.0283, 21.8043]])
@@ -38,7 +38,7 @@ def _printed() -> pi_lmi.PIGains:
     return pi_lmi.PIGains(KP, KI, P, float("nan"), "printed", "none")
 
 
-PRINTED = _printed()
+PRINTED = _published_gains()
 
 
 class IntegralLaw(NamedTuple):

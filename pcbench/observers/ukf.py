@@ -25,7 +25,7 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
 from pcbench.observers.parts.kalman import Linear, Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at_points, seen, within
+from pcbench.observers.parts.nonlinear_model import Gains, at_points, clip_parameters, linearize_output
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
@@ -82,13 +82,15 @@ def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, 
 def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
     """Move the points by a tick."""
     m, P = moments(gains, jax.vmap(lambda z: gains.motion(now, z))(spread_out(gains, state)))
-    return state._replace(mean=within(gains, m), P=P + gains.Q)
+    return state._replace(mean=clip_parameters(gains, m), P=P + gains.Q)
 
 
-def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tuple[Array, Array, InnovationStats]:
+def update_by_points(
+    gains: Gains, now: Now, state: Posterior, sample: Measurement
+) -> tuple[Array, Array, InnovationStats]:
     """Return what z is once a sample is known, and how far it was from what was expected."""
     if gains.sensor is None:  # linear: no points are needed
-        sensor = Linear(*seen(gains, now, state.mean), state.mean)
+        sensor = Linear(*linearize_output(gains, now, state.mean), state.mean)
         return kalman.by_slope(gains, state.mean, state.P, sensor, sample)
 
     points = spread_out(gains, state)
@@ -98,16 +100,16 @@ def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tup
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:
     """Correct by a sample of the state's tick."""
-    z, P, _ = looked(gains, now, state, sample)
-    return state._replace(mean=within(gains, z), P=P)
+    z, P, _ = update_by_points(gains, now, state, sample)
+    return state._replace(mean=clip_parameters(gains, z), P=P)
 
 
-def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> InnovationStats:
+def innovation_by_points(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it."""
-    return looked(gains, now, state, sample)[2]
+    return update_by_points(gains, now, state, sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, expected))
+OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_by_points))
 
 
 def points_of(options: Options, N: int, where: str) -> Points:

@@ -21,14 +21,14 @@ from scipy.linalg import expm
 from pcbench import api, planning
 from pcbench.dynamics.observability import shown
 from pcbench.observers import pio, smo
-from pcbench.papers.claim import FALSE, MISPRINT, REPRODUCED, Claim, found, rounds_to, statement, unit
+from pcbench.papers.claim import FALSE, MISPRINT, REPRODUCED, Claim, report_finding, rounds_to, statement, unit
 from pcbench.planning import padding, run_local
 from pcbench.plants import arm
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Study, options_of
 from pcbench.study.grid import cell_of
-from pcbench.study.times import whole
+from pcbench.study.times import to_ticks
 from pcbench.synthesis import pi_lmi, sliding_mode
 from pcbench.synthesis.unknown_input import Split, split, unmovable
 
@@ -79,7 +79,7 @@ LINK = "0 1.0000 3.7500 0.0013"
 def claims() -> list[Claim]:
     """Return printed against reproduced, for `pcbench reproduce arm`."""
     with config.float64():
-        return [*table_claims(), *gain_claims(), *_findings(), *_sampled()]
+        return [*table_claims(), *gain_claims(), *_findings(), *_compare_on_samples()]
 
 
 def _findings() -> Iterator[Claim]:
@@ -90,7 +90,7 @@ def _findings() -> Iterator[Claim]:
     frame = api.simulate("arm/sine", ["smo", "pio"])
     e = {o: frame[signals].to_numpy() - frame[[f"{o}.{s}" for s in signals]].to_numpy() for o in ("smo", "pio")}
     ebar = {o: each[:, [0, 3]] - each[:, [2]] * smo.PRINTED.L1[:, 0] for o, each in e.items()}
-    k = whole(6.0, SCENARIOS["arm/sine"])
+    k = to_ticks(6.0, SCENARIOS["arm/sine"])
     off_by = max(np.abs(b[k] - expm(6 * A11b) @ b[0]).max() for b in ebar.values())
     jump = nominal().query("scenario == 'arm/sawtooth' and signal == 'input'")
     recovery = jump.set_index("observer").recovery_time * 1e3
@@ -106,7 +106,7 @@ def _findings() -> Iterator[Claim]:
     off = {f"{tau:g}": _just_after(falls, tau) for tau in (2.0, 4.0, 6.0, 8.0)}
     text = f"d jumps at {', '.join(times)} s; PIO's d is {min(off.values()):.2f} or more off there, SMO's as well"
     close = "but for rounding" if off_by < 1e-9 else f"but for {off_by:.0e}"
-    yield from _compared()
+    yield from _compare_columns()
     yield statement(
         "under d2 SMO has the smaller largest error of d",
         ".3389 < .3517",
@@ -117,11 +117,11 @@ def _findings() -> Iterator[Claim]:
     yield statement(
         "under d2 PIO's d deviates at", "2, 4, 6, 8 s", text, set(off) <= set(times) and min(off.values()) > 0.1
     )
-    yield found(
+    yield report_finding(
         "what the columns x1, x4 of Table 2 compare",
         f"ebar1 is e^(A11b t) of the initial error in both observers, {close} at 6 s",
     )
-    yield found(
+    yield report_finding(
         "what PIO's largest error of x3 (printed 1.3686e-6) is made of",
         steps,
         "chatter of the integration, some 1e-6 with steps of 1e-4 s: it shrinks with the step",
@@ -134,7 +134,7 @@ def _just_after(falls: pd.DataFrame, tau: float) -> float:
     return float(abs(row["input"] - row["pio.input"]))
 
 
-def _compared() -> Iterator[Claim]:
+def _compare_columns() -> Iterator[Claim]:
     """Section 5: under d1 PIO is said to be better; column by column."""
     for what in METRICS:
         size = {o: {x: entry("d1", o, x, what) for x in SIGNALS} for o in ("smo", "pio")}
@@ -154,7 +154,7 @@ def _chatter(dt: float) -> float:
     return float(done.results["pio"]["steady_max_abs_error"][2, 0])
 
 
-def _sampled() -> Iterator[Claim]:
+def _compare_on_samples() -> Iterator[Claim]:
     """What remains of the comparison on samples: root-mean-square error of link velocity from 6 s on."""
     four = ["smo", "pio", "smo-hold", "pio-hold"]
     quiet = {"delay": [0.0], "noise_std": [0.0], "sampling_period": [0.01, 0.2]}
@@ -164,19 +164,19 @@ def _sampled() -> Iterator[Claim]:
         for te in (0.01, 0.2):
             a, b = rms["smo" + label, te], rms["pio" + label, te]
             claim = f"sampled every {te:g} s, {what}: x2 rms"
-            yield found(claim, f"SMO {a:.4g}, PIO {b:.4g} rad/s", f"SMO {a:.3g}, PIO {b:.3g} rad/s")
+            yield report_finding(claim, f"SMO {a:.4g}, PIO {b:.4g} rad/s", f"SMO {a:.3g}, PIO {b:.3g} rad/s")
     late = ["smo", "pio", "smo-reconstruct", "pio-reconstruct", "kf"]
     mean, half = _rms(api.run("arm/sampled", observers=late, seeds=SEEDS).stats)
     for names, what in ((late[:2], "without"), (late[2:], "with")):
         text = ", ".join(f"{name.split('-')[0]} {mean[name]:.3g} +- {half[name]:.1g}" for name in names)
         claim = f"te = d = 0.02 s, noise 1e-3, prediction {what} the input found: x2 rms"
-        yield found(claim, text + " rad/s")
+        yield report_finding(claim, text + " rad/s")
     noisy = {"delay": [0.0], "noise_std": [1e-3, 3e-3], "sampling_period": [0.005]}
     stats = api.run("arm/sampled", observers=["smo", "pio"], seeds=SEEDS, axes=noisy).stats
     for std in noisy["noise_std"]:
         mean, half = _rms(stats[stats.noise_std == std])
         text = ", ".join(f"{name.upper()} {mean[name]:.3g} +- {half[name]:.1g}" for name in mean)
-        yield found(f"te = 5 ms, noise {std:g}: x2 rms", text + " rad/s")
+        yield report_finding(f"te = 5 ms, noise {std:g}: x2 rms", text + " rad/s")
 
 
 def _rms(stats: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
@@ -249,18 +249,18 @@ def _gains() -> Iterator[Claim]:
     best, proof = sliding_mode.solve(plant, 1.0, WHERE), sliding_mode.certify(smo.PRINTED, plant).numbers
     yield _objective("SMO gains: least r of (23), (24)", proof["r"], best.r)
     for name in ("L1", "P1", "P2", "A22s"):
-        yield _beside(f"SMO {name}", getattr(smo.PRINTED, name), getattr(best, name))
+        yield _compare_matrix(f"SMO {name}", getattr(smo.PRINTED, name), getattr(best, name))
     rate = f"{proof['rate_proven']:.6f} 1/s"
     yield statement("SMO gains prove alpha = 1", "1", rate, proof["rate_proven"] >= 1)
     L1 = smo.PRINTED.L1
     optimum, given = pi_lmi.solve(plant, L1, 1.0, WHERE), pi_lmi.certify(pio.PRINTED, plant, L1).numbers
     yield _objective("PIO gains: least g of (38), (52) with the printed L1", given["g"], optimum.g)
     for name in ("KP", "KI"):
-        yield _beside(f"PIO {name}", getattr(pio.PRINTED, name), getattr(optimum, name))
+        yield _compare_matrix(f"PIO {name}", getattr(pio.PRINTED, name), getattr(optimum, name))
     rate, short = f"{given['rate_proven']:.6f} 1/s", given["rate_proven"] > 1 - ROUNDED
     yield statement("PIO gains prove beta = 1, but for their rounding", "1", rate, bool(short))
     own = pi_lmi.solve(plant, best.L1, 1.0, WHERE).g
-    yield found("PIO: least g with the optimal L1", f"{own:.6g}")
+    yield report_finding("PIO: least g with the optimal L1", f"{own:.6g}")
 
 
 def _objective(claim: str, printed: float, best: float) -> Claim:
@@ -269,7 +269,7 @@ def _objective(claim: str, printed: float, best: float) -> Claim:
     return statement(claim, "least", text, bool(abs(above) < SHORT_OF))
 
 
-def _beside(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
+def _compare_matrix(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
     """A printed matrix beside the optimum, with how far it is off in parts of its largest entry."""
     off = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
     text = f"{_entries(best)} at the optimum: {off:.1f} % off, as a solver's default accuracy leaves it"

@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.linalg import solve_discrete_lyapunov
 
 from pcbench import api, planning
-from pcbench.papers.claim import MISPRINT, OPEN, REPRODUCED, Claim, digits, found, statement
+from pcbench.papers.claim import MISPRINT, OPEN, REPRODUCED, Claim, digits, report_finding, statement
 from pcbench.planning import padding, run_local
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
@@ -111,7 +111,7 @@ def _under_noise() -> Iterator[Claim]:
     rows = rows[rows.metric == "rms_efficiency"]
     worse = ", ".join(f"{o} {1 / e:.1f}" for o, e in zip(rows.observer, rows["mean"], strict=True))
     yield stays
-    yield found("6.2 Gaussian: rms from 3 s on, times the least possible", worse)
+    yield report_finding("6.2 Gaussian: rms from 3 s on, times the least possible", worse)
 
 
 def _misprints() -> Iterator[Claim]:

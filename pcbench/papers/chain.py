@@ -12,11 +12,11 @@ import numpy as np
 
 from pcbench import api
 from pcbench.dynamics.linear import Matrix
-from pcbench.papers.claim import FALSE, MISPRINT, OPEN, REPRODUCED, Claim, found, statement, unit
+from pcbench.papers.claim import FALSE, MISPRINT, OPEN, REPRODUCED, Claim, report_finding, statement, unit
 from pcbench.plants import csth
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.study.times import whole
+from pcbench.study.times import to_ticks
 from pcbench.synthesis import chain
 
 SEEDS = 256
@@ -77,7 +77,7 @@ def _remark_2() -> Iterator[Claim]:
 
 def _remark_3() -> Iterator[Claim]:
     """Remark 3: what the poles and the delays do; and chain 3, said to be chain 1."""
-    tau = [whole(float(d), SCENARIOS["csth/10s"]) for d in SCENARIOS["csth/10s"].sampling.delay]
+    tau = [to_ticks(float(d), SCENARIOS["csth/10s"]) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
         f"delays {tau} leave steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"
@@ -152,15 +152,15 @@ def _noise() -> Iterator[Claim]:
     for name, what in (("chain", "printed poles"), ("chain-riccati", "Riccati gains, deadbeat outputs")):
         row = rows.loc[name]
         text = f"{row['mean']:.3f} +- {(row['ci_high'] - row['ci_low']) / 2:.3f} of the best possible"
-        yield found(f"under noise the chain with {what}", text)
+        yield report_finding(f"under noise the chain with {what}", text)
 
 
 def design_claims() -> list[Claim]:
     """Return the printed design against what follows from it."""
-    return [*_entries(), *_misprints(), *_undetermined()]
+    return [*_entries(), *_misprints(), *_list_undetermined()]
 
 
-def designed(d: int, T_printed: str) -> dict[str, Matrix]:
+def design_chain(d: int, T_printed: str) -> dict[str, Matrix]:
     """Return L, H_i, Q_j and V of a chain that follow from its printed T on the plant as printed."""
     A, B, C, *_ = csth.nominal(csth.Numbers(literal=True))
     power = np.linalg.matrix_power
@@ -177,7 +177,7 @@ def close(word: str, value: float) -> bool:
 
 def _entries() -> Iterator[Claim]:
     for number, (d, T, entries, V) in PRINTED.items():
-        values = designed(d, T)
+        values = design_chain(d, T)
         words = {(name, i): word for name, text in entries.items() for i, word in enumerate(text.split())}
         words |= {("V", 3 * i + j): word for (i, j), word in V.items()}
         for (name, i), word in words.items():
@@ -215,7 +215,7 @@ def _feedthrough() -> str:
     return f"D, C A^(d-1) B - V D: {close}; as printed off by {wrong:.2f}"
 
 
-def _undetermined() -> Iterator[Claim]:
+def _list_undetermined() -> Iterator[Claim]:
     free = "C is invertible, so any invertible T solves (8): nine free numbers, taken as printed"
     lost = "depends on the signs of T, which are lost"
     yield Claim("chains 1, 2: T", "nine numbers each", free, OPEN)

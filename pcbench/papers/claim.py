@@ -32,7 +32,7 @@ def counts(rows: Iterable[Claim]) -> dict[str, int]:
     return {name: found[name] for name in (*VERDICTS, FINDING)}
 
 
-def found(what: str, text: str, steady: str = "") -> Claim:
+def report_finding(what: str, text: str, steady: str = "") -> Claim:
     """Return something that the paper does not say."""
     return Claim(what, OURS, text, FINDING, steady)
 

@@ -17,7 +17,7 @@ from jax.tree_util import Partial
 
 from pcbench import api, planning
 from pcbench.observers import high_gain
-from pcbench.papers.claim import FINDING, MISPRINT, Claim, digits, found, statement
+from pcbench.papers.claim import FINDING, MISPRINT, Claim, digits, report_finding, statement
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import helicopter
@@ -94,10 +94,10 @@ def claims() -> list[Claim]:
     """Return printed against reproduced, for `pcbench reproduce helicopter`."""
     with config.float64():
         runs = record()
-        return [*_printed(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
+        return [*_check_simulations(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
 
-def _printed(runs: dict[str, Flight]) -> Iterator[Claim]:
+def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
     """What the paper's two simulations are said to show."""
     for name, what in (("constant", "constant delay"), ("varying", "varying delay")):
         run = runs[name]
@@ -105,7 +105,7 @@ def _printed(runs: dict[str, Flight]) -> Iterator[Claim]:
         text = f"{B[0]:.6f}, {B[1]:.6f} at 20 s"
         yield statement(f"{what}: the viscosities are found", "0.8, 0.318", text, bool(times.max() < 20))
         inside = f"from {times[0]:.2f} s and {times[1]:.2f} s on"
-        yield found(f"{what}: viscosities within 5 %", inside)
+        yield report_finding(f"{what}: viscosities within 5 %", inside)
         e = run.rms(run.x - run.z)[:4]
         text = ", ".join(f"{v:.1e}" for v in e) + " rms from 10 s on"
         yield statement(f"{what}: the state of now is estimated", "converges", text, bool(e.max() < 1e-3))
@@ -148,22 +148,22 @@ def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
     still = ("converges" if isnan(lost) else f"diverges at {lost:.2f} s") + (
         ", not from the true state" if kept else ""
     )
-    yield found(
+    yield report_finding(
         "what keeps the pitch off its path",
         f"{full:.1e} rad rms with feedforward and predictor, {runs['constant'].off[0]:.3f} without: no gravity term",
     )
-    yield found("set point at rest, (1, 1) rad, printed observer", still)
+    yield report_finding("set point at rest, (1, 1) rad, printed observer", still)
     for name, what in (
         ("late samples", "samples 0.15 s late, commands 0.025 s"),
         ("late commands", "the other way round"),
     ):
         run = runs[name]
         text = f"yaw {run.off[1]:.3f} rad off its path, its rate found to {run.rms(run.x - run.z)[3]:.1e} rad/s"
-        yield found(what, text)
+        yield report_finding(what, text)
     heavy = {what: runs[name].rms(runs[name].z[:, 4:] - VISCOSITY) for what, name in HEAVY.items()}
     text = ", ".join(f"{b[0]:.2f} and {b[1]:.3f} ({what})" for what, b in heavy.items())
-    yield found("10 % more mass than the model: viscosities off by, rms", text)
-    yield found("linear limit of Theta Ts", f"{limit():.4f}")
+    yield report_finding("10 % more mass than the model: viscosities off by, rms", text)
+    yield report_finding("linear limit of Theta Ts", f"{limit():.4f}")
 
 
 def _rows(frame: pd.DataFrame) -> list[Row]:
@@ -182,7 +182,10 @@ def _starts() -> list[Claim]:
         never = late.get((r["observer"], r["sampling_period"]), 0)
         text = f"{NAMES[r['observer']]} {r['diverged']} of {r['n']} ({interval}), {never} others not within 5 %"
         texts.setdefault(r["sampling_period"], []).append(text)
-    return [found(f"random starts, Ts = {te:g} s: runs that diverge", "; ".join(text)) for te, text in texts.items()]
+    return [
+        report_finding(f"random starts, Ts = {te:g} s: runs that diverge", "; ".join(text))
+        for te, text in texts.items()
+    ]
 
 
 def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
@@ -196,16 +199,18 @@ def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
         both = [tuple(value[std, signal, name] for name in names) for signal in signals]
         text = "; ".join(f"{signal} {a:.3g} / {b:.3g}" for signal, (a, b) in zip(signals, both, strict=True))
         better = sum(b < a for a, b in both)
-        yield found(f"noise {std:g} rad: tail rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})")
+        yield report_finding(
+            f"noise {std:g} rad: tail rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})"
+        )
     a, b = (runs[name].within for name in ("robust", "ekf"))
     text = f"robust {a[0]:.2f}, {a[1]:.2f} s; ekf {b[0]:.2f}, {b[1]:.2f} s"
-    yield found("no noise, nominal start: viscosities within 5 % from", text)
+    yield report_finding("no noise, nominal start: viscosities within 5 % from", text)
 
 
 def record() -> dict[str, Flight]:
     """Run every case once, all of one shape."""
     drafts = [_draft(*CASES[name]) for name in CASES]
-    return {name: Flight(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
+    return {name: Flight(_record_trajectory(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
 
 def _draft(name: str, observer: str, choices: TomlTable, changes: TomlTable) -> Plan:
@@ -215,8 +220,8 @@ def _draft(name: str, observer: str, choices: TomlTable, changes: TomlTable) -> 
     return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
 
 
-def _recorded(p: Plan) -> trajectory.Recording:
-    out = trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0))
+def _record_trajectory(p: Plan) -> trajectory.Recording:
+    out = trajectory.jit_record()(p.layout, p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 
 
@@ -251,5 +256,5 @@ def misread() -> dict[str, Flight]:
     for what, read in {"": (0.0, 1.0, 1.0, 1.0), **MISPRINTS}.items():
         parts = Partial(_literal, p.problem.params, np.array(read))
         gains = {"high-gain": p.problem.gains["high-gain"]._replace(parts=parts)}
-        out[what] = Flight(_recorded(p._replace(layout=layout, problem=p.problem._replace(gains=gains))))
+        out[what] = Flight(_record_trajectory(p._replace(layout=layout, problem=p.problem._replace(gains=gains))))
     return out

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pcbench import api, planning
 from pcbench.dataset.result import Result
-from pcbench.papers.claim import FALSE, MISPRINT, OPEN, Claim, found, statement
+from pcbench.papers.claim import FALSE, MISPRINT, OPEN, Claim, report_finding, statement
 from pcbench.planning import padding, run_local
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS, Scenario
@@ -129,7 +129,7 @@ def _variances() -> Iterator[Claim]:
         )
         right = (c.difference < 0) == (exact[1] < exact[0]) == lower and max(map(abs, c.deviations)) < 4
         closed = f"{'as' if right else 'not as'} the closed form says, {exact[0]:.4f} -> {exact[1]:.4f}"
-        yield found(claim, f"{text}; {closed}")
+        yield report_finding(claim, f"{text}; {closed}")
 
 
 def _stability() -> Iterator[Claim]:

@@ -5,6 +5,6 @@ All cells of a plant and horizon share one compiled program: the ring and the ar
 
 from pcbench.planning.build import alone, bound, draft, drafts, plan, samples_of, schedule_of, width
 from pcbench.planning.design_context import setting
-from pcbench.planning.memo import designed
+from pcbench.planning.memo import run_design
 
-__all__ = ["alone", "bound", "designed", "draft", "drafts", "plan", "samples_of", "schedule_of", "setting", "width"]
+__all__ = ["alone", "bound", "draft", "drafts", "plan", "run_design", "samples_of", "schedule_of", "setting", "width"]

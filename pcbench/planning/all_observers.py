@@ -17,11 +17,11 @@ from pcbench.toml_text import TomlTable
 
 def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a study with its cells, as `parse.grid_of`; "all" among its observers becomes those that can run."""
-    raw, where = parse.changed(study, changes, overrides)
-    return parse.grid(resolved(raw, where), where, FROM_HERE)
+    raw, where = parse.apply_changes(study, changes, overrides)
+    return parse.grid(resolve_observers(raw, where), where, FROM_HERE)
 
 
-def resolved(raw: TomlTable, where: str) -> TomlTable:
+def resolve_observers(raw: TomlTable, where: str) -> TomlTable:
     """Return a raw study with every observer that can run in place of "all", and with the reasons of the others."""
     if not parse.names_all(raw):
         return raw
@@ -62,13 +62,13 @@ def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tu
     if ALL not in observers:
         return parse.one_cell(study, observers, overrides)
     raw = raw_of(study, overrides, FROM_HERE)
-    found = resolved(raw | {"observers": observers}, where_of(study, raw))
+    found = resolve_observers(raw | {"observers": observers}, where_of(study, raw))
     return parse.one_cell(found, found["observers"], [])
 
 
 def outline(what: str, overrides: list[str]) -> Study:
     """Return the study that the user names, as `parse.outline`; "all" among its observers becomes those that can run."""
-    return parse.described(resolved(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
+    return parse.build_study(resolve_observers(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
 
 
 def sentences(excluded: dict[str, str] | None) -> list[str]:

@@ -20,7 +20,7 @@ from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.observers.parts import assumed_noise
 from pcbench.planning import loop_setup, memo, padding
-from pcbench.planning.design_context import prepared, setting
+from pcbench.planning.design_context import prepare_params, setting
 from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
 from pcbench.scenarios.scenario import ProcessNoise, per_channel
@@ -30,7 +30,7 @@ from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells_of
-from pcbench.study.times import whole
+from pcbench.study.times import to_ticks
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
 from pcbench.toml_text import TomlTable
@@ -139,7 +139,7 @@ def draft(
     true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {
-        o: ask("designs", (cell.key, o), partial(memo.designed, o, cell.entry(o), known, given))
+        o: ask("designs", (cell.key, o), partial(memo.run_design, o, cell.entry(o), known, given))
         for o, given in options.items()
     }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
@@ -159,7 +159,7 @@ def draft(
     key = tuple(cell.times.clocks), n, cell.times.error, measured.continuous, len(measured.delay)
     schedule, room = ask("schedule", key, lambda: schedule_of(cell))
     problem = GridPointParams(
-        params=prepared(plant, plants.varied(plants.numbers_of(s), numbers), s.dt, n, ask),
+        params=prepare_params(plant, plants.replace_numbers(plants.numbers_of(s), numbers), s.dt, n, ask),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
         inputs=_inputs(cell, known, ask),
@@ -236,7 +236,7 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
             f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
-    late = min(whole(s.loop.actuator_delay or 0.0, s), n + 1)
+    late = min(to_ticks(s.loop.actuator_delay or 0.0, s), n + 1)
     return np.concatenate([np.zeros((late, m)), u[: n + 1 - late]])
 
 
@@ -258,7 +258,7 @@ def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[common_ti
     """Return every sample of a cell, lost ones too; of one run (root seed, seed), where sampling is random."""
     clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
     random = run is not None and cell.times.random
-    return random_times.realised(clocks, n, channels, *run) if random and run else common_times.samples(clocks, n)
+    return random_times.draw_samples(clocks, n, channels, *run) if random and run else common_times.samples(clocks, n)
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:

@@ -9,7 +9,7 @@ from jax.tree_util import Partial
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
 from pcbench.planning import memo
-from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_in, varied
+from pcbench.plants import PlantSpec, entry_of, numbers_of, parameters_in, replace_numbers
 from pcbench.protocols import Params
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import common_times, random_times, sampling
@@ -18,7 +18,7 @@ from pcbench.synthesis.certificate import DesignContext
 from pcbench.value_cache import key_of
 
 
-def prepared(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask: memo.Once) -> Params:
+def prepare_params(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask: memo.Once) -> Params:
     """Return a plant's numbers for the ticks of a horizon."""
     try:
         key = plant.prepare, key_of(numbers), dt, ticks
@@ -39,7 +39,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
     period, delay = [0] * len(noise), [0] * len(noise)
     plant, many = entry_of(s), len(belief.unknown_std)
     told = (plant.model, plant.successor, plant.sensor, plant.parts, plant.output_residual)
-    params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
+    params = prepare_params(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
     field, successor, sensor, parts, residual = (Partial(each, params) if each else None for each in told)
     for clock in clocks:
         each = clock.profile if isinstance(clock.profile, tuple) else (clock.period,)
@@ -97,4 +97,4 @@ def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
     for name in parameters:
         if name not in known:
             raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, known)
-    return entry_of(s).nominal(varied(numbers_of(s), parameters))
+    return entry_of(s).nominal(replace_numbers(numbers_of(s), parameters))

@@ -79,7 +79,7 @@ def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floa
 
     `limits` are sizes and what their rounding is held against: settling bands of signals, noise of measured numbers.
     """
-    matters = any(_beyond(each, least) for each, least in limits)
+    matters = any(_exceeds_trifle(each, least) for each, least in limits)
     return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
@@ -121,8 +121,8 @@ def _matters(p: Plan, size: Floats) -> bool:
     process = np.sqrt(np.square(process).sum(-1)) if process.ndim == 2 else process
     return bool(
         (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
-        or _beyond(size[:n], process)
-        or _beyond(np.abs(y), np.asarray(p.problem.noise_std))
+        or _exceeds_trifle(size[:n], process)
+        or _exceeds_trifle(np.abs(y), np.asarray(p.problem.noise_std))
     )
 
 
@@ -131,9 +131,11 @@ def _output(layout: Layout, p: GridPointParams, x: Float[Array, " n"]) -> Float[
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
 
 
-_MEASURED = program_cache.bounded(_output, static_argnums=0)  # it is asked after each call of a cell: compiled once
+_MEASURED = program_cache.jit_with_limit(
+    _output, static_argnums=0
+)  # it is asked after each call of a cell: compiled once
 
 
-def _beyond(size: Floats, std: Floats) -> bool:
+def _exceeds_trifle(size: Floats, std: Floats) -> bool:
     """Whether the rounding of some number is no trifle beside its noise, of those that have any."""
     return bool(((EPS * size[: len(std)] > TRIFLE * std) & (std > 0)).any())

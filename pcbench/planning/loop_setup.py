@@ -49,7 +49,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     known = oldest(cell, overtaking, ticks)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
     back = command_network.rows_needed(delay, s.dt, ticks, known + 1)
-    return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
+    return Reach(back, times.to_ticks(longest, s) + 2 + times.to_ticks(s.loop.command_jitter, s))
 
 
 def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
@@ -61,11 +61,11 @@ def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
     return found + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
 
 
-def told(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
+def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
     """Return what the designer of a law knows of a cell, with room for `reach`."""
     s, plant = cell.scenario, entry_of(cell.scenario)
     params = plant.prepare(numbers_of(s), s.dt, ticks)
-    return controller_table.told(s)._replace(
+    return controller_table.controller_context(s)._replace(
         ticks=ticks,
         rows=reach.back,
         ahead=reach.ahead,
@@ -79,7 +79,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
 
     Raises UserError where a law of a user's own does not keep to the protocol.
     """
-    s, known = cell.scenario, told(cell, reach, ticks)
+    s, known = cell.scenario, make_controller_context(cell, reach, ticks)
     entry, name = controllers.entry_of(s), s.loop.controller
     if "controller" not in s.own:
         law = entry.prepare(options(cell), known)
@@ -96,7 +96,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
         (n, m), signals = known.model.B.shape, len(s.scoring.settle_band)
         sizes = law_conformance.Sizes(n, signals - n, m)
         law_conformance.check(name, controllers.law_of(entry, options(cell)), traced, sizes)
-    if controller_table.held(s):
+    if controller_table.has_generic_controller(s):
         return law, command_network.held_line(known.late, reach.back, ticks + reach.ahead)
     return law, command_network.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
 
@@ -112,11 +112,11 @@ def network(cell: Cell) -> command_network.Numbers | tuple[()]:
     s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
         return ()
-    told = controller_table.told(s)
+    told = controller_table.controller_context(s)
     return command_network.Numbers(
         every=np.asarray(told.every(getattr(options(cell), "period", None))),
-        delay=np.asarray(times.whole(loop.actuator_delay or 0.0, s)),
-        jitter=np.asarray(times.whole(loop.command_jitter, s)),
+        delay=np.asarray(times.to_ticks(loop.actuator_delay or 0.0, s)),
+        jitter=np.asarray(times.to_ticks(loop.command_jitter, s)),
         loss=np.asarray(loop.command_loss),
         std=np.full(told.model.B.shape[1], loop.command_std),
     )
@@ -125,9 +125,9 @@ def network(cell: Cell) -> command_network.Numbers | tuple[()]:
 def weights(cell: Cell) -> metrics.Weights | tuple[()]:
     """Return the weights of the cost; () of an open loop, and of one whose effort no table shows."""
     s = cell.scenario
-    if not controller_table.held(s):
+    if not controller_table.has_generic_controller(s):
         return ()
-    given, known = options(cell), controller_table.told(s)
+    given, known = options(cell), controller_table.controller_context(s)
     n, m = known.model.B.shape
     none = np.zeros((0, n)), np.zeros((0, m))
     Q1, Q2 = getattr(given, "Q1", None), getattr(given, "Q2", None)

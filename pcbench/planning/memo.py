@@ -1,7 +1,7 @@
 """What a study's cells have in common is computed once, and known by what it was computed from.
 
 A design belongs to its cell. What is expensive in one is remembered by the numbers that it is computed from
-(`synthesis.solvers.remembered`, `synthesis.riccati.multirate`), so that cells which differ in nothing it reads share it.
+(`synthesis.solvers.solve_or_load`, `synthesis.riccati.multirate`), so that cells which differ in nothing it reads share it.
 """
 
 import inspect
@@ -50,7 +50,7 @@ def anew(kind: str, key: Hashable, make: Callable[[], T]) -> T:
     return make()
 
 
-def designed(label: str, entry: ObserverSpec, known: DesignContext, options: BaseModel) -> Design:
+def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: BaseModel) -> Design:
     """Return an observer's gains with their certificate; raise UserError where its design refuses, or is not as it must be."""
     code = getattr(inspect.unwrap(entry.design), "__code__", None)
     where = f", {os.path.basename(code.co_filename)} line {code.co_firstlineno}" if code else ""

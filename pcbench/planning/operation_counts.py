@@ -64,7 +64,9 @@ def _of(p: Plan, name: str, o: Observer) -> Cost:
         return o.flow(gains, memory, decided), o.estimate(gains, memory)
 
     size = sum(np.size(leaf) * np.asarray(leaf).dtype.itemsize for leaf in jax.tree.leaves(memory))
-    return Cost(counted(sample, gains, memory, jnp.ones(q)), counted(tick, gains, memory), size)
+    return Cost(
+        count_multiplications(sample, gains, memory, jnp.ones(q)), count_multiplications(tick, gains, memory), size
+    )
 
 
 def _arrival(value: Array, age: int, snapshot: Array) -> Arrival:
@@ -95,22 +97,24 @@ def _worn(o: Observer, p: GridPointParams, last: int, age: int, period: int, nam
     return with_(jax.jit(lambda before: lax.fori_loop(0, last, after, before))(before))
 
 
-def counted(f: Callable[..., PyTree], *args: PyTree) -> int:
+def count_multiplications(f: Callable[..., PyTree], *args: PyTree) -> int:
     """Return the multiplications of a function at these arguments."""
     closed = jax.make_jaxpr(f)(*args)
-    return _walked(closed.jaxpr, [*map(_known, closed.consts)], [*map(_known, jax.tree.leaves(args))])[0]
+    return _walk_jaxpr(
+        closed.jaxpr, [*map(_constant_value, closed.consts)], [*map(_constant_value, jax.tree.leaves(args))]
+    )[0]
 
 
-def _known(value: ArrayLike) -> Value:
+def _constant_value(value: ArrayLike) -> Value:
     return lambda: value
 
 
-def _walked(jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
+def _walk_jaxpr(jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
     """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed."""
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
     def read(v: Any) -> Value:
-        return _known(v.val) if isinstance(v, jaxpr_compat.Literal) else env[v]
+        return _constant_value(v.val) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     total = 0
     for eqn in jaxpr.eqns:
@@ -124,10 +128,10 @@ def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
     if name in jaxpr_compat.CALLS:
         program = jaxpr_compat.called(eqn.params)
-        return _walked(program.jaxpr, [*map(_known, program.consts)], given)
+        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], given)
     if name == "cond":
         program = jaxpr_compat.branches(eqn.params)[int(np.asarray(given[0]()))]
-        return _walked(program.jaxpr, [*map(_known, program.consts)], given[1:])
+        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], given[1:])
     if name == "while":
         return _while(eqn, given)
 
@@ -140,19 +144,19 @@ def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     if name == "scan":
         body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
         rows: list[Value] = [partial(lambda rows: rows()[0], row) for row in given[consts + carry :]]
-        held = [*map(_known, body.consts)]
-        return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
+        held = [*map(_constant_value, body.consts)]
+        return length * (_walk_jaxpr(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
     return _products(eqn), out
 
 
 def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, state = given[:first], given[first : first + second], given[first + second :]
-    held, inside = [*map(_known, cond.consts)], [*map(_known, body.consts)]
-    total, goes_on = _walked(cond.jaxpr, held, [*asked, *state])
+    held, inside = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
+    total, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
     while bool(goes_on[0]()):
-        each, state = _walked(body.jaxpr, inside, [*fixed, *state])
-        more, goes_on = _walked(cond.jaxpr, held, [*asked, *state])
+        each, state = _walk_jaxpr(body.jaxpr, inside, [*fixed, *state])
+        more, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
         total += each + more
     return total, state
 

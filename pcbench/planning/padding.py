@@ -92,11 +92,11 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
     return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fitted(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
+def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
     """Give a draft the shape that `room` asks for."""
     drafted, rows = p.problem.schedule, dict(room.rows)
     _, schedule = ask(
-        "fitted", (id(drafted), room), lambda: (drafted, _padded(drafted, room))
+        "fitted", (id(drafted), room), lambda: (drafted, _pad_schedule(drafted, room))
     )  # alive: the id is its own
     leaves, tree = jax.tree.flatten(p.problem.params)
     wide = [
@@ -120,36 +120,36 @@ def fitted(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
     return p._replace(problem=problem, layout=layout)
 
 
-def stacked(each: list[common_times.Schedule]) -> common_times.Schedule:
+def stack_schedules(each: list[common_times.Schedule]) -> common_times.Schedule:
     """Return schedules of runs in one, every array with the runs first."""
     room = Capacity(
         slots=power_of_2(max(s.arrive.shape[1] for s in each)),
         early=power_of_2(max(len(s.early) for s in each)),
         notes=power_of_2(max(s.also.shape[1] for s in each)),
     )
-    stacked: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_padded(s, room) for s in each))
+    stacked: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_pad_schedule(s, room) for s in each))
     return stacked
 
 
-def _padded(schedule: AnySchedule, room: Capacity) -> AnySchedule:
+def _pad_schedule(schedule: AnySchedule, room: Capacity) -> AnySchedule:
     if isinstance(schedule, random_times.ClockParams):
-        return random_times.padded(schedule, room.due, room.shares)
+        return random_times.pad_times(schedule, room.due, room.shares)
     with_room = common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early)
     return common_times.pad_notes(with_room, room.notes)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
     """Give drafts one shape, and check that their observers keep to the protocol."""
-    room = needed(drafts)
-    return [fitted(p, room) for p in checked(drafts)]
+    room = required_capacity(drafts)
+    return [fit_to_capacity(p, room) for p in check_drafts(drafts)]
 
 
-def needed(drafts: Iterable[Plan]) -> Capacity:
+def required_capacity(drafts: Iterable[Plan]) -> Capacity:
     """Return the room for the largest of some drafts."""
     return reduce(larger, map(room_of, drafts), Capacity())
 
 
-def checked(drafts: Iterable[Plan]) -> Iterator[Plan]:
+def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
     """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant."""
     seen: set[tuple[str, Plant, bool]] = set()
     for p in drafts:

@@ -33,7 +33,7 @@ def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ru
     for first in range(0, len(seeds), planned.layout.width):
         mine = seeds[first : first + planned.layout.width]
         schedules = [alone(planned, root_seed, int(seed)).problem.schedule for seed in mine] if each else None
-        yield runner.Job(planned.problem, root_seed, mine, schedules and padding.stacked(schedules))
+        yield runner.Job(planned.problem, root_seed, mine, schedules and padding.stack_schedules(schedules))
 
 
 def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:

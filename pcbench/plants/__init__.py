@@ -67,7 +67,7 @@ def numbers_of(scenario: Scenario) -> PyTree:
     return entry_of(scenario).numbers._replace(**scenario.belief.model)
 
 
-def varied(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
+def replace_numbers(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
     """Return a plant's numbers with some changed; those that a plant of one's own has named are among its `own`."""
     fields = {name: v for name, v in given.items() if name in numbers._fields}
     named = {name: v for name, v in given.items() if name not in fields}

@@ -129,7 +129,7 @@ def make_plant(
         )
     if (field is None) == (step is None) or (step is None) != (tick is None):
         raise UserError(
-            f"{WHERE}: got {_given(field, step, tick)}, expected field, or step with its tick in seconds; give one."
+            f"{WHERE}: got {_list_given(field, step, tick)}, expected field, or step with its tick in seconds; give one."
         )
     numbers = NoNumbers() if numbers is None else numbers
     pushed, sought = dict(unknown_inputs or {}), dict(unknown_parameters or {})
@@ -151,7 +151,7 @@ def make_plant(
         output_residual=output_residual,
         errors=tuple((errors or {}).values()),
     )
-    e = e._replace(y0=_tried(e, kept))
+    e = e._replace(y0=_try_output(e, kept))
     units = [
         (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
         for name, each in (pushed | sought).items()
@@ -207,7 +207,7 @@ def _point(given: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...
     return x0, u0
 
 
-def _given(field: Function | None, step: Function | None, tick: float | None) -> str:
+def _list_given(field: Function | None, step: Function | None, tick: float | None) -> str:
     there = [name for name, each in (("field", field), ("step", step), ("tick", tick)) if each is not None]
     return " and ".join(there) or "neither field nor step"
 
@@ -261,11 +261,11 @@ def _range(name: str, given: Range) -> tuple[float, float]:
     return low, high
 
 
-def _tried(e: Equations, numbers: PyTree) -> tuple[float, ...]:
+def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
     """The output at the operating point; raise UserError where a function or its slope is not as it must be."""
     n = len(e.x0)
     with config.float64():
-        given, x = nonlinear.own(e, numbers), jnp.array(e.x0)
+        given, x = nonlinear.user_numbers(e, numbers), jnp.array(e.x0)
         u, dt = jnp.array(e.u0), jnp.asarray(e.tick or 0.0)
         now = Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
         moves = "field" if e.field is not None else "step"

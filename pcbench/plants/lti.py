@@ -62,12 +62,12 @@ class Params(NamedTuple):
 def nominal(numbers: Numbers) -> Model:
     """Return the model that observers know."""
     given = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
-    A, B, C = (evaluated(given[letter], numbers.own) for letter in "ABC")
-    D, E = (None if given[letter] is None else evaluated(given[letter], numbers.own) for letter in "DE")
+    A, B, C = (evaluate_rows(given[letter], numbers.own) for letter in "ABC")
+    D, E = (None if given[letter] is None else evaluate_rows(given[letter], numbers.own) for letter in "DE")
     return Model(A, B, C, D, numbers.discrete, E)
 
 
-def evaluated(rows: Rows, own: Mapping[str, float]) -> Matrix:
+def evaluate_rows(rows: Rows, own: Mapping[str, float]) -> Matrix:
     """Return rows of numbers and formulas as a matrix; raise ValueError where a formula has no finite value."""
     if not own:
         return np.array(rows, float)
@@ -83,7 +83,7 @@ def actual(numbers: Numbers) -> Model:
     known = model._replace(D=model.feedthrough)
     return model._replace(
         **{
-            letter: (1 - share) * getattr(known, letter) + share * evaluated(rows, own)
+            letter: (1 - share) * getattr(known, letter) + share * evaluate_rows(rows, own)
             for letter, rows in plant.items()
             if letter in MATRICES
         }

@@ -75,7 +75,7 @@ class Params(NamedTuple):
     f: Float[Leaf, "rows r"]  # N + 1 rows
 
 
-def own(equations: Equations, numbers: PyTree) -> PyTree:
+def user_numbers(equations: Equations, numbers: PyTree) -> PyTree:
     """Return the user's NamedTuple of numbers with arrays in it; unknown inputs are 0."""
     said = numbers._asdict() | dict.fromkeys(equations.inputs, 0.0)
     return equations.numbers(**{name: np.asarray(said[name], float) for name in equations.numbers._fields})
@@ -89,10 +89,10 @@ def prepare(equations: Equations, numbers: PyTree, dt: float, ticks: int) -> Par
             f"plant: got a tick of {dt:g} s where step moves by {e.tick:g} s, expected the same; write dt = {e.tick:g}."
         )
     f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1.0), len(e.inputs)) if e.inputs else np.zeros((1, 0))
-    return Params(own(e, numbers), np.array(e.x0), np.array(e.u0), np.array(e.y0), f)
+    return Params(user_numbers(e, numbers), np.array(e.x0), np.array(e.u0), np.array(e.y0), f)
 
 
-def whole(params: Params, now: Now) -> Now:
+def add_operating_input(params: Params, now: Now) -> Now:
     """Return the present with the whole input in place of its deviation."""
     return now._replace(u=now.u + params.u0, past_u=lambda age: now.past_u(age) + params.u0)
 
@@ -106,21 +106,21 @@ def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) ->
 def model(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return dx/dt with unknowns p under the held now.u."""
     e, numbers = equations, knowing(equations, params, p)
-    return jnp.asarray(e.field(numbers, whole(params, now), x + params.x0))  # type: ignore[misc]
+    return jnp.asarray(e.field(numbers, add_operating_input(params, now), x + params.x0))  # type: ignore[misc]
 
 
 def successor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return x one tick later with unknowns p under the held now.u."""
     e, numbers = equations, knowing(equations, params, p)
     if e.step is not None:
-        return jnp.asarray(e.step(numbers, whole(params, now), x + params.x0)) - params.x0
+        return jnp.asarray(e.step(numbers, add_operating_input(params, now), x + params.x0)) - params.x0
     return rk4(lambda t, x: model(e, params, now._replace(t=t), x, p), now.t, x, now.dt)  # type: ignore[no-any-return]
 
 
 def sensor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return what is measured with unknowns p."""
     numbers = knowing(equations, params, p)
-    return jnp.asarray(equations.output(numbers, whole(params, now), x + params.x0)) - params.y0
+    return jnp.asarray(equations.output(numbers, add_operating_input(params, now), x + params.x0)) - params.y0
 
 
 def output_residual(equations: Equations, params: Params, y: Float[Array, " q"], yhat: Float[Array, " q"]) -> Array:
@@ -133,7 +133,7 @@ def errors(
     equations: Equations, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"]
 ) -> Float[Array, " d"]:
     """Return the user's own errors of an estimate."""
-    there, x, xhat = whole(params, now), x + params.x0, xhat + params.x0
+    there, x, xhat = add_operating_input(params, now), x + params.x0, xhat + params.x0
     return jnp.stack([jnp.asarray(f(params.numbers, there, x, xhat), float) for f in equations.errors])
 
 

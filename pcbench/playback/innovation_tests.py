@@ -68,23 +68,23 @@ def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
     )
 
 
-class Judged(NamedTuple):
+class InnovationSums(NamedTuple):
     """What one observer's innovations add up to."""
 
     total: Sums
     channels: list[Sums]  # [q]
 
-    def add(self, numbers: Floats, held_out: Bools) -> "Judged":
+    def add(self, numbers: Floats, held_out: Bools) -> "InnovationSums":
         """Return it with samples [K, 4 + q] more, whose last numbers are nu_j / sqrt(s_j) by channel."""
         counts, channels = numbers[:, 1] > 0, []
         for sums, z in zip(self.channels, numbers[counts, 4:].T, strict=True):
             mine, part = z[~np.isnan(z)], held_out[counts][~np.isnan(z)]
             channels.append(add(sums, np.stack([mine**2, np.ones_like(mine), 0 * mine, mine], 1), part))
-        return Judged(add(self.total, numbers, held_out), channels)
+        return InnovationSums(add(self.total, numbers, held_out), channels)
 
 
 def by_channel(
-    judged: dict[str, Judged], channels: tuple[str, ...], arrived: NDArray[np.int64]
+    judged: dict[str, InnovationSums], channels: tuple[str, ...], arrived: NDArray[np.int64]
 ) -> list[dict[str, Any]]:
     """Return a row for each channel and observer that says which channels it judges.
 
@@ -101,7 +101,7 @@ def by_channel(
     return rows
 
 
-def unjudged(rows: list[dict[str, Any]]) -> list[str]:
+def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
     """Return a sentence for each observer that leaves samples out, from `by_channel`: how many, and of which channels."""
     out = []
     for observer in dict.fromkeys(row["observer"] for row in rows):
@@ -169,11 +169,11 @@ def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
         sd[told] = np.sqrt(np.diag(np.linalg.inv(some)))
     low, high = at - NORMAL * sd, at + NORMAL * sd
     for j in np.flatnonzero(~told) if np.isfinite(sd[told]).all() else ():
-        low[j], high[j] = profiled(likelihood, H, at, int(j))
+        low[j], high[j] = profile_interval(likelihood, H, at, int(j))
     return low, high
 
 
-def profiled(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> tuple[float, float]:
+def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> tuple[float, float]:
     """Return the ends of one z by the profile likelihood."""
     from scipy.optimize import brentq
 

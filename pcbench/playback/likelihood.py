@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.gains import optimizers
 from pcbench.gains.parameters import Vector
 from pcbench.playback import step_block, stream
-from pcbench.playback.setup import Playback, Prepared, prepared, room_of
+from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
 from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
@@ -45,20 +45,20 @@ class SampleLikelihood(NamedTuple):
         return -0.5 * (self.numbers[:, 1] * np.log(2 * np.pi) + self.numbers[:, 2] + self.numbers[:, 0])
 
 
-def recorded(a: Playback) -> tuple[Prepared, stream.Part]:
+def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
     """Return the observer of a log, and the log in memory; raise UserError where it is too long for that, or does not fit."""
     if a.last >= MOST:
         raise UserError(
             f"{a.log.name}: got {a.last + 1} ticks, expected {MOST} at most to tune on; cut the log, or take a longer tick."
         )
     a = a._replace(length=max(power_of_2(a.last + 1), 2))
-    p = prepared(a, room_of(a))
+    p = prepare_observers(a, room_of(a))
     (part,) = stream.parts(a, p, [])
     return p, part
 
 
 def evaluator(
-    p: Prepared, part: stream.Part, design: Callable[[Vector], PyTree]
+    p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]
 ) -> Callable[[Vector], SampleLikelihood]:
     """Return what computes how likely each sample is at a point of the free parameters; errors as of `design`."""
     inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
@@ -69,7 +69,7 @@ def evaluator(
         along = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
         leaves, tree = jax.tree.flatten(gains)
         real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
-        numbers, slopes = map(np.asarray, compiled()(p.layout, tree, real, leaves, along, bare, part.window))
+        numbers, slopes = map(np.asarray, jit_likelihood()(p.layout, tree, real, leaves, along, bare, part.window))
         judged = numbers[..., 1] > 0
         return SampleLikelihood(numbers[judged], part.first + np.nonzero(judged)[0], slopes[judged])
 
@@ -96,7 +96,7 @@ def _run(
             a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(leaves, real, strict=True)
         ]
         problem = p._replace(gains={label: jax.tree.unflatten(tree, moved)})
-        state, score = step_block.begun(layout, problem, False, jnp.asarray(0))
+        state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
         state = state if w.variance_ratio is None else step_block.with_variances(state)
         surprise = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise
         return -0.5 * (surprise[..., 2] + surprise[..., 0]), surprise
@@ -106,6 +106,6 @@ def _run(
 
 
 @cache
-def compiled() -> Callable[..., tuple[Array, Array]]:
+def jit_likelihood() -> Callable[..., tuple[Array, Array]]:
     """Return `_run` compiled, once for each shape in a process."""
-    return program_cache.bounded(_run, (0, 1, 2))
+    return program_cache.jit_with_limit(_run, (0, 1, 2))

@@ -10,8 +10,8 @@ from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import estimated_of, signals_of
 from pcbench.playback import innovation_tests, replay_metrics, smoother, step_block, stream
-from pcbench.playback.innovation_tests import Judged, Sums
-from pcbench.playback.setup import Playback, Prepared, open_playback, prepared, room_of
+from pcbench.playback.innovation_tests import InnovationSums, Sums
+from pcbench.playback.setup import Playback, PlaybackSetup, open_playback, prepare_observers, room_of
 from pcbench.playback.step_block import Score
 from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.survey import Survey
@@ -24,7 +24,7 @@ from pcbench.study.labels import label_of
 from pcbench.study.load import Described
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """What came of a log."""
 
     innovations: pd.DataFrame  # a row each observer that says what it expects of samples
@@ -38,7 +38,7 @@ class Replayed(NamedTuple):
 class Passage(NamedTuple):
     """What observers have left that went through a log."""
 
-    judged: dict[str, Judged]  # by observer that says what it expects
+    judged: dict[str, InnovationSums]  # by observer that says what it expects
     arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: none is known
     smoothed: Floats | None  # [ticks, n]
@@ -55,7 +55,7 @@ def replay(
     seed: int = 0,
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
-) -> Replayed:
+) -> ReplayResult:
     """Run observers on a recording.
 
     Args:
@@ -82,7 +82,7 @@ def replay(
         room = room_of(a)
         if parse.ALL in names:
             a = _capable(a, room, names)
-        p = prepared(a, room)
+        p = prepare_observers(a, room)
         with replay_metrics.draft(Path(spare if out is None else out)) as draft:
             return _results(a, p, _run(a, p, draft, seed, progress), draft, in_memory=out is None)
 
@@ -93,7 +93,7 @@ def _capable(a: Playback, room: Room, names: list[str]) -> Playback:
     for label, given in a.cell.options.items():
         try:
             if label not in map(label_of, names):
-                prepared(a._replace(cell=a.cell._replace(options={label: given})), room)
+                prepare_observers(a._replace(cell=a.cell._replace(options={label: given})), room)
         except UserError as error:
             excluded[label] = str(error)
     options = {label: given for label, given in a.cell.options.items() if label not in excluded}
@@ -113,13 +113,13 @@ def stamps_that_go_back(survey: Survey) -> list[str]:
     ]
 
 
-def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
+def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
     """Run all parts of a log, and write estimates."""
     signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
     scored = [name for name, _ in signals] if a.log.truth else []
-    runners = stream.begun(p, bool(scored), seed)
+    runners = stream.init_runners(p, bool(scored), seed)
     out_from = int((1 - innovation_tests.HELD_OUT) * a.last)
-    judged = {label: Judged(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
+    judged = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
     arrived = np.zeros(q, int)
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
@@ -153,18 +153,20 @@ def _run(a: Playback, p: Prepared, draft: replay_metrics.Draft, seed: int, progr
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
     smoothed = None
     if model is not None and enough:
-        smoothed = np.asarray(smoother.compiled()(model._replace(R=model.R * ratio), u, y))
+        smoothed = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
     return Passage(judged, arrived, scores, smoothed)
 
 
-def _results(a: Playback, p: Prepared, passage: Passage, draft: replay_metrics.Draft, in_memory: bool) -> Replayed:
+def _results(
+    a: Playback, p: PlaybackSetup, passage: Passage, draft: replay_metrics.Draft, in_memory: bool
+) -> ReplayResult:
     """Make tables of what a run left."""
     signals, dt = signals_of(a.cell.scenario), a.clock.dt
     innovations = pd.DataFrame(
         [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.judged.items()]
     )
     channels = innovation_tests.by_channel(passage.judged, a.log.channels, passage.arrived)
-    a.remarks.extend(innovation_tests.unjudged(channels))
+    a.remarks.extend(innovation_tests.describe_skipped(channels))
     distances = replay_metrics.distances(draft.estimates, passage.smoothed, list(a.cell.options), signals)
     if passage.smoothed is None:
         a.remarks.append(
@@ -198,7 +200,7 @@ def _results(a: Playback, p: Prepared, passage: Passage, draft: replay_metrics.D
     if in_memory:
         estimates = pd.concat([t.to_pandas() for _, t in replay_metrics.parts(draft.estimates)], ignore_index=True)
     draft.finish(summary)
-    return Replayed(
+    return ReplayResult(
         innovations=innovations,
         distances=distances,
         metrics=metrics if passage.scores else pd.DataFrame(),

@@ -87,7 +87,7 @@ def draft(folder: Path) -> Iterator[Draft]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            with ending.cleaned(clear):
+            with ending.clean_on_exit(clear):
                 yield out
         finally:
             out.close()

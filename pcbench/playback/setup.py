@@ -43,7 +43,7 @@ class Playback(NamedTuple):
     length: int  # ticks of a part
 
 
-class Prepared(NamedTuple):
+class PlaybackSetup(NamedTuple):
     """Observers ready to run; m inputs."""
 
     layout: Layout
@@ -67,7 +67,7 @@ def open_playback(
 ) -> Playback:
     """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit."""
     study, cell = all_observers.one_cell(plant, observers, overrides or [])
-    opened, s = readers.opened(log, delay), cell.scenario
+    opened, s = readers.open_log(log, delay), cell.scenario
     known, remarks = survey(opened), all_observers.sentences(study.excluded)
     if len(opened.channels) != len(s.sampling.delay):
         raise UserError(
@@ -108,7 +108,7 @@ def room_of(a: Playback) -> Room:
     return room
 
 
-def prepared(a: Playback, room: Room) -> Prepared:
+def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     """Design the observers of a cell for a log; raise UserError where the log does not fit its plant or horizon."""
     s, cell = a.cell.scenario, a.cell
     where = f"{a.log.name} on {s.name}"
@@ -137,7 +137,7 @@ def prepared(a: Playback, room: Room) -> Prepared:
         latest=max(known.latest, room.latest),
         reach=max(known.reach, *(-(-room.latest // max(each, 1)) for each in known.period)),
     )
-    designs = {o: planning.designed(o, cell.entry(o), known, options) for o, options in cell.options.items()}
+    designs = {o: planning.run_design(o, cell.entry(o), known, options) for o, options in cell.options.items()}
     if with_std := a.survey.with_std():
         for label, each in designs.items():
             if not cell.entry(label).measurement_noise:
@@ -177,7 +177,7 @@ def prepared(a: Playback, room: Room) -> Prepared:
     )
     for label, observer in layout.observers:
         shape_checks.check(label, observer, problem._replace(x0=problem.xhat0))
-    return Prepared(
+    return PlaybackSetup(
         layout=layout,
         problem=problem,
         setting=known,

@@ -107,6 +107,6 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
 
 
 @cache
-def compiled() -> Callable[[Linear, ArrayLike, ArrayLike], Array]:
+def jit_smoother() -> Callable[[Linear, ArrayLike, ArrayLike], Array]:
     """Return `smooth` compiled, once for each shape in a process."""
-    return program_cache.bounded(smooth)
+    return program_cache.jit_with_limit(smooth)

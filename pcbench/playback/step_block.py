@@ -46,7 +46,7 @@ class Read(NamedTuple):
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
 
 
-def begun(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tuple[Run, Score | None]:
+def init_run(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tuple[Run, Score | None]:
     """Return the observer before tick 0, and the score of nothing; None: no score."""
     run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, rng.words(jnp.asarray(0), seed[None])[:, 0])
     if not scored:
@@ -90,7 +90,7 @@ def run(
         read = Read(o.estimate(p.gains[label], run.memories[label]), surprise)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
-            score = _scored(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends)
+            score = _update_score(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends)
         return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), read
 
     (run, score), seen = lax.scan(step, (start, score), (ticks, w, truth))
@@ -136,7 +136,7 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
     return out
 
 
-def _scored(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
+def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
     """The score with the errors of tick k, if truth is known there."""
     there, late = known & (k < ends[1]), k >= ends[0]
 
@@ -153,6 +153,6 @@ def _scored(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, 
 
 
 @cache
-def compiled() -> tuple[Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, Read]]]:
-    """Return `begun` and `run` compiled, once for each shape in a process."""
-    return program_cache.bounded(begun, (0, 2)), program_cache.bounded(run, 0)
+def jit_step_block() -> tuple[Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, Read]]]:
+    """Return `init_run` and `run` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(init_run, (0, 2)), program_cache.jit_with_limit(run, 0)

@@ -17,7 +17,7 @@ import pandas as pd
 from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.playback import step_block
-from pcbench.playback.setup import Playback, Prepared
+from pcbench.playback.setup import Playback, PlaybackSetup
 from pcbench.playback.step_block import Read, Score
 from pcbench.recordings.log import Floats, Ints, Table
 from pcbench.recordings.times import require_forward
@@ -36,7 +36,7 @@ class Part(NamedTuple):
     truth: Floats  # [K, n + s] NaN where it is not known; [K, 0]: of none
 
 
-def parts(a: Playback, p: Prepared, signals: Sequence[str]) -> Iterator[Part]:
+def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Part]:
     """Yield a log in parts of its length, with `back` ticks of inputs before each, and the truth of `signals`."""
     inputs = at_ticks(a, a.log.inputs, "inputs", a.log.inputs.names if a.log.inputs else [""] * p.m)
     truth = at_ticks(a, a.log.truth, "truth", signals)
@@ -96,13 +96,13 @@ class Runner(NamedTuple):
     score: Score | None
 
 
-def begun(p: Prepared, scored: bool, seed: int) -> list[Runner]:
+def init_runners(p: PlaybackSetup, scored: bool, seed: int) -> list[Runner]:
     """Return every observer before tick 0."""
     out = []
     for label, observer in p.layout.observers:
         layout = p.layout._replace(observers=((label, observer),))
         problem = p.problem._replace(gains={label: p.problem.gains[label]})
-        state, score = step_block.compiled()[0](layout, problem, scored, np.asarray(seed))
+        state, score = step_block.jit_step_block()[0](layout, problem, scored, np.asarray(seed))
         state = state if p.variances is None else step_block.with_variances(state)
         out.append(Runner(label, layout, problem, state, score))
     return out
@@ -119,7 +119,7 @@ def through(
     def advance(o: Runner, part: Part) -> tuple[Runner, Read]:
         problem = o.problem._replace(inputs=InputWindow(part.inputs, np.asarray(part.first - back)))
         ticks = part.first + np.arange(len(part.window.event))
-        state, score, read = step_block.compiled()[1](
+        state, score, read = step_block.jit_step_block()[1](
             o.layout, problem, o.state, o.score, ticks, part.window, part.truth, ends
         )
         return o._replace(state=state, score=score), jax.block_until_ready(read)

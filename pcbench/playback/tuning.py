@@ -25,7 +25,7 @@ from pcbench.observers import ObserverSpec
 from pcbench.playback import innovation_tests, likelihood
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
-from pcbench.playback.setup import Playback, Prepared, open_playback
+from pcbench.playback.setup import Playback, PlaybackSetup, open_playback
 from pcbench.recordings.log import Floats, Ints
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
@@ -92,18 +92,18 @@ def tune_log(
         where = f"tune {label} on {a.name}"
         entry, options = a.cell.entry(label), a.cell.options[label]
         _require(entry, budget, where)
-        p, part = likelihood.recorded(a)
+        p, part = likelihood.load_recording(a)
         context, cut = p.setting, int((1 - innovation_tests.HELD_OUT) * a.last)
-        designed = planning.designed(label, entry, context, options)
+        designed = planning.run_design(label, entry, context, options)
         names = _tuned_options(entry, options, designed, only, where)
-        free, at_start = tune.freed(label, entry, context, options, designed, names, where)
+        free, at_start = tune.free_parameters(label, entry, context, options, designed, names, where)
         if any(f.kind == "covariance" for f in free):
             raise UserError(
                 f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
             )
 
         def design(point: Vector) -> PyTree:
-            return planning.designed(label, entry, context, parameters.put(options, free, point)).gains
+            return planning.run_design(label, entry, context, parameters.put(options, free, point)).gains
 
         def fit(history: History, at: Vector, end: int) -> Vector:
             tune.descend("descent", history, at, lambda point: _value(look(point), end), budget, where, progress)
@@ -243,7 +243,7 @@ def _intensities(
     return [Intensity(name, *map(float, row)) for name, *row in zip(names, *rows, strict=True)]
 
 
-def _factors(a: Playback, p: Prepared, found: dict[str, Any]) -> list[str]:
+def _factors(a: Playback, p: PlaybackSetup, found: dict[str, Any]) -> list[str]:
     """What a tuned R says of the standard deviations that a log states: it multiplies all of a channel."""
     if p.variances is None or "R" not in found:
         return []

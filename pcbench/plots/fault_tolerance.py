@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.labels import about, named
+from pcbench.plots.labels import about, describe_metric
 from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
 from pcbench.plots.palette import SOFT, styles
 
@@ -21,7 +21,7 @@ def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd
     alone = whole[whole.observer == ALONE].set_index("cell")["mean"]
     at, out = frames.values_at(whole, int(whole.cell.min())), []
     for axis in frames.varying(whole):
-        part = frames.fixed(whole, [axis], {a: v for a, v in at.items() if a != axis})
+        part = frames.fix_axes(whole, [axis], {a: v for a, v in at.items() if a != axis})
         if any(isinstance(value, str) for value in part[axis]):
             continue
         found = part[part.observer != ALONE]
@@ -91,5 +91,5 @@ def bearing(
                 line = mine[mine.observer == observer]
                 ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
                         linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
-        drawn[0].set_title(f"{named(metric, whole.signal.iloc[0])} over that of {ALONE}")
+        drawn[0].set_title(f"{describe_metric(metric, whole.signal.iloc[0])} over that of {ALONE}")
     return figure

@@ -58,7 +58,7 @@ def chosen(result: Result, scenario: str, signals: list[str] | None) -> list[str
     return [s for s in there if s in signals] if signals else there
 
 
-def ranked(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
+def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
     """Return those of the `chosen` signals of a scenario that a metric ranks observers by."""
     return [s for s in chosen(result, scenario, signals) if (result.stats_of(scenario, s).metric == metric).any()]
 
@@ -130,14 +130,14 @@ def output_units(scenario: Scenario) -> list[str]:
     return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
-def said(axis: str, value: object) -> str:
+def format_axis(axis: str, value: object) -> str:
     """Return an axis' name with a value and its unit: "delay 0.2 s"."""
     unit = AXIS_UNITS.get(axis, "")
     text = f"{axis.removeprefix('plant.').replace('_', ' ')} {layout.word(value)}"
     return f"{text} {unit}" if unit == "s" and not isinstance(value, str) else text
 
 
-def fixed(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:
+def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:
     """Return the rows in which every varying axis but the `free` has one value: as `at` says, or else its first.
 
     Raises UserError where `at` names no axis or no value of one.
@@ -254,7 +254,7 @@ def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:
     return {name: here[name] for name in varying(part)}
 
 
-def distributed(part: pd.DataFrame) -> bool:
+def has_spread(part: pd.DataFrame) -> bool:
     """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
     spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()
     return bool((spread & (part.n > 1)).any())

@@ -32,10 +32,10 @@ WORDS = {
 
 def title_of(metric: str, signal: str, unit: str) -> str:
     """Return a metric of a signal as an axis' title, with its unit."""
-    return named(metric, signal) + (f" [{unit}]" if unit not in ("", "1") else "")
+    return describe_metric(metric, signal) + (f" [{unit}]" if unit not in ("", "1") else "")
 
 
-def named(metric: str, signal: str) -> str:
+def describe_metric(metric: str, signal: str) -> str:
     """Return a metric of a signal in words."""
     late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
     pooled = ", all runs together" if "pooled" in metric else ""
@@ -56,7 +56,10 @@ def title_of_scenario(result: Result, scenario: str) -> str:
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return what a picture is of: the scenario, the values of the axes it does not show, how many runs."""
     many = int((part.n + part.diverged).max())
-    said = [title_of_scenario(result, part.scenario.iloc[0]), *(frames.said(axis, value) for axis, value in at.items())]
+    said = [
+        title_of_scenario(result, part.scenario.iloc[0]),
+        *(frames.format_axis(axis, value) for axis, value in at.items()),
+    ]
     return ", ".join([*said, f"{many:,} runs"] if many > 1 else said)
 
 
@@ -78,7 +81,7 @@ IDENTITY = re.compile(
 )
 
 
-def saved(figure: Figure, kind: str) -> bytes:
+def render_figure(figure: Figure, kind: str) -> bytes:
     """Return a figure as a file's content. Text stays text in SVG and PDF; the same figure gives the same bytes."""
     out = io.BytesIO()
     about: dict[str, None] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
@@ -92,12 +95,12 @@ def save(figure: Figure, file: str | Path) -> None:
     kind = Path(file).suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; give one.")
-    write_table.put_content(file, saved(figure, kind))
+    write_table.put_content(file, render_figure(figure, kind))
 
 
 def inline(figure: Figure, name: str) -> str:
     """Return a figure as SVG that stands inside a page: no header, few digits, names within it that begin with `name`."""
-    text = saved(figure, "svg").decode()
+    text = render_figure(figure, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
     text = IDENTITY.sub("", text)

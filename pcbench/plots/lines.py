@@ -76,7 +76,7 @@ def curves(
             f"curves of {whole.scenario.iloc[0]}: got axis {axis!r}, expected one that varies "
             f"({', '.join(frames.varying(whole)) or 'none does'}); give the study an axis with more than one value."
         )
-    part = frames.fixed(whole, [axis], at)
+    part = frames.fix_axes(whole, [axis], at)
     every = list(dict.fromkeys(part[axis]))
     others = {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()

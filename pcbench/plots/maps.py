@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import about, named, times, title_of, unit_of
+from pcbench.plots.labels import about, describe_metric, times, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import INK, SOFT, Style, on, pale, styles
 from pcbench.statistics.aggregate import Row
@@ -78,7 +78,7 @@ def heatmaps(
     """
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
-    part = frames.fixed(whole, [x, y], at)
+    part = frames.fix_axes(whole, [x, y], at)
     values, unit, colours = part["mean"], unit_of(whole), ERRORS
     norm, title = _norm(values), title_of(metric, whole.signal.iloc[0], unit)
     if metric == "divergence_rate":
@@ -136,18 +136,18 @@ def winners(
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
     others = [n for n in frames.varying(whole) if n not in (x, y, *(at or {}))]
-    found = frames.fixed(frames.standings(result, scenario, signal, metric), [x, y, *others], at)
+    found = frames.fix_axes(frames.standings(result, scenario, signal, metric), [x, y, *others], at)
     if len(found.groupby(others, sort=False) if others else []) > MOST:
-        found = frames.fixed(found, [x, y])
+        found = frames.fix_axes(found, [x, y])
     groups = list(found.groupby(others, sort=False)) if others else [((), found)]
     look = styles(whole.observer)
     maps = [
-        (", ".join(frames.said(n, v) for n, v in zip(others, key, strict=True)),
+        (", ".join(frames.format_axis(n, v) for n, v in zip(others, key, strict=True)),
          _cells(mine, x, y, lambda row: _standing(look, row)))
         for key, mine in groups
     ]  # fmt: skip
     keys = [Patch(color=style.colour, label=name) for name, style in look.items() if name in set(found.best)]
-    title = f"least {named(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
+    title = f"least {describe_metric(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
     return draw(maps, _side(result, whole, x), _side(result, whole, y), title, keys, paper)
 
 

@@ -47,7 +47,7 @@ class Thing(NamedTuple):
         return not any(map(is_absent, [*self.cell.own.values(), *self.cell.scenario.own.values()]))
 
 
-def found(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
+def load_table(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
     """Return a thing as it stands in `out`; None where it does not, or is of something else."""
     content = None if out is None else storage.get(storage.target(str(out)), thing.path)
     there = None if content is None else parquet_io.whole(content)
@@ -72,7 +72,7 @@ def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd
     if one.scenario.sampling.continuous:
         return None
     thing = Thing(f"{scenario}.costs", one, ["of the last sample"])
-    costs = found(out, thing)
+    costs = load_table(out, thing)
     if costs is not None or not thing.can_be_made:
         return costs
     with config.float64():

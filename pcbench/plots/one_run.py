@@ -24,7 +24,7 @@ from pcbench.plots import frames, observer_costs
 from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation import trajectory
-from pcbench.simulation.trajectory import Thinned
+from pcbench.simulation.trajectory import Trajectories
 from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
@@ -64,14 +64,14 @@ def several(
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     about = [seed, POINTS, RUNS, FORM]
     things = {scenario: observer_costs.Thing(scenario, cell, about) for scenario, cell in chosen.items()}
-    found = {scenario: observer_costs.found(out, thing) for scenario, thing in things.items()}
+    found = {scenario: observer_costs.load_table(out, thing) for scenario, thing in things.items()}
     missing = {name: t.cell for name, t in things.items() if found[name] is None and t.can_be_made}
     for scenario, made in _simulate(missing, study.root_seed, seed, progress).items():
         found[scenario] = observer_costs.keep(out, things[scenario], made)
     return found
 
 
-def judged(whole: pd.DataFrame) -> bool:
+def has_nees(whole: pd.DataFrame) -> bool:
     """Say whether a frame of `of` says how wrong observers believe to be."""
     return bool((whole.kind == "nees").any())
 
@@ -106,7 +106,7 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
         groups.setdefault((padding.key_of(task.plan), task.every, task.rows), []).append(task)
     with thread_pools.pool(runner.cores()) as threads:
         work = [threads.submit(runner.in_float64, _record, group, root_seed) for group in groups.values()]
-        made: dict[int, Thinned] = {}
+        made: dict[int, Trajectories] = {}
         for group, done in zip(groups.values(), work, strict=True):
             made |= {id(task): thinned for task, thinned in zip(group, done.result(), strict=True)}
             progress.step(len(group))
@@ -129,7 +129,7 @@ def _task(plan: Plan, root_seed: int, seed: int) -> Task:
     return Task(plan, every, ticks // every + 1, np.arange(seed, seed + many))
 
 
-def _record(group: list[Task], root_seed: int) -> list[Thinned]:
+def _record(group: list[Task], root_seed: int) -> list[Trajectories]:
     """Return the runs of plans of one shape."""
     layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
     call = trajectory.compiled_some()
@@ -137,7 +137,7 @@ def _record(group: list[Task], root_seed: int) -> list[Thinned]:
     return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in given]
 
 
-def _series(task: Task, made: Thinned, first: bool) -> Iterator[pd.DataFrame]:
+def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFrame]:
     """Yield the series of one plan; `first` of its scenario."""
     plan, scenario = task.plan, task.plan.cell.scenario
     t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)

@@ -100,11 +100,11 @@ def _style(base: str, rank: int) -> Style:
     dotted = ((*look.dash, 1.0, 1.4) if look.dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
     first = 3 * list(LOOKS).index(base) if base in LOOKS else number
     shade = SHADES[rank % len(SHADES)]
-    colour = mixed(look.colour, abs(shade), 255 if shade >= 0 else 0)
+    colour = mix_gray(look.colour, abs(shade), 255 if shade >= 0 else 0)
     return Style(colour, dotted, SIBLINGS[(first + rank) % len(SIBLINGS)])
 
 
-def mixed(colour: str, share: float, other: int) -> str:
+def mix_gray(colour: str, share: float, other: int) -> str:
     """Return a colour mixed with a share of a grey from 0 (black) to 255 (white)."""
     parts = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return "#" + "".join(f"{round(c + share * (other - c)):02X}" for c in parts)
@@ -112,7 +112,7 @@ def mixed(colour: str, share: float, other: int) -> str:
 
 def pale(colour: str, share: float = 0.75) -> str:
     """Return a colour mixed with so much white that dark words are read on it."""
-    return mixed(colour, share, 255)
+    return mix_gray(colour, share, 255)
 
 
 def on(colour: str) -> str:

@@ -60,10 +60,10 @@ def time(
             f"plots.time: got no kept run of {scenario} and observers whose code is not here, expected one of the two; "
             "run the study again from its own file."
         )
-    return drawn(result, whole, scenario, signal, cell, seed, paper)
+    return draw_run(result, whole, scenario, signal, cell, seed, paper)
 
 
-def drawn(
+def draw_run(
     result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
     """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
@@ -71,7 +71,7 @@ def drawn(
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
-    at = [frames.said(axis, value) for axis, value in frames.values_at(stats, cell).items()]
+    at = [frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items()]
     title = ", ".join([title_of_scenario(result, scenario), *at, f"seed {seed}"])
     plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
     with sheet(paper, title, panels=2, sharex=True, keys=[plant]) as (figure, (above, below)):
@@ -207,7 +207,7 @@ def nees(
     """
     scenario = frames.scenario_of(result, scenario)
     whole = one_run.of(result.study, scenario, result.out, cell, seed)
-    if whole is None or not one_run.judged(whole):
+    if whole is None or not one_run.has_nees(whole):
         raise UserError(
             f"plots.nees: got runs of {scenario} in which nobody says how wrong it is, expected consistency = true in "
             "[options.scenario] and an observer with a covariance, as kf; run the study so."
@@ -218,7 +218,7 @@ def nees(
 def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
     """Draw how wrong observers believe to be in a run that is at hand, a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
-    at = (frames.said(axis, value) for axis, value in frames.values_at(stats, cell).items())
+    at = (frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items())
     title = ", ".join([title_of_scenario(result, scenario), *at])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % if right")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))

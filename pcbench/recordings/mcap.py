@@ -29,10 +29,10 @@ def columns(source: Source) -> Iterator[Columns]:
             # in the order of their times; without an index as they were written, for to sort them all would be held
             indexed = summary is not None and bool(summary.chunk_indexes)
             raw = reader.iter_messages(topics=[source.topic], log_time_order=indexed)
-            yield from messages.columns(_decoded(raw, source.where), source)
+            yield from messages.columns(_decode(raw, source.where), source)
 
 
-def _decoded(raw: Iterable["tuple[Schema | None, Channel, Message]"], where: str) -> Iterator[tuple[int, object]]:
+def _decode(raw: Iterable["tuple[Schema | None, Channel, Message]"], where: str) -> Iterator[tuple[int, object]]:
     decoders: dict[int, Callable[[bytes], object]] = {}
     for schema, channel, message in raw:
         if channel.id not in decoders:

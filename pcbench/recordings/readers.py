@@ -82,7 +82,7 @@ FORMATS = {
 }
 
 
-def opened(name: str | Path, delay: float | None = None) -> Log:
+def open_log(name: str | Path, delay: float | None = None) -> Log:
     """Return the log of a name; raise UserError where there is none, or it needs a TOML."""
     path = Path(name)
     if delay is not None and not delay >= 0:
@@ -92,7 +92,7 @@ def opened(name: str | Path, delay: float | None = None) -> Log:
     if path.suffix.lower() == ".toml":
         return opened_toml(path, delay)
     if path.is_dir() or path.suffix.lower() in tables.KINDS:
-        return tables.opened(path, delay)
+        return tables.open_tables(path, delay)
     raise UserError(
         f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; see "
         "pcbench guide logs."

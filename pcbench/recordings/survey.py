@@ -152,7 +152,7 @@ def _more(c: Channel, batch: Batch) -> Channel:
     )
 
 
-def described(log: Survey) -> list[dict[str, object]]:
+def channel_rows(log: Survey) -> list[dict[str, object]]:
     """Return what `pcbench info` says of every channel, times in seconds, ready for JSON: NaN is None."""
     return [
         {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in _row(name, c).items()}
@@ -210,7 +210,7 @@ def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    log = survey(readers.opened(name, delay))
-    table = pd.DataFrame(described(log))
+    log = survey(readers.open_log(name, delay))
+    table = pd.DataFrame(channel_rows(log))
     table.attrs = {"survey": log, "name": str(name)}
     return table

@@ -33,7 +33,7 @@ READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
 COLUMNS = ("channel", "sampled", "value")
 
 
-def opened(path: Path, delay: float | None = None) -> Log:
+def open_tables(path: Path, delay: float | None = None) -> Log:
     """Return a log in tables; `delay` [s] stands for a column `arrived`. Raise UserError where one or a column is missing."""
     measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
     if measured is None:
@@ -41,7 +41,7 @@ def opened(path: Path, delay: float | None = None) -> Log:
             f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
             "needs a TOML that says which topics are channels (pcbench guide logs)."
         )
-    named = _named(measured, COLUMNS)
+    named = _find_columns(measured, COLUMNS)
     if "arrived" not in named and delay is None:
         raise UserError(
             f"{measured.name}: got no column 'arrived', expected when samples arrived [s]; write the column, "
@@ -80,7 +80,7 @@ def _file(path: Path, what: str) -> Path | None:
     return next((name for name in names if name.is_file()), None)
 
 
-def _named(path: Path, wanted: Sequence[str]) -> dict[str, str]:
+def _find_columns(path: Path, wanted: Sequence[str]) -> dict[str, str]:
     """The heads of a file's columns by name, those that are wanted among them."""
     named = {name_and_unit(head)[0]: head for head in heads(path)}
     require(path.name, list(named), wanted)
@@ -108,7 +108,7 @@ def _table(path: Path | None) -> Table | None:
     """A table of t and columns of numbers."""
     if path is None:
         return None
-    named = _named(path, ["t"])
+    named = _find_columns(path, ["t"])
     source = Source(path, "", list(named.values()), {named["t"]}, None, path.name, topics=set(), loaded={})
     fields = {name: (head, 1.0) for name, head in named.items() if name != "t"}
     if not fields:

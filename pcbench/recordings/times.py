@@ -75,7 +75,7 @@ def require_sound(log: Log, batch: Batch) -> None:
             place = f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}"
             if early > HOUR:
                 raise UserError(
-                    f"{place}: the stamp {batch.sampled[i]:.10g} s is {apart(early)} after the arrival "
+                    f"{place}: the stamp {batch.sampled[i]:.10g} s is {format_duration(early)} after the arrival "
                     f"{batch.arrived[i]:.10g} s, so they are of two clocks or units; convert the arrivals to the clock of the "
                     "stamps, or leave them out and give a delay."
                 )
@@ -117,7 +117,7 @@ def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
         both = [c for c in columns if c.times.least <= before and c.times.most >= after]
         if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if both else HOUR):
             continue
-        far = apart(after - before)
+        far = format_duration(after - before)
         if both:  # one column is on both sides; most times of the log are right
             s, early = both[0].times, np.concatenate(some) <= before
             few = 2 * early.sum() <= len(early)
@@ -134,7 +134,7 @@ def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
         )
 
 
-def apart(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Return a length of time as a sentence says it."""
     for unit, name in ((YEAR, "years"), (DAY, "days"), (HOUR, "hours")):
         if seconds >= unit:

@@ -40,7 +40,7 @@ def number(value: float) -> str:
 
 def medians(part: pd.DataFrame, unit: str) -> str:
     """Return the medians of a cell's rows."""
-    said = [f"{row['observer']} {_said(row['p50'], unit)}" for row in part.to_dict("records")]
+    said = [f"{row['observer']} {_format_value(row['p50'], unit)}" for row in part.to_dict("records")]
     return f"Medians: {', '.join(said)}."
 
 
@@ -51,7 +51,7 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     said = []
     for observer, mine in first.groupby("observer", sort=False):
         a, b = mine.iloc[0], mine.iloc[-1]
-        ends = [f"{_said(row['mean'], unit)} at {layout.word(row[axis])}" for row in (a, b)]
+        ends = [f"{_format_value(row['mean'], unit)} at {layout.word(row[axis])}" for row in (a, b)]
         said.append(f"{observer}: {' to '.join(ends)}")
     return "; ".join(said) + "."
 
@@ -84,7 +84,7 @@ def convergence(part: pd.DataFrame) -> str:
 def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
     """Return where one run ends, and how to read its picture, where errors of some observers over time are `exact`."""
     ends = run[run.kind.isin(["truth", "estimate", "target"])].groupby("series", sort=False).value.last()
-    text = "At the end: " + ", ".join(f"{o} {_said(v, unit)}" for o, v in ends.items()) + "."
+    text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
     of = frozenset(run.series[run.kind == "rms"])
     runs = "" if of <= exact else ", this one and the seeds after it"
     band = f" Bands: nine in ten errors over {over(of, exact)}{runs}." if 0 < len(of) <= BANDS else ""
@@ -131,17 +131,17 @@ def fair(table: pd.DataFrame) -> str:
 
 def where(part: pd.DataFrame, cell: int) -> str:
     """Return at which values of the axes a cell stands; empty where none varies."""
-    return ", ".join(frames.said(axis, value) for axis, value in frames.values_at(part, cell).items())
+    return ", ".join(frames.format_axis(axis, value) for axis, value in frames.values_at(part, cell).items())
 
 
-def _said(value: float, unit: str) -> str:
+def _format_value(value: float, unit: str) -> str:
     return f"{number(value)} {unit}" if np.isfinite(value) else "(diverged in every run)"
 
 
 TIMES = 2.0  # the least error of the axis, that is the limit where none is given
 
 
-def said(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:
+def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:
     """Return what suffices, from the rows of stats along an axis; empty where the axis is no numbers, or no error is finite.
 
     `below` is the limit, in the unit of the rows; None: TIMES their least mean.

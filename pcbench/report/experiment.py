@@ -18,7 +18,7 @@ from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORD_OF
 from pcbench.scenarios.sources import Source, Sources, Table, Wave
-from pcbench.study import Study, axes, dashes, given, observers_of, scenarios_of
+from pcbench.study import Study, axes, dashes, merge_options, observers_of, scenarios_of
 from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent
@@ -70,7 +70,7 @@ def experiment(result: Result, scenario: str) -> Experiment:
             if np.any(m) and max(m.shape) <= MANY:
                 matrices.append((name, [[number(float(v)) for v in row] for row in m]))
     facts.append(Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options)))
-    return Experiment(_published(result, s, every), facts, matrices)
+    return Experiment(_describe_source(result, s, every), facts, matrices)
 
 
 class Row(NamedTuple):
@@ -161,7 +161,7 @@ def _observer(cell: Cell, label: str) -> str:
     return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in own.items())})"
 
 
-def _published(result: Result, s: Scenario, every: list[Cell]) -> str:
+def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
     """What a scenario begins from, and which of its fields this study has changed."""
     printed = SCENARIOS.get(s.name)
     if printed is None or s.own:
@@ -236,7 +236,7 @@ def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
     set_here = {key for label in labels for key in dashes(study.options.get(label, {}))}
     tuned = study.tuned.options.get(observer, {}) if study.tuned else {}
     found = []
-    for name, value in given(study, scenario, observer).items():
+    for name, value in merge_options(study, scenario, observer).items():
         default = fields[name].get_default(call_default_factory=True) if name in fields else None
         if name in fields and value == default:
             continue

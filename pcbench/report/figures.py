@@ -16,7 +16,7 @@ from pcbench.dataset.result import Result
 from pcbench.errors import unknown
 from pcbench.plants import signals_of
 from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
-from pcbench.plots.labels import KINDS, named, saved, unit_of
+from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
 from pcbench.plots.layout import PAPER, Paper
 from pcbench.report import captions
 from pcbench.runtime import thread_pools
@@ -25,7 +25,7 @@ from pcbench.study import scenarios_of
 from pcbench.toml_text import TomlTable
 
 
-class Shown(NamedTuple):
+class FigureOptions(NamedTuple):
     """What is to be looked at."""
 
     metric: str = frames.METRIC  # by which observers are ranked
@@ -36,7 +36,7 @@ class Shown(NamedTuple):
     threshold: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
 
 
-SHOWN = Shown()
+SHOWN = FigureOptions()
 
 
 class Picture(NamedTuple):
@@ -49,13 +49,13 @@ class Picture(NamedTuple):
     note: str = ""  # how to read it
 
 
-def cell_of(result: Result, scenario: str, shown: Shown) -> int:
+def cell_of(result: Result, scenario: str, shown: FigureOptions) -> int:
     """Return the number of the cell at which pictures stand."""
     if shown.cell is not None:
         return shown.cell
     if result.study.vary == "one-at-a-time":  # where the others stand while one varies
         return 0
-    signals = frames.ranked(result, scenario, shown.signals, shown.metric)
+    signals = frames.signals_with_metric(result, scenario, shown.signals, shown.metric)
     return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
 
 
@@ -67,10 +67,10 @@ class Place(NamedTuple):
     cell: int
     run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
     costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
-    shown: Shown
+    shown: FigureOptions
 
 
-def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
+def places(result: Result, scenarios: list[str], shown: FigureOptions, progress: Progress = SILENT) -> dict[str, Place]:
     """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
@@ -81,7 +81,7 @@ def places(result: Result, scenarios: list[str], shown: Shown, progress: Progres
 
 def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
     """Yield the pictures of each signal of a scenario, and those of all signals (None)."""
-    for signal in frames.ranked(place.result, place.scenario, place.shown.signals, place.shown.metric):
+    for signal in frames.signals_with_metric(place.result, place.scenario, place.shown.signals, place.shown.metric):
         yield signal, of_signal(place, signal)
     yield None, of_all_signals(place)
 
@@ -94,11 +94,11 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     every = frames.rows(result, scenario, signal, shown.metric)
     part, axes = every[every.cell == cell], frames.varying(every)
     at, units = frames.values_at(every, cell), frames.units(result, every)
-    words, unit = named(shown.metric, signal), unit_of(every)
+    words, unit = describe_metric(shown.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
     if run is not None:
         seed = result.study.first_seed if shown.seed is None else shown.seed
-        figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
+        figure = time_series.draw_run(result, run, scenario, signal, cell, seed, shown.paper)
         exact = time_series.exactly(result, scenario, cell)
         text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
@@ -114,12 +114,12 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         yield Picture(f"{name}-winners", f"Who wins over {over}", plots.winners(result, **here), text, captions.WINNERS)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
-        text = captions.ranges(frames.fixed(every, [x, y], rest), unit)
+        text = captions.ranges(frames.fix_axes(every, [x, y], rest), unit)
         yield Picture(f"{name}-map", f"{title} over {over}", figure, text, "Dark is worse; one scale for all.")
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
-        values = frames.fixed(every, [axis], rest)
-        limit = captions.said(values, axis, unit, shown.threshold)
+        values = frames.fix_axes(every, [axis], rest)
+        limit = captions.describe_limit(values, axis, unit, shown.threshold)
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
             title=f"{title} over {frames.label(axis, units)}",
@@ -127,7 +127,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
             text=captions.curve(values, axis, unit),
             note=f"{limit} Bars: 95 % intervals of the mean.".strip(),
         )
-    if frames.distributed(part):
+    if frames.has_spread(part):
         figure, heading = plots.distributions(result, cell=cell, **here), f"How {words} is distributed over runs"
         yield Picture(f"{name}-distribution", heading, figure, captions.medians(part, unit), "Left is better.")
         text = captions.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
@@ -147,10 +147,10 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         x, y = frames.map_axes(lost)
         rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
-        part = frames.fixed(lost, [x, y], rest)
+        part = frames.fix_axes(lost, [x, y], rest)
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
-    if run is not None and one_run.judged(run):
+    if run is not None and one_run.has_nees(run):
         figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
         yield Picture(f"{name}-nees", "Who knows how wrong it is", figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
@@ -164,7 +164,11 @@ def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
 
 
 def write(
-    result: Result, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN, formats: tuple[str, ...] = KINDS
+    result: Result,
+    out: str | Path,
+    progress: Progress = SILENT,
+    shown: FigureOptions = SHOWN,
+    formats: tuple[str, ...] = KINDS,
 ) -> list[str]:
     """Write every picture of the page, and return the names of the files, without their kind."""
     target, names = storage.target(str(out)), []
@@ -173,7 +177,7 @@ def write(
     progress.begin("figures", None)
     for picture in (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures):
         for kind in formats:
-            storage.put(target, f"{picture.name}.{kind}", saved(picture.figure, kind))
+            storage.put(target, f"{picture.name}.{kind}", render_figure(picture.figure, kind))
         names.append(picture.name)
         progress.step(1)
     return names

@@ -44,7 +44,7 @@ def headlines(
     part = frames.rows(result, scenario, signal, metric)
     found = frames.standings(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
-    counted = [_counted(result, Stood(scenario, signal, part, found), metric)] if len(cells) > MOST else []
+    counted = [_count_wins(result, Stood(scenario, signal, part, found), metric)] if len(cells) > MOST else []
     leaders = dict(zip(found.cell, found.leaders, strict=True))
     return counted + [
         _cell(result, scenario, signal, part, metric, each, leaders[each], costs if each == cell else None)
@@ -75,7 +75,10 @@ def _cell(
         if i and diverges_more(ranked.iloc[0], ranked.iloc[i]):
             against = "diverges more often"
         lost = row.loc["divergence_rate"]
-        cells = [number_format.marked(observer, [row.loc[metric].certified]), number_format.interval(row.loc[metric])]
+        cells = [
+            number_format.mark_uncertified(observer, [row.loc[metric].certified]),
+            number_format.interval(row.loc[metric]),
+        ]
         cells.append("not significantly different" if against == "=" else against)
         cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
@@ -86,7 +89,7 @@ def _cell(
             cells += [f"{counts[name]:,}" for name in COSTS]
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
-    at = ", ".join(frames.said(a, first[a]) for a in frames.varying(part))
+    at = ", ".join(frames.format_axis(a, first[a]) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{first.unit}]", f"diff. to best [{first.unit}]"]
     heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged", *COSTS.values()]
@@ -104,14 +107,14 @@ def _cell(
     return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
 
 
-def _counted(result: Result, stood: Stood, metric: str) -> Headline:
+def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
     _, _, part, found = stood
     ranked = []
     tallies = {t.observer: t for t in tally([stood])}
     for observer, own in ((str(o), own) for o, own in part.groupby("observer", sort=False)):
         t, share = tallies[observer], 100 * own.diverged.sum() / max((own.n + own.diverged).sum(), 1)
         median = float(own["mean"].median())
-        cells = [number_format.marked(observer, own.certified), str(t.won), str(t.led)]
+        cells = [number_format.mark_uncertified(observer, own.certified), str(t.won), str(t.led)]
         cells.append("-" if np.isnan(median) else layout.number(float(f"{median:.4g}")))
         cells.append(f"{share:.3g} %" if share else "none")
         ranked.append(((-t.won, median), HeadlineRow(cells, t.colour, best=False)))

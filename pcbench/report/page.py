@@ -20,7 +20,7 @@ from pcbench.plots.labels import inline, title_of_scenario
 from pcbench.report import captions, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
-from pcbench.report.figures import SHOWN, Shown
+from pcbench.report.figures import SHOWN, FigureOptions
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.serialize import as_dict
 
@@ -62,7 +62,7 @@ class Section(NamedTuple):
     parts: list[Part]
 
 
-def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN) -> int:
+def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, shown: FigureOptions = SHOWN) -> int:
     """Write the page of a study's folder as one file, and return its size in bytes.
 
     `shown` says what is to be looked at: the metric that ranks, signals, cell and seed. Runs shown in time are simulated where
@@ -75,7 +75,7 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
     return len(content)
 
 
-def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> str:
+def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHOWN) -> str:
     """Return the page's HTML; arguments are those of `write`."""
     shown = shown._replace(metric=result.ranks(shown.metric))
     stood = summary.stood(result, shown.metric, shown.signals)
@@ -95,7 +95,7 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
     made += f", commit {commit['commit']}" if commit.get("commit") else ""
     run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
     text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_shown).from_string(text)
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_escape).from_string(text)
     return str(
         template.render(
             title=f"Study {result.study.name}",
@@ -165,6 +165,6 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
     return [*((k.replace("_", " "), v) for k, v in rows.items() if v), *excluded]
 
 
-def _shown(value: object) -> object:
+def _escape(value: object) -> object:
     """What the page shows: a text that cannot be printed has escapes; pictures are made of such text already."""
     return value if isinstance(value, Markup) or not isinstance(value, str) else printable(value, but="\n")

@@ -57,7 +57,7 @@ def stood(result: Result, metric: str, signals: list[str] | None) -> list[Stood]
     out = [
         Stood(name, s, frames.rows(result, name, s, metric), frames.standings(result, name, s, metric))
         for name in result.scenarios
-        for s in frames.ranked(result, name, signals, metric)
+        for s in frames.signals_with_metric(result, name, signals, metric)
     ]
     if not out:
         raise UserError(
@@ -94,7 +94,7 @@ def _row(result: Result, stood: Stood) -> Row:
     best = str(found.best.iloc[0])
     if several:  # of equally many cells the least error decides
         best = next((o for o, _ in multiples if won.get(o, 0) == won.max()), "") if len(won) else ""
-    deterministic = not frames.distributed(part) and not result.exact
+    deterministic = not frames.has_spread(part) and not result.exact
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     leaders = [best] if several and best else most_often(found.leaders)[0]
     unit, own = part.unit.iloc[0], part[part.observer == best]

@@ -30,7 +30,7 @@ def uncut() -> Iterator[None]:
 
 
 @contextmanager
-def cleaned(clean: Callable[[], object]) -> Iterator[None]:
+def clean_on_exit(clean: Callable[[], object]) -> Iterator[None]:
     """Have `clean` called if the process ends inside this block."""
     _CLEANING.append(clean)
     try:
@@ -45,7 +45,7 @@ def temporary_folder() -> Iterator[str]:
     from shutil import rmtree
     from tempfile import TemporaryDirectory  # the command line starts without it
 
-    with TemporaryDirectory(prefix="pcbench-") as folder, cleaned(lambda: rmtree(folder, ignore_errors=True)):
+    with TemporaryDirectory(prefix="pcbench-") as folder, clean_on_exit(lambda: rmtree(folder, ignore_errors=True)):
         yield folder
 
 

@@ -52,7 +52,7 @@ def _left_of_data() -> int:
     return sys.maxsize if limit == resource.RLIM_INFINITY else max(limit - int(psutil.Process().memory_info().data), 0)
 
 
-def allowed(given: str | int | None) -> float:
+def memory_budget(given: str | int | None) -> float:
     """Return the bytes that results may take: a quarter of the memory unless said otherwise, never more than is free."""
     if given is None:
         return min(usable() / 4, free())

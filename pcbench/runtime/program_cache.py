@@ -14,7 +14,7 @@ AT_ONCE = 2  # programs that are made side by side: a compiler may take gigabyte
 MAPPINGS = 10_000  # of memory, that these have together: a program has 130 to 5,000, and Linux allows a process 65,530
 
 
-def bounded(function: Callable[..., R], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., R]:
+def jit_with_limit(function: Callable[..., R], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., R]:
     """Return a function compiled once for each shape and static argument; after `MOST` programs it drops them all."""
     jitted: Any = jax.jit(function, static_argnums=static_argnums)
 
@@ -29,7 +29,7 @@ def bounded(function: Callable[..., R], static_argnums: int | tuple[int, ...] = 
     return call
 
 
-class Made(Generic[R]):
+class CacheEntry(Generic[R]):
     """A program, or the place of one that is being made by the thread that holds its lock."""
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class Programs(Generic[R]):
 
     def __init__(self) -> None:
         self.made = 0  # so far
-        self._kept: dict[Hashable, Made[R]] = {}
+        self._kept: dict[Hashable, CacheEntry[R]] = {}
         self._lock, self._room = Lock(), Semaphore(AT_ONCE)
 
     def __iter__(self) -> Iterator[Hashable]:
@@ -59,7 +59,7 @@ class Programs(Generic[R]):
     def ask(self, key: Hashable, new: Callable[[], R]) -> R:
         """Return the program of a key, made by `new` if there is none."""
         with self._lock:
-            self._kept[key] = one = self._kept.pop(key, None) or Made()
+            self._kept[key] = one = self._kept.pop(key, None) or CacheEntry()
         with one.lock:
             if one.program is None:
                 with self._room:

@@ -23,7 +23,7 @@ LABELS: dict[str, TomlTable] = {
 }
 
 
-def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
+def make_csth(name: str, summary: str, source: str, tick: float) -> Scenario:
     """Return the experiment at one sample a tick."""
     return Scenario(
         name=name,
@@ -54,12 +54,12 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
     )
 
 
-PHYSICAL = sampled("csth/10s", "physical plant, 10 s samples, no noise", PAPER + ", made consistent", 10.0)
+PHYSICAL = make_csth("csth/10s", "physical plant, 10 s samples, no noise", PAPER + ", made consistent", 10.0)
 CSTH = (
-    sampled("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0).having(
+    make_csth("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0).having(
         input="heater-literal", model={"literal": True}
     ),
-    sampled("csth/1s", "physical plant, 1 s samples, no noise", PAPER + ", made consistent", 1.0),
+    make_csth("csth/1s", "physical plant, 1 s samples, no noise", PAPER + ", made consistent", 1.0),
     PHYSICAL,
     PHYSICAL.having(
         name="csth/10s-noise",

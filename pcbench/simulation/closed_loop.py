@@ -19,7 +19,7 @@ from pcbench.simulation.types import GridPointParams, Layout, Memories
 Tree = TypeVar("Tree")
 
 
-class Started(NamedTuple):
+class LoopState(NamedTuple):
     """What a closed loop adds to the state before tick 0; empty where the loop is open."""
 
     commands: PyTree = ()
@@ -28,10 +28,10 @@ class Started(NamedTuple):
     effort: PyTree = ()
 
 
-def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
+def before(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
     """Return commands of the time before 0, the stream of what is off the target, what the law keeps, the effort."""
     if layout.controller is None:
-        return Started()
+        return LoopState()
     ((label, observer),), controller = layout.observers, layout.controller
     xhat = observer.estimate(p.gains[label], memories[label])
     if layout.pending:
@@ -39,7 +39,7 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
     else:
         ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
         commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a row at a time, not R copies
-    return Started(
+    return LoopState(
         commands,
         metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0]),
         controller.start(p.control, xhat) if controller.start else (),
@@ -47,7 +47,7 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> Started:
     )
 
 
-def pushed(now: Now, commands: PyTree) -> Now:
+def add_command_noise(now: Now, commands: PyTree) -> Now:
     """Return the present as it is for the plant: its input with the noise that no observer is told."""
     return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 

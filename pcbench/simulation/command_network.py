@@ -43,7 +43,7 @@ class Numbers(NamedTuple):
     std: Leaf  # [m] of a command's noise
 
 
-class Drawn(NamedTuple):
+class CommandDraws(NamedTuple):
     """What a run draws for one decision."""
 
     late: Leaf  # [1] uniform
@@ -73,7 +73,7 @@ def empty(rows: int, waiting: int, inputs: int) -> Commands:
     return Commands(nothing, nothing, on_the_way, jnp.asarray(-1.0), jnp.zeros(inputs))
 
 
-def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Drawn]:
+def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], CommandDraws]:
     """Return what draws the numbers [.., L] of the decision of tick k; at ticks without one they are of no use, and zero."""
     late, lost, noise = (
         rng.run_keys(root_seed, seeds, stream, many)
@@ -87,13 +87,15 @@ def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Arr
     def none(k: Array) -> tuple[Array, Array, Array]:
         return tuple(jnp.zeros((many, len(seeds))) for many in (1, 1, len(noise)))  # type: ignore[return-value]
 
-    def drawn(k: Array) -> Drawn:
-        return Drawn(*lax.cond(k % p.every == 0, one, none, k))
+    def drawn(k: Array) -> CommandDraws:
+        return CommandDraws(*lax.cond(k % p.every == 0, one, none, k))
 
     return drawn
 
 
-def send(p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], drawn: Drawn) -> Commands:
+def send(
+    p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], drawn: CommandDraws
+) -> Commands:
     """Send the command of tick k where there is a decision, and hold what has arrived."""
     m, P, R = command.shape[0], commands.waiting.shape[0], commands.held.shape[0]
     number, decides = k // p.every, k % p.every == 0
@@ -119,7 +121,7 @@ def send(p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array
     )
 
 
-def applied(commands: Commands, n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
+def input_at(commands: Commands, n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
     """Return the input over tick n without its noise; that of a tick beyond the ring is NaN."""
     R = commands.held.shape[0]
     row = lax.dynamic_index_in_dim(commands.held, jnp.minimum(n, newest) % R, 0, False)

@@ -1,6 +1,6 @@
 """An observer that keeps, beside its memory, how far what arrived was from what it expected.
 
-What it does is unchanged: `judged` puts its memory into one that has two sums more, and every jump adds to them first.
+What it does is unchanged: `sum_innovations` puts its memory into one that has two sums more, and every jump adds to them first.
 
 Does an observer know how wrong it is? Its error at the last tick against the covariance P that it believes it to have.
 
@@ -26,37 +26,37 @@ from pcbench.protocols import Arrival, Covariance, Gains, Innovation, Innovation
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 
-class Judged(NamedTuple):
+class StatsMemory(NamedTuple):
     """An observer's memory, and the sums over all that has arrived."""
 
     memory: Memory
     so_far: InnovationStats
 
 
-def watched(layout: Layout) -> Layout:
+def add_innovation_stats(layout: Layout) -> Layout:
     """Return the layout with every observer judged that says what it expects of a sample."""
-    every = ((label, judged(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
+    every = ((label, sum_innovations(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
     return layout._replace(observers=tuple(every))
 
 
-def judged(o: Observer, innovation: Innovation) -> Observer:
+def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
     """Return an observer that does the same and sums what its innovations amount to."""
 
-    def init(gains: Gains, xhat0: Array) -> Judged:
-        return Judged(o.init(gains, xhat0), InnovationStats(jnp.zeros(()), jnp.zeros(())))
+    def init(gains: Gains, xhat0: Array) -> StatsMemory:
+        return StatsMemory(o.init(gains, xhat0), InnovationStats(jnp.zeros(()), jnp.zeros(())))
 
-    def snapshot(gains: Gains, memory: Judged, now: Now) -> Array:
+    def snapshot(gains: Gains, memory: StatsMemory, now: Now) -> Array:
         return o.snapshot(gains, memory.memory, now)
 
-    def jump(gains: Gains, memory: Judged, now: Now, arrival: Arrival) -> Judged:
+    def jump(gains: Gains, memory: StatsMemory, now: Now, arrival: Arrival) -> StatsMemory:
         before, more = memory.so_far, innovation(gains, memory.memory, now, arrival)
         so_far = InnovationStats(before.nis_sum + more.nis_sum, before.dof + more.dof)
-        return Judged(o.jump(gains, memory.memory, now, arrival), so_far)
+        return StatsMemory(o.jump(gains, memory.memory, now, arrival), so_far)
 
-    def flow(gains: Gains, memory: Judged, now: Now) -> Judged:
+    def flow(gains: Gains, memory: StatsMemory, now: Now) -> StatsMemory:
         return memory._replace(memory=o.flow(gains, memory.memory, now))
 
-    def estimate(gains: Gains, memory: Judged) -> Array:
+    def estimate(gains: Gains, memory: StatsMemory) -> Array:
         return o.estimate(gains, memory.memory)
 
     made = Observer(init, snapshot, jump, flow, estimate)
@@ -79,7 +79,7 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
 
 def sums(memory: Memory) -> InnovationStats | None:
     """Return the sums of an observer that was judged."""
-    return memory.so_far if isinstance(memory, Judged) else None
+    return memory.so_far if isinstance(memory, StatsMemory) else None
 
 
 KNOWN = 1e-9  # part of the prior's standard deviation
@@ -107,7 +107,7 @@ def _able(layout: Layout) -> dict[str, Covariance]:
     return {label: o.covariance for label, o in layout.observers if o.covariance}
 
 
-def normalised(e: Array, P: Array, prior: Array) -> Squares:
+def normalize_error(e: Array, P: Array, prior: Array) -> Squares:
     """Return the squares of e [n] by P [n, n] or larger; prior [n] standard deviations."""
     n = e.shape[0]
     P = P[:n, :n]

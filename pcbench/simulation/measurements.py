@@ -59,7 +59,7 @@ class Rounding(NamedTuple):
     dither: Leaf  # 1: with subtractive dither; 0: without
 
 
-def rounded(r: Rounding, y: Array, uniform: Array) -> Array:
+def quantize(r: Rounding, y: Array, uniform: Array) -> Array:
     """Return samples [q] as they come out; `uniform` [q] in [0, 1) is what dither is drawn by, [0]: there is none."""
     d = r.dither * r.step * (uniform - 0.5) if uniform.shape[0] else 0.0
     step = jnp.where(r.step > 0, r.step, 1.0)
@@ -118,14 +118,16 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
     return drawn
 
 
-class Measured(NamedTuple):
+class Measurements(NamedTuple):
     """Of L runs, N + 1 ticks, I samples a channel."""
 
     clean: Array  # [N+1, q, L] what each channel would measure at each tick without noise
     noise: Array  # [I, q, L] of each sample, scaled
 
 
-def measured(layout: Layout, many: int, p: GridPointParams, root_seed: Array, seeds: Array, x: Array) -> Measured:
+def measure_runs(
+    layout: Layout, many: int, p: GridPointParams, root_seed: Array, seeds: Array, x: Array
+) -> Measurements:
     """Return what runs seeds[L] measure whose states are x[N+1, n, L], of `many` samples a channel."""
     q, lanes = p.noise_std.shape[0], seeds.shape[0]
     numbers = layout.plant.drawn if layout.drifting else 0
@@ -140,10 +142,10 @@ def measured(layout: Layout, many: int, p: GridPointParams, root_seed: Array, se
 
     clean = lax.map(at, (jnp.arange(len(x)), x))
     each = lax.map(lambda i: noise(list(range(q)), [i for _ in range(q)]), jnp.arange(many))
-    return Measured(clean, p.noise_std[None, :, None] * each)
+    return Measurements(clean, p.noise_std[None, :, None] * each)
 
 
 @cache
-def compiled() -> Any:
-    """Return `measured` compiled, once for each shape in a process."""
-    return program_cache.bounded(measured, (0, 1))
+def jit_measure_runs() -> Any:
+    """Return `measure_runs` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(measure_runs, (0, 1))

@@ -81,7 +81,7 @@ def simulate_runs(
 
 def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> RunSums:
     """Return what one run leaves."""
-    layout = innovation_stats.watched(layout) if layout.consistency else layout
+    layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     drawn = draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
@@ -131,7 +131,7 @@ def advance(
 ) -> tuple[Run, Tree]:
     """Return a run at tick k + 1 from one at tick k after its events, and what `read` finds once the command is given.
 
-    `w` [n] is the noise of the process, `command` what the network draws (`command_network.Drawn`).
+    `w` [n] is the noise of the process, `command` what the network draws (`command_network.CommandDraws`).
     """
     run = control(layout, p, k, run, command)  # 4. control
     return flow(layout, p, params, k, run, w), read(k, run)  # 5. flow
@@ -213,7 +213,7 @@ def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Arr
     if layout.continuous:
         return y
     y = y + p.noise_std * v[: y.shape[0]]
-    return measurements.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
+    return measurements.quantize(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
 def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
@@ -346,7 +346,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTre
 
 def spend(layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metrics.ControlCost) -> metrics.ControlCost:
     """Return the effort with what the input of tick k costs."""
-    u = closed_loop.pushed(present(p, k, True, run.commands), run.commands).u
+    u = closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u
     return metrics.spend(effort, p.weights, k, run.x, u)
 
 
@@ -356,7 +356,7 @@ def flow(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run,
     if layout.continuous:
         x, memories = as_one_field(layout, p, params, now, run)
     else:
-        x = layout.plant.step(params, closed_loop.pushed(now, commands), run.x)
+        x = layout.plant.step(params, closed_loop.add_command_noise(now, commands), run.x)
         memories = {label: o.flow(p.gains[label], run.memories[label], now) for label, o in layout.observers}
     if w.size:
         x = x + (p.process_std @ w if np.ndim(p.process_std) == 2 else p.process_std * w)
@@ -372,7 +372,7 @@ def as_one_field(layout: Layout, p: GridPointParams, params: Params, now: Now, r
         there, (x, memories) = now._replace(t=t), z
         y = layout.plant.output(params, there, x)
         rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
-        return plant(params, closed_loop.pushed(there, run.commands), x), rates
+        return plant(params, closed_loop.add_command_noise(there, run.commands), x), rates
 
     moved: tuple[Array, Tree] = rk4(field, now.t, (run.x, run.memories), now.dt)
     return moved
@@ -384,7 +384,7 @@ def normalized_errors(
     """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
     prior, found = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {
-        label: innovation_stats.normalised(e[label][: len(prior)], P, prior)._replace(
+        label: innovation_stats.normalize_error(e[label][: len(prior)], P, prior)._replace(
             innovation=innovation_stats.sums(run.memories[label])
         )
         for label, P in found.items()

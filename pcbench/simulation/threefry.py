@@ -25,7 +25,7 @@ def key(seed: Array | int) -> Array:
 
 
 @jax.jit  # a program of its own within others: its rounds are traced once for each shape
-def hashed(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
+def threefry_2x32(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
     """Return the two words of counters (high, low) of any one shape, uint32, under the words [2] of a key."""
     keys = (words[0], words[1], words[0] ^ words[1] ^ jnp.uint32(PARITY))
     a, b = high + keys[0], low + keys[1]
@@ -41,14 +41,14 @@ def hashed(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
 def _bits(words: Array, width: int, shape: tuple[int, ...]) -> Array:
     """Random bits for each of a shape, from the two words at the counters (0, 0), (0, 1), ..."""
     low = jnp.arange(math.prod(shape), dtype=jnp.uint32).reshape(shape)
-    high, low = hashed(words, jnp.zeros_like(low), low)
+    high, low = threefry_2x32(words, jnp.zeros_like(low), low)
     return (high.astype(jnp.uint64) << 32) | low.astype(jnp.uint64) if width == 2 * WORD else high ^ low
 
 
 def _fold_in(words: Array, number: Array | int) -> Array:
     """The key of a whole number under a key: the two words at the counter (0, number)."""
     low = jnp.asarray(number).astype(jnp.uint32)
-    return jnp.stack(hashed(words, jnp.zeros_like(low), low))
+    return jnp.stack(threefry_2x32(words, jnp.zeros_like(low), low))
 
 
 _GENERATOR = generators.define_prng_impl(

@@ -27,7 +27,7 @@ class Recording(NamedTuple):
     errors: dict[str, Array]  # [N+1, d] the plant's own errors; empty where it has none
 
 
-class Thinned(NamedTuple):
+class Trajectories(NamedTuple):
     """Every so many ticks of L runs on one schedule: K rows."""
 
     x: Array  # [K, n + s, L]
@@ -41,14 +41,14 @@ class Thinned(NamedTuple):
 
 def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
     """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
-    start, params, drawn = _started(layout, p, root_seed, seed)
+    start, params, drawn = _init_run(layout, p, root_seed, seed)
 
     def read(k: Array, run: Run) -> Recording:
         brought = _brought(layout, p, k, run)
         return Recording(
             x=truth(layout, params, present(p, k, True), run.x),
             estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
-            u=closed_loop.pushed(present(p, k, True, run.commands), run.commands).u,
+            u=closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u,
             arrived=_newest(brought),
             brought=brought,
             target=closed_loop.aims(layout, p, k),
@@ -61,17 +61,19 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
     return lax.scan(step, start, ticks)[1]
 
 
-def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array) -> Thinned:
+def record_some(
+    layout: Layout, every: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array
+) -> Trajectories:
     """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
     ticks = jnp.arange(every * (rows - 1) + 1)
 
-    def one(seed: Array) -> Thinned:
-        start, params, drawn = _started(layout, p, root_seed, seed)
+    def one(seed: Array) -> Trajectories:
+        start, params, drawn = _init_run(layout, p, root_seed, seed)
 
-        def read(k: Array, run: Run) -> Thinned:
+        def read(k: Array, run: Run) -> Trajectories:
             e = simulate_runs.errors(layout, p, params, k, run)
             squares = simulate_runs.normalized_errors(layout, p, k, run, e) if layout.consistency else {}
-            return Thinned(
+            return Trajectories(
                 x=truth(layout, params, present(p, k, True), run.x),
                 estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
                 held=_newest(_brought(layout, p, k, run)),
@@ -81,7 +83,7 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
                 errors=simulate_runs.own_errors(layout, p, params, k, run),
             )
 
-        def step(carry: tuple[Run, Array, Thinned], k: Array) -> tuple[tuple[Run, Array, Thinned], None]:
+        def step(carry: tuple[Run, Array, Trajectories], k: Array) -> tuple[tuple[Run, Array, Trajectories], None]:
             run, held, table = carry
             run, row = simulate_runs.tick(layout, p, params, drawn, run, k, read)
             row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
@@ -94,11 +96,11 @@ def record_some(layout: Layout, every: int, rows: int, p: GridPointParams, root_
         end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
         return jax.tree.map(lambda a: a[:rows], end[2])
 
-    shared: PyTree = dict.fromkeys(Thinned._fields, -1) | {"target": None}  # the set point is that of all runs
-    return jax.vmap(one, out_axes=Thinned(**shared))(seeds)
+    shared: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is that of all runs
+    return jax.vmap(one, out_axes=Trajectories(**shared))(seeds)
 
 
-def _started(
+def _init_run(
     layout: Layout, p: GridPointParams, root_seed: Array, seed: Array
 ) -> tuple[Run, PyTree, simulate_runs.Draws]:
     """A run before tick 0, the plant's numbers in it, and its draws."""
@@ -130,12 +132,12 @@ def _newest(brought: Array) -> Array:
 
 
 @cache
-def compiled() -> Any:
+def jit_record() -> Any:
     """Return `record` compiled, once for each shape in a process."""
-    return program_cache.bounded(record, 0)
+    return program_cache.jit_with_limit(record, 0)
 
 
 @cache
 def compiled_some() -> Any:
     """Return `record_some` compiled, once for each shape in a process."""
-    return program_cache.bounded(record_some, (0, 1, 2))
+    return program_cache.jit_with_limit(record_some, (0, 1, 2))

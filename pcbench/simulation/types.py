@@ -127,7 +127,7 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) 
     def past_u(age: Array) -> Array:
         if isinstance(commands, command_network.Commands):
             newest = k if decided else k - 1
-            return command_network.applied(commands, k - age, newest)
+            return command_network.input_at(commands, k - age, newest)
         if isinstance(p.inputs, InputWindow):
             place = jnp.clip(k - age - p.inputs.first, 0, len(p.inputs.rows) - 1)
             return jnp.where(age <= k, p.inputs.rows[place], 0.0)

@@ -11,7 +11,16 @@ grow with their number (quantiles: hardly, see `quantile_intervals`).
 """
 
 from pcbench.errors import unknown
-from pcbench.statistics.aggregate import ESTIMATED, Aggregate, Described, Row, columns, described, see, spread
+from pcbench.statistics.aggregate import (
+    ESTIMATED,
+    Aggregate,
+    ObserverSummary,
+    Row,
+    columns,
+    see,
+    spread,
+    summarize_observer,
+)
 from pcbench.statistics.comparison import (
     SAME,
     VERDICT,
@@ -33,7 +42,7 @@ from pcbench.statistics.metric_matrix import (
     RUN_METRICS,
     Chunks,
     Results,
-    joined,
+    join_stacks,
     stack,
 )
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
@@ -54,15 +63,15 @@ __all__ = [
     "Z95",
     "ZERO",
     "Chunks",
-    "Described",
+    "ObserverSummary",
     "Pair",
     "PairResult",
     "Results",
     "Row",
     "Values",
-    "compared",
     "holm",
     "mean",
+    "require_metric",
     "size",
     "summary",
     "summary_of_cells",
@@ -83,7 +92,7 @@ def size(values: Values) -> Row:
 
 def summary(
     chunks: Chunks, bounds: dict[str, Values | None], sizes: tuple[float, ...]
-) -> tuple[dict[str, Described], dict[Pair, PairResult]]:
+) -> tuple[dict[str, ObserverSummary], dict[Pair, PairResult]]:
     """Return the columns of `stats` by observer, and of `pairs` (less p_holm) by pair of observers, of one cell.
 
     `bounds` [signals] are what the efficiency is against, NaN where there is none; `sizes` are the signals' typical sizes. A
@@ -100,22 +109,24 @@ def summary(
 
 def summary_of_cells(
     cells: list[dict[str, Results]], bounds: dict[str, Values | None], sizes: tuple[float, ...]
-) -> tuple[dict[str, Described], dict[Pair, PairResult]]:
+) -> tuple[dict[str, ObserverSummary], dict[Pair, PairResult]]:
     """Return the same of several cells with the same observers, rows and seeds, at most CHUNK, in which no run diverged.
 
     `bounds` are [C, signals]. The bits are those of each cell by itself.
     """
-    stacks = {label: joined([stack(results[label]) for results in cells]) for label in cells[0]}
+    stacks = {label: join_stacks([stack(results[label]) for results in cells]) for label in cells[0]}
     seen = {label: see(None, s) for label, s in stacks.items()}
     return _columns(seen, bounds, lambda: []), pair_results(add_pairs({}, stacks, sizes))
 
 
-def _columns(seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, Described]:
+def _columns(
+    seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks
+) -> dict[str, ObserverSummary]:
     spreads = spread(seen, chunks)
-    return {label: described(s, spreads[label], bounds[label]) for label, s in seen.items()}
+    return {label: summarize_observer(s, spreads[label], bounds[label]) for label, s in seen.items()}
 
 
-def compared(metric: str, where: str) -> str:
+def require_metric(metric: str, where: str) -> str:
     """Return the name of a metric that runs are compared by; raise UserError with the nearest where there is none."""
     if metric not in COMPARED:
         raise unknown(where, "metric of a run", metric, COMPARED)

@@ -14,12 +14,21 @@ from pcbench.statistics.confidence_intervals import (
     merge,
     moments,
     positive,
-    reached,
+    rms_efficiency,
     root,
     student,
     wilson,
 )
-from pcbench.statistics.metric_matrix import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
+from pcbench.statistics.metric_matrix import (
+    POOLED,
+    RUN_METRICS,
+    SIGNED,
+    Chunks,
+    SignalMetric,
+    Stack,
+    keep_columns,
+    stack,
+)
 from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
 
 Row = dict[str, Any]  # of stats or pairs, by column
@@ -54,7 +63,7 @@ class Aggregate(NamedTuple):
         return len(self.moments.mean) // len(self.rows)
 
 
-class Described(NamedTuple):
+class ObserverSummary(NamedTuple):
     """The rows of one observer in C cells, R of each."""
 
     names: list[SignalMetric]  # [R]
@@ -67,10 +76,10 @@ class Described(NamedTuple):
 def see(before: Aggregate | None, s: Stack) -> Aggregate:
     """Return what is kept after one more chunk of an observer's runs."""
     good = ~s.diverged
-    values = kept(s.values, good)
-    diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
+    values = keep_columns(s.values, good)
+    diverged, unsettled, found = int(s.diverged.sum()), keep_columns(s.unsettled, good).sum(-1), moments(values)
     inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
-    judged = _judged(s, values)
+    judged = _nis_moments(s, values)
     if before is None:
         return Aggregate(
             rows=s.rows,
@@ -102,7 +111,7 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     for chunk in chunks() if open_ else ():
         for label in open_:
             new = stack(chunk[label])
-            parts[label].append(quantile_intervals.collect(sought[label], kept(new.values, ~new.diverged)))
+            parts[label].append(quantile_intervals.collect(sought[label], keep_columns(new.values, ~new.diverged)))
     out = {}
     for label, s in seen.items():
         out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
@@ -112,7 +121,7 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     return out
 
 
-def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Described:
+def summarize_observer(s: Aggregate, quantiles: Values, bounds: Values | None) -> ObserverSummary:
     """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
 
     quantiles are [C K, COLUMNS]; bounds [C, signals], NaN where there is none.
@@ -123,10 +132,10 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
     for metric, square in POOLED.items():
         known[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(many)])))
     if bounds is not None:
-        known["rms_efficiency"] = reached(bounds[:, :many].ravel(), known["steady_pooled_rmse"])
+        known["rms_efficiency"] = rms_efficiency(bounds[:, :many].ravel(), known["steady_pooled_rmse"])
     known["divergence_rate"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
     known["unsettled_rate"] = wilson(s.unsettled, means.n)
-    known |= _known(s, means)
+    known |= _consistency_estimates(s, means)
     sizes = {metric: len(e.mean) // s.cells for metric, e in known.items()}
     names = [
         (metric, i)
@@ -147,7 +156,7 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
     if bounds is not None:
         shown[:, [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]] = ~np.isnan(bounds[:, :many])
     n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
-    return Described(names, n, s.diverged, values, shown)
+    return ObserverSummary(names, n, s.diverged, values, shown)
 
 
 def _means(s: Aggregate) -> Estimate:
@@ -167,7 +176,7 @@ def _of(e: Estimate, at: NDArray[np.int64]) -> Estimate:
     return Estimate(e.n, *(values[at] for values in e[1:]))
 
 
-def _judged(s: Stack, values: Values) -> Moments | None:
+def _nis_moments(s: Stack, values: Values) -> Moments | None:
     """The moments of what the mean `nis` is made of; a run without a judged sample adds nothing to it."""
     if ("nis", 0) not in s.rows:
         return None
@@ -189,7 +198,7 @@ def _over_all(judged: Moments) -> Estimate:
     return positive(Moments(judged.n, ratio, m2, ratio, ratio))
 
 
-def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
+def _consistency_estimates(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
     if ("nees", 0) not in s.rows:
         return {}

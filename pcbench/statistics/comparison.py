@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.statistics.confidence_intervals import Estimate, Moments, Values, merge, moments, student
-from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, kept
+from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, keep_columns
 
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 
@@ -34,7 +34,7 @@ class PairStats(NamedTuple):
 def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> PairStats:
     """Compare values [K, n] of two observers; those that differ by no more than floor [K] are a tie: rounding of zero."""
     both = ~(bad_a | bad_b)
-    a, b = kept(a, both), kept(b, both)
+    a, b = keep_columns(a, both), keep_columns(b, both)
     apart = a - b
     room = np.maximum(np.abs(a), np.abs(b))
     room *= SAME

@@ -5,7 +5,7 @@
   by the delta method; so an end is mean exp(-+ t se / mean), and none is below 0.
 * `root`: pooled rms, the root of a mean square: the interval is that of the mean square, its ends under the root
   (a root is monotone, so it covers exactly as often); the standard error is by the delta method.
-* `reached`: bound / pooled rms, likewise.
+* `rms_efficiency`: bound / pooled rms, likewise.
 * `wilson`: a fraction. Source: Wilson, J. Am. Stat. Assoc. 22 (1927), 209-212.
 
 Where they cover (`test_coverage`). Those of means, roots and bounds reached: 93.5 to 96.5 % where the metric's skewness
@@ -113,7 +113,7 @@ def root(squares: Estimate) -> Estimate:
     return Estimate(squares.n, centre, se, low, high)
 
 
-def reached(bound: Values, pooled: Estimate) -> Estimate:
+def rms_efficiency(bound: Values, pooled: Estimate) -> Estimate:
     """Return bound [K] / pooled rms; NaN if the rms (or an end of its interval) or the bound is zero."""
 
     def over(rms: Values) -> Values:

@@ -70,7 +70,7 @@ def stack(results: Results) -> Stack:
     return Stack({name: k for k, name in enumerate(names)}, values, results["diverged"], results["unsettled"])
 
 
-def joined(stacks: list[Stack]) -> Stack:
+def join_stacks(stacks: list[Stack]) -> Stack:
     """Return the stacks of an observer in cells with the same rows and so many runs, none of which diverged, as one."""
     first = stacks[0]
     if len(stacks) == 1:
@@ -80,6 +80,6 @@ def joined(stacks: list[Stack]) -> Stack:
     )
 
 
-def kept(values: NDArray[Scalar], keep: NDArray[np.bool_]) -> NDArray[Scalar]:
+def keep_columns(values: NDArray[Scalar], keep: NDArray[np.bool_]) -> NDArray[Scalar]:
     """Return the columns of values [K, n] to keep [n]."""
     return values if keep.all() else np.take(values, np.flatnonzero(keep), axis=-1)  # C order, unlike values[:, keep]

@@ -18,7 +18,7 @@ UNPROVEN = "* Nothing proves"  # with which the sentence below a table begins
 LEAN = 1.25  # an interval leans where one side is longer than the other by more
 
 
-def marked(observer: str, certified: Iterable[object]) -> str:
+def mark_uncertified(observer: str, certified: Iterable[object]) -> str:
     """Return an observer's name, with a mark where nothing proves its gains in one of some cells; None and NaN are unknown."""
     return observer + MARK if any(each in (False,) for each in certified) else observer
 
@@ -41,10 +41,10 @@ def estimate(value: float, low: float, high: float, sign: str = "") -> str:
         return f"{value:{sign}.{4 if half == 0 else 6}g}"
     if sides[1] > LEAN * sides[0]:
         return f"{value:{sign}.3g} ({low:.2g} .. {high:.2g})"
-    return _alike(value, half, sign)
+    return _format_estimate(value, half, sign)
 
 
-def _alike(value: float, half: float, sign: str) -> str:
+def _format_estimate(value: float, half: float, sign: str) -> str:
     """A value and half its interval, to two digits of the latter."""
     half = float(f"{half:.1e}")
     digits, power = 1 - floor(log10(half)), floor(log10(max(abs(value), half)))

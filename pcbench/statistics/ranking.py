@@ -46,7 +46,7 @@ def stood(rows: list[Row], pairs: list[Row]) -> Standing:
     if not np.isfinite(best["mean"]):
         return Standing(names, names, np.nan, np.nan)
     met = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
-    alike = [str(o["observer"]) for o in others if not _apart(met, best, o)]
+    alike = [str(o["observer"]) for o in others if not _is_worse(met, best, o)]
     compared = {str(pair[side]) for pair in met if pair["n"] != 1 for side in ("observer_a", "observer_b")}
     leaders = (names[0], *alike) if compared.issuperset(alike) else ()
     second = float(others[0]["mean"]) if others else np.nan
@@ -92,7 +92,7 @@ def fraction_of(diverged: int, kept: int) -> dict[str, float]:
     return columns(wilson(np.array([diverged]), diverged + kept))[0]
 
 
-def _apart(pairs: list[Row], best: Row, other: Row) -> bool:
+def _is_worse(pairs: list[Row], best: Row, other: Row) -> bool:
     if diverges_more(best, other):
         return True
     row = next((pair for pair in pairs if other["observer"] in (pair["observer_a"], pair["observer_b"])), None)

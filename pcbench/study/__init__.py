@@ -5,7 +5,7 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 
 from pcbench.study.builtin import STUDIES
 from pcbench.study.labels import LTI, labels_of, observers_of, scenarios_of
-from pcbench.study.options import checked_options, choices_of, dashes, given, options_of, underscored
+from pcbench.study.options import checked_options, choices_of, dashes, merge_options, options_of, underscore_keys
 from pcbench.study.pydantic_errors import sentence
 from pcbench.study.schema import KEYS, TUNINGS, Choices, Study, Tune, TunedCell, TunedOptions, Values
 
@@ -23,11 +23,11 @@ __all__ = [
     "checked_options",
     "choices_of",
     "dashes",
-    "given",
     "labels_of",
+    "merge_options",
     "observers_of",
     "options_of",
     "scenarios_of",
     "sentence",
-    "underscored",
+    "underscore_keys",
 ]

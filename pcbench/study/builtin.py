@@ -19,7 +19,7 @@ BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; siz
 }
 
 
-def _believed(name: str) -> ScenarioTable:
+def _mismatch_scenario(name: str) -> ScenarioTable:
     """Return one scenario of `model-mismatch`: cart/white whose position wanders, with one wrong assumption."""
     off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
     told = {
@@ -94,7 +94,7 @@ STUDIES = {
     "model-mismatch": Study(
         name="model-mismatch",
         scenarios=list(BELIEFS),
-        tables={name: _believed(name) for name in BELIEFS},
+        tables={name: _mismatch_scenario(name) for name in BELIEFS},
         observers=["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "model-only"],
         seeds=256,
         options={"scenario": {"random_initial_state": True}},

@@ -14,8 +14,8 @@ from pcbench.errors import DesignError, UserError, unknown
 from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario
 from pcbench.study import axes, times
-from pcbench.study.plugins.user_code import Own
-from pcbench.study.plugins.user_observers import filled
+from pcbench.study.plugins.user_code import UserPlugin
+from pcbench.study.plugins.user_observers import validate_options
 from pcbench.synthesis import lqr
 from pcbench.toml_text import TomlTable
 
@@ -37,12 +37,12 @@ class Network(BaseModel):
     command_std: Size = Field(0.0, description="standard deviation of the noise of a command")
 
 
-def closed(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) -> Scenario:
+def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
     """Return a scenario with its loop closed by a study's controller; `own` has those of the user's, by MODULE:NAME.
 
     Raises UserError naming the key that does not fit.
     """
-    way = filled(Network, given, where)
+    way = validate_options(Network, given, where)
     able = [name for name, entry in CONTROLLERS.items() if entry.check]
     mine = own.get(way.use)
     if mine is None and way.use not in able:
@@ -58,7 +58,7 @@ def closed(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) ->
     for key in control:
         if key not in fields and not open_ended:
             raise unknown(where, f"option of {way.use}", key, [*fields, *Network.model_fields])
-    options = filled(entry.options, control, where)
+    options = validate_options(entry.options, control, where)
     if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
         raise UserError(
             f"{where}: got a plant with D in {s.name}, expected an output without the input: in a closed loop it is decided "
@@ -78,7 +78,7 @@ def closed(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) ->
     return s.having(controller=name, control=control, input="", own=code, **network)
 
 
-def held(s: Scenario) -> bool:
+def has_generic_controller(s: Scenario) -> bool:
     """Say whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
     return bool(s.loop.controller) and law_of(s).check is not None
 
@@ -90,7 +90,7 @@ def sizes(s: Scenario, where: str) -> Sizes:
     return Sizes(states, model.B.shape[1], len(model.C), s.dt, where)
 
 
-def told(s: Scenario) -> ControllerContext:
+def controller_context(s: Scenario) -> ControllerContext:
     """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open.
 
     Its model has the known part of the plant's unknown input in it, linearised at x = 0.
@@ -109,7 +109,7 @@ def told(s: Scenario) -> ControllerContext:
         ticks=0,
         rows=0,
         ahead=0,
-        late=times.whole(late, s) + times.whole(s.loop.command_jitter, s) // 2,
+        late=times.to_ticks(late, s) + times.to_ticks(s.loop.command_jitter, s) // 2,
         states=tuple(name for name, _ in states_of(s)),
         delay=times.actuator_delay(s),
     )
@@ -125,10 +125,10 @@ class Slowest(NamedTuple):
 
 def slowest(s: Scenario, where: str) -> Slowest | None:
     """Return what a scenario's loop settles by, the state known; None where it has no law for any plant, or no linear one."""
-    entry = law_of(s) if held(s) else None
+    entry = law_of(s) if has_generic_controller(s) else None
     if entry is None or entry.linear is None:
         return None
-    known, options = told(s), entry.options.model_validate(dict(s.loop.control))
+    known, options = controller_context(s), entry.options.model_validate(dict(s.loop.control))
     try:
         law = entry.linear(options, known)
     except DesignError as error:
@@ -137,7 +137,7 @@ def slowest(s: Scenario, where: str) -> Slowest | None:
         return None
     late = 0 if getattr(options, "knows_delay", False) else known.late
     every = known.every(getattr(options, "period", None))
-    modes = np.linalg.eigvals(lqr.closed(known.tick, law, every, late))
+    modes = np.linalg.eigvals(lqr.monodromy_matrix(known.tick, law, every, late))
     return Slowest(complex(modes[np.argmax(np.abs(modes))]), late * s.dt, every * s.dt)
 
 

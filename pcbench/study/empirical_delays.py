@@ -34,7 +34,7 @@ INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and wha
 Ticks = NDArray[np.float64]
 
 
-def resolved(table: TomlTable, where: str, folder: Path | None, tick: float) -> TomlTable:
+def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: float) -> TomlTable:
     """Return a study's table with the delays of the log that it names; as it is where it names none."""
     if not names_log(table):
         return table
@@ -46,7 +46,7 @@ def resolved(table: TomlTable, where: str, folder: Path | None, tick: float) -> 
                 f"{where}.{key}: got {shown(table[key])} beside the delays of a log, expected one; leave it out."
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
-    log = readers.opened(name if folder is None else folder / name)
+    log = readers.open_log(name if folder is None else folder / name)
     survey(log)  # refuses rows and clocks that no delay can be read from
     batches = list(log.measurements())
     columns = ("channel", "sampled", "arrived")
@@ -62,7 +62,7 @@ def resolved(table: TomlTable, where: str, folder: Path | None, tick: float) -> 
         return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
     order = np.lexsort((sampled, channel))
     order = order[~np.isnan(late[order])]
-    return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
+    return {**table, **fit_delay_chain(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
 
 
 def names_log(table: TomlTable) -> bool:
@@ -113,7 +113,7 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     }
 
 
-def drawn(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
+def fit_delay_chain(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
     """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the

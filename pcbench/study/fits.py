@@ -15,7 +15,7 @@ from pcbench.scenarios import INTERVAL, Belief, Sampling, Scenario
 from pcbench.scenarios.scenario import LOST, STAMPS, PerChannel, per_channel
 from pcbench.simulation.schedule import sampling
 from pcbench.study.axes import AXES, plain
-from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, whole
+from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, to_ticks
 
 # what makes delays differ from sample to sample, besides a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
@@ -32,7 +32,7 @@ def fits(s: Scenario, where: str) -> None:
     if sentence := next(misfits, ""):
         raise UserError(f"{where}: {sentence}")
     if not s.sampling.continuous:
-        require_few_samples(clocks(s), whole(s.duration, s), s.dt, where)
+        require_few_samples(clocks(s), to_ticks(s.duration, s), s.dt, where)
 
 
 def _of_continuous(s: Scenario) -> Iterator[str]:
@@ -83,7 +83,7 @@ def _of_loop(s: Scenario) -> Iterator[str]:
 
 def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[str]:
     """Say whether a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
-    (swing, pace), t = s.sampling.delay_sine, (np.arange(whole(s.duration, s) + 1) + 0.5) * s.dt
+    (swing, pace), t = s.sampling.delay_sine, (np.arange(to_ticks(s.duration, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
@@ -97,7 +97,7 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
 
 def _of_clocks(s: Scenario) -> Iterator[str]:
     """Say which delays are beyond all that can arrive, and which jitter or assumed delay does not fit the intervals or ages."""
-    ticks, error = whole(s.duration, s), s.belief.assumed_delay_error
+    ticks, error = to_ticks(s.duration, s), s.belief.assumed_delay_error
     for one in sensors(s):  # before their steps are listed
         mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
@@ -116,7 +116,7 @@ def _of_clocks(s: Scenario) -> Iterator[str]:
                 f"than half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
         youngest, early = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
-        if early > (assumed := youngest + whole(error, s)) and early:
+        if early > (assumed := youngest + to_ticks(error, s)) and early:
             yield (
                 f"got stamps up to {early * s.dt:g} s ahead in {s.name}, where samples may be only {assumed * s.dt:g} s late, "
                 "expected none to arrive before its stamp; take smaller errors of stamps, a negative timestamp_offset, or a "
@@ -240,7 +240,7 @@ def _of_delays(s: Scenario) -> Iterator[str]:
 
 def _of_stamps(s: Scenario) -> Iterator[str]:
     """Say where stamps would not be in the order of the samples of a sensor, or a drift moves none of them."""
-    drift, ticks = abs(s.sampling.clock_skew), whole(s.duration, s)
+    drift, ticks = abs(s.sampling.clock_skew), to_ticks(s.duration, s)
     if drift and round(1e-6 * drift * ticks) == 0:
         yield (
             f"got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no stamp by half a tick "

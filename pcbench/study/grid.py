@@ -19,8 +19,8 @@ from pcbench.study.axes import axes_of
 from pcbench.study.labels import own_in
 from pcbench.study.lti_plant import require_plant
 from pcbench.study.options import checked_options
-from pcbench.study.plugins.user_code import Own
-from pcbench.study.times import Timing, require_few_cells, times_of, whole
+from pcbench.study.plugins.user_code import UserPlugin
+from pcbench.study.times import Timing, require_few_cells, times_of, to_ticks
 from pcbench.toml_text import TomlTable
 
 MANY = 300_000  # runs of a scenario from which products save more than they take to compile
@@ -39,7 +39,7 @@ class Cell(NamedTuple):
     choices: Choices
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
-    own: dict[str, Own]  # by label, of those that are the user's own
+    own: dict[str, UserPlugin]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
     engine: str = "steps"  # or definition, or products, see `Study`
@@ -89,11 +89,11 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     lengths = [len(values) for values in axes.values()]
     many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
-    require_few_cells(many, whole(base.duration, base), where)
+    require_few_cells(many, to_ticks(base.duration, base), where)
     choices, out, apart, its_axes = choices_of(study), [], channels_apart(study), axes_of(base)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
-    digests = {o: told(each, mine.get(o)) for o, each in options.items()}
+    digests = {o: options_digest(each, mine.get(o)) for o, each in options.items()}
     names, tuned = _tuned_by_point(study, base, where)
     for index, point in enumerate(points(study.vary, list(axes.values()))):
         given = dict(zip(axes, point, strict=True))
@@ -118,7 +118,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             require_plant(s, parameters, where)
         cell = cell_of(s, index, values | of_plant, parameters, choices)
         here = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
-        by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
+        by_label = digests | {o: options_digest(each, mine.get(o)) for o, each in here.items()}
         identified = cell._replace(digest=identity(cell, study.root_seed), engine=usable(study.engine or "steps"))
         out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
@@ -208,15 +208,15 @@ def identity(cell: Cell, root_seed: int) -> str:
         "choices": cell.choices.model_dump(),
         "root_seed": root_seed,
     }
-    return _hashed(decisive)
+    return _digest(decisive)
 
 
-def told(options: BaseModel, own: Own | None = None) -> str:
+def options_digest(options: BaseModel, own: UserPlugin | None = None) -> str:
     """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
-    return _hashed([options.model_dump(exclude_none=True), own.code.digest] if own else options.model_dump())
+    return _digest([options.model_dump(exclude_none=True), own.code.digest] if own else options.model_dump())
 
 
-def _hashed(decisive: object) -> str:
+def _digest(decisive: object) -> str:
     text = json.dumps(decisive, sort_keys=True, default=lambda v: v.tolist() if hasattr(v, "tolist") else dict(v))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -259,12 +259,12 @@ def cells_of(study: Study) -> list[Cell]:
     return [cell for name in study.scenarios for cell in cells(study, name)]
 
 
-def rooted(every: list[Cell], root_seed: int) -> list[Cell]:
+def reseed(every: list[Cell], root_seed: int) -> list[Cell]:
     """Return the cells as they are with another root seed, hence other draws."""
     return [cell._replace(digest=identity(cell, root_seed)) for cell in every]
 
 
-def numbered(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
+def number_cells(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
     """Return the cells numbered anew; those whose digests are `known` (by scenario, in order of number) keep their numbers."""
     numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in known.items()}
     out = []

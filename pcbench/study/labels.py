@@ -17,18 +17,18 @@ from collections.abc import Callable
 from pcbench.errors import UserError, short, shown
 from pcbench.observers import LONGEST, OBSERVERS, ObserverSpec, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.study.controller_table import closed
+from pcbench.study.controller_table import close_loop
 from pcbench.study.parse_scenario import scenario_of
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.registry import installed
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.registry import find_plugins
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.schema import Study
 from pcbench.toml_text import TomlTable
 
 LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
 
-def labelled(raw: TomlTable, where: str) -> TomlTable:
+def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
     """Return a raw study whose observers are labels, those of the user's own found by its table `use`.
 
     Raises UserError for a label that is none, or that two observers have.
@@ -83,7 +83,7 @@ def _labels(names: list[object], use: dict[str, str], where: str) -> list[object
                     f'write [observers.LABEL] use = "{short(name)}".'
                 )
             use[label] = name
-        elif label not in use and base_of(label) is None and (found := installed("observer").get(label)):
+        elif label not in use and base_of(label) is None and (found := find_plugins("observer").get(label)):
             use[label] = found.reference
         out.append(label)
     return out
@@ -150,7 +150,9 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
     if study.controller is None:
         return known
     mine = [name for name in study.scenarios if name in known]
-    return known | {name: closed(known[name], study.controller, f"{where}: controller", study._own) for name in mine}
+    return known | {
+        name: close_loop(known[name], study.controller, f"{where}: controller", study._own) for name in mine
+    }
 
 
 def labels_of(study: Study) -> list[str]:
@@ -166,7 +168,7 @@ def base_in(study: Study, label: str) -> str | None:
     return max(found, key=len) if found and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
-def own_in(study: Study, label: str) -> Own | None:
+def own_in(study: Study, label: str) -> UserPlugin | None:
     """Return the observer of a user's own that a label names in a study; None where it is one of pcbench's."""
     return study._own.get(base_in(study, label) or label)
 

@@ -9,12 +9,12 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, Choices, Study, empirical_delays, lti_inputs, underscored
+from pcbench.study import STUDIES, Choices, Study, empirical_delays, lti_inputs, underscore_keys
 from pcbench.study import axes as axis
-from pcbench.study.labels import each_table, labelled
+from pcbench.study.labels import each_table, resolve_labels
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.references import Gate, absolute, looked_up
-from pcbench.study.plugins.user_plants import plain, tabled
+from pcbench.study.plugins.user_plants import collect_scenarios, plain
 from pcbench.toml_text import TomlTable
 
 Described = str | Path | TomlTable | Study  # a built-in name, a TOML file, or what one holds
@@ -47,7 +47,7 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
         raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
     for text in overrides:
         override(raw, text)
-    return named(raw, where_of(what, raw), folder, gate)
+    return normalize_raw(raw, where_of(what, raw), folder, gate)
 
 
 def where_of(what: Described, raw: TomlTable) -> str:
@@ -55,7 +55,7 @@ def where_of(what: Described, raw: TomlTable) -> str:
     return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
 
 
-def named(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
+def normalize_raw(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
@@ -64,31 +64,31 @@ def named(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTa
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
-    raw = labelled(tabled(underscored(raw, where), where, folder, gate), where)
+    raw = resolve_labels(collect_scenarios(underscore_keys(raw, where), where, folder, gate), where)
     raw = looked_up(raw) if folder is None else absolute(looked_up(raw), folder)
     for name in ("tune", "controller"):
         if isinstance(raw.get(name), dict):
-            raw[name] = underscored(raw[name], f"{where}: {name}")
+            raw[name] = underscore_keys(raw[name], f"{where}: {name}")
     raw = each_table(raw, lambda table, place: _with_files(table, f"{where}: {place}", folder, gate))
     if isinstance(raw.get("axes"), dict):
-        axes = underscored(raw["axes"], f"{where}: axes", "plant.")
+        axes = underscore_keys(raw["axes"], f"{where}: axes", "plant.")
         raw["axes"] = {k: v if isinstance(v, list) else [v] for k, v in axes.items()}
     return raw
 
 
 def _with_files(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """A scenario's table with _ for - in its keys and the numbers of the files that it names, if the gate is open to files."""
-    table = underscored(table, where)
+    table = underscore_keys(table, where)
     if not gate.files:
         for key in (*lti_inputs.files_in(table), *(["delay"] if empirical_delays.names_log(table) else [])):
             raise UserError(
                 f"{where}.{key}: got '{short(table[key])}', expected numbers: the study of a dataset names no file; run the "
                 "study again from its own file into a new folder."
             )
-    table = lti_inputs.filled(table, where, folder)
+    table = lti_inputs.inline_csv_files(table, where, folder)
     base = SCENARIOS.get(table["base"]) if isinstance(table.get("base"), str) else None
     given = [float(v) for key in ("dt", "tick") if isinstance(v := table.get(key), int | float) and v > 0]
-    return empirical_delays.resolved(table, where, folder, (*given, base.dt if base else 1e-3)[0])
+    return empirical_delays.resolve_delays(table, where, folder, (*given, base.dt if base else 1e-3)[0])
 
 
 def override(raw: TomlTable, change: str) -> None:

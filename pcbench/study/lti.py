@@ -19,7 +19,7 @@ from pcbench.scenarios.sources import units
 from pcbench.signal_names import names_and_units
 from pcbench.study import axes, times
 from pcbench.study.lti_inputs import sources
-from pcbench.study.lti_plant import LtiTable, differing, dimensions, known, require_slow
+from pcbench.study.lti_plant import LtiTable, differing, dimensions, nominal_numbers, require_slow
 from pcbench.study.parse_scenario import experiment_on
 from pcbench.study.scenario_schema import Experiment, takes_axes
 
@@ -93,7 +93,7 @@ class Lti(Experiment, LtiTable):
 
     def numbers(self, where: str) -> Numbers:
         """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""
-        return known(self, where)
+        return nominal_numbers(self, where)
 
     def scenario(self, name: str, where: str) -> Scenario:
         """Return the experiment as a scenario; raise UserError naming the key that does not fit."""

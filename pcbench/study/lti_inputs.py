@@ -27,7 +27,7 @@ def files_in(table: TomlTable) -> list[str]:
     return [key for key, text in given.items() if isinstance(text, str) and text.strip().lower().endswith(".csv")]
 
 
-def filled(table: TomlTable, where: str, folder: Path | None) -> TomlTable:
+def inline_csv_files(table: TomlTable, where: str, folder: Path | None) -> TomlTable:
     """Return a table with the rows of the CSV files that it names, found from the study's folder; None: from where one is.
 
     Raises UserError for a file that cannot be read.
@@ -72,7 +72,7 @@ def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, fl
     `ticks` are how many there are and their length [s]; `valid` the names that may stand.
     """
     if isinstance(given, str):
-        return ", ".join(_named(given, valid, many, kind, where))
+        return ", ".join(_signal_names(given, valid, many, kind, where))
     if isinstance(given, dict):
         return (_wave(given, where),)
     if not isinstance(given, list) or not given:
@@ -86,7 +86,7 @@ def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, fl
         return tuple(
             _wave(each, f"{where}[{i}]")
             if isinstance(each, dict)
-            else _named(each, valid, 1, "input", f"{where}[{i}]")[0]
+            else _signal_names(each, valid, 1, "input", f"{where}[{i}]")[0]
             for i, each in enumerate(given)
         )
     return (_table(given, many, ticks, kind, where),)
@@ -149,7 +149,7 @@ def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, 
     return Table(tuple(row[0] for row in numbers), tuple(tuple(row[1:]) for row in numbers))
 
 
-def _named(text: str, valid: Iterable[str], many: int, kind: str, where: str) -> list[str]:
+def _signal_names(text: str, valid: Iterable[str], many: int, kind: str, where: str) -> list[str]:
     """The names of signals, one or one for each of `many`."""
     names = [part.strip() for part in text.split(",")]
     for name in names:

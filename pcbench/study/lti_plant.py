@@ -13,11 +13,11 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from pcbench.dynamics import expression
 from pcbench.errors import UserError, short, shown, unknown
-from pcbench.plants import numbers_of, varied
+from pcbench.plants import numbers_of, replace_numbers
 from pcbench.plants.lti import MATRICES, Numbers, actual
 from pcbench.scenarios import Scenario
 from pcbench.study.scenario_schema import LEAST, Number, NumberRows, Positive, Size, rows_only
-from pcbench.study.times import whole
+from pcbench.study.times import to_ticks
 from pcbench.toml_text import TomlTable
 
 # powers of ten by which a plant may grow over its horizon, so that powers of its map, up to the eighth, stay finite
@@ -111,7 +111,7 @@ def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: s
         )
 
 
-def known(lti: LtiTable, where: str) -> Numbers:
+def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
     """Return the plant's numbers as observers know them.
 
     Raises UserError where a formula names what is no parameter or has no value, or a parameter enters no matrix.
@@ -180,7 +180,7 @@ def differing(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
 
 def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
     """Raise UserError where a cell's plant has no finite matrices, or grows so fast that it cannot be computed."""
-    numbers = varied(numbers_of(s), {"drift": s.truth.parameter_drift} | parameters)
+    numbers = replace_numbers(numbers_of(s), {"drift": s.truth.parameter_drift} | parameters)
     try:
         model = actual(numbers)
     except ValueError:
@@ -189,7 +189,7 @@ def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
             "expected numbers at which each has one; leave that value out."
         ) from None
     if numbers.own or numbers.plant:
-        require_slow(model.A, model.discrete, whole(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
+        require_slow(model.A, model.discrete, to_ticks(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
 
 
 def _formulas(rows: Sequence[Sequence[float | str]] | None) -> list[tuple[int, int, str]]:

@@ -8,7 +8,7 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.study import axes
 from pcbench.study.labels import base_in, entry_in
-from pcbench.study.plugins.user_observers import filled
+from pcbench.study.plugins.user_observers import validate_options
 from pcbench.study.schema import Choices, Study
 from pcbench.toml_text import TomlTable
 
@@ -17,10 +17,12 @@ LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
     """Return an observer's options, checked and complete: see `given`."""
-    return checked_options(study, observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
+    return checked_options(
+        study, observer, merge_options(study, scenario, observer), f"{study.name}: options.{observer}"
+    )
 
 
-def given(study: Study, scenario: Scenario, observer: str) -> TomlTable:
+def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
     """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
     out: TomlTable = {}
     for label in dict.fromkeys([base_in(study, observer) or observer, observer]):
@@ -58,10 +60,10 @@ def checked_options(study: Study, name: str, given: TomlTable, where: str) -> Ba
             )
         if key not in model.model_fields:
             raise unknown(where, "key here", key, model.model_fields)
-    underscored(given, where)
+    underscore_keys(given, where)
     for key, value in given.items():
         _require_sensible_size(value, f"{where}.{key}")
-    options = filled(model, dashes(given), where)
+    options = validate_options(model, dashes(given), where)
     if not isinstance(options, Choices):
         return options
     names = {"input": ("input", SIGNALS), "unknown_input": ("input", SINGLE), "path": ("path", PATHS)}
@@ -85,7 +87,7 @@ def dashes(given: TomlTable) -> TomlTable:
     return {key.replace("-", "_"): value for key, value in given.items()}
 
 
-def underscored(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
+def underscore_keys(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
     """Return a table with _ for - in its keys, except in those that begin with `but`; raise UserError for a key given twice."""
     out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
     if len(out) < len(given):

@@ -24,17 +24,17 @@ from pcbench.study import (
 )
 from pcbench.study.grid import Cell, Grid, cells
 from pcbench.study.labels import base_in
-from pcbench.study.load import Described, named, raw_of, where_of
+from pcbench.study.load import Described, normalize_raw, raw_of, where_of
 from pcbench.study.plugins import registry
-from pcbench.study.plugins.references import Gate, Named, named_in
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.references import Gate, PluginReference, named_in
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
 
 ALL = "all"  # among observers: every one that can run
 
 
-def _from_here(named: Named, where: str) -> Own:
+def _from_here(named: PluginReference, where: str) -> UserPlugin:
     """Run the code that a study names, a path taken from the working folder."""
     return registry.load(named.kind, named.reference, where)
 
@@ -47,14 +47,14 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
     return parse(raw_of(what, overrides or [], FROM_HERE), what)
 
 
-def described(raw: TomlTable, where: str, gate: Gate) -> Study:
+def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
     `gate` is what the study may reach beside its own text.
 
     Raises UserError naming the place in it that is wrong.
     """
-    raw = named(raw, where, None, gate)
+    raw = normalize_raw(raw, where, None, gate)
     table, tables = raw.get("scenario"), raw.get("tables")
     own = [LTI] if raw.get("lti") is not None else []
     if table is not None:
@@ -92,14 +92,14 @@ def described(raw: TomlTable, where: str, gate: Gate) -> Study:
 
 
 def outline(what: str, overrides: list[str]) -> Study:
-    """Return the study that the user names, as `described`; its code is run, its cells are not made.
+    """Return the study that the user names, as `build_study`; its code is run, its cells are not made.
 
     If its observers are "all", they are not yet known: those of its scenarios are in their place.
     """
     raw = raw_of(what, overrides, FROM_HERE)
     if names_all(raw):
         del raw["observers"]
-    return described(raw, what, FROM_HERE)
+    return build_study(raw, what, FROM_HERE)
 
 
 def names_all(raw: TomlTable) -> bool:
@@ -110,7 +110,7 @@ def names_all(raw: TomlTable) -> bool:
 
 def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
-    study, every = described(raw, where, gate), []
+    study, every = build_study(raw, where, gate), []
     for name in study.scenarios:
         mine = cells(study, name, where)
         for observer in mine[0].options:
@@ -133,10 +133,10 @@ def parse(raw: TomlTable, where: str) -> Study:
 
 def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
-    return grid(*changed(study, changes, overrides), FROM_HERE)
+    return grid(*apply_changes(study, changes, overrides), FROM_HERE)
 
 
-def changed(study: Described, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
+def apply_changes(study: Described, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
     """Return a raw study from a name, a TOML file, a dict or a Study, with `changes` put in, and what it is called."""
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)

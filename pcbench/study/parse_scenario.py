@@ -14,8 +14,8 @@ from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.signal_names import names_and_units, require_different
 from pcbench.study import axes, controller_table, times
 from pcbench.study.lti_inputs import sources
-from pcbench.study.plugins.user_code import Own
-from pcbench.study.plugins.user_observers import filled
+from pcbench.study.plugins.user_code import UserPlugin
+from pcbench.study.plugins.user_observers import validate_options
 from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
@@ -37,7 +37,7 @@ EACH = {"n": "state", "s": "unknown", "q": "output", "signal": "signal"}
 AS_GIVEN = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
 
 
-def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, Own]) -> Scenario:
+def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
     """Return the scenario that a table describes; `own` has the plants and controllers of the user's, by MODULE:NAME.
 
     Raises UserError naming the key that does not fit.
@@ -61,7 +61,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
 
 
 def experiment_on(
-    s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own] = NOTHING, is_new: bool = True
+    s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin] = NOTHING, is_new: bool = True
 ) -> Scenario:
     """Return a scenario that has a plant with what a table says of its experiment; a new one with defaults for the rest.
 
@@ -82,7 +82,7 @@ def experiment_on(
         linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
         usual = linear if entry.model is None else ("ekf", *linear)
         s = s if "observers" in given else s._replace(observers=usual)
-    s = _measured(s, given, many["q"], where)
+    s = _resolve_axis_fields(s, given, many["q"], where)
     s = s.having(**{key: given[key] for key in AS_GIVEN if key in given})
     if "noise_correlation" in given:
         s = s.having(noise_correlation=tuple(map(tuple, given["noise_correlation"])))
@@ -133,7 +133,7 @@ def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
     )
 
 
-def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own]) -> Scenario:
+def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
     """The scenario with its plant: what it is called, its parameters, its signals."""
     valid = [name for name in PLANTS if name != "lti"]
     plant = given.get("plant", s.plant)
@@ -169,7 +169,7 @@ def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, Own])
     return s
 
 
-def _measured(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
+def _resolve_axis_fields(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
     """The scenario with the axes' fields as an axis would have them: whole ticks, one value for each output."""
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
@@ -182,9 +182,9 @@ def _measured(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
     return s
 
 
-def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str, Own]) -> Scenario:
+def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
     """The scenario with its input, its controller and its unknown input."""
-    entry, horizon = entry_of(s), (times.whole(s.duration, s), s.dt)
+    entry, horizon = entry_of(s), (times.to_ticks(s.duration, s), s.dt)
     loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
     if mine := own.get(loop.get("controller", "")):
         loop["controller"] = mine.code.name
@@ -236,7 +236,7 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
         able = ", ".join(each for each, plant in PLANTS.items() if plant.inverse)
         raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it is for: {able}.")
     law = controller_of(s)
-    options = filled(law.options, control, f"{where}.control")
+    options = validate_options(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
         raise unknown(f"{where}.control.path", "path", str(control["path"]), PATHS)
     if law.check:

@@ -28,7 +28,7 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
     same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]
     deepest = max(len(_place(each["loc"])) for each in same)
     near = [each for each in same if len(_place(each["loc"])) == deepest]
-    expected = " or ".join(dict.fromkeys(_expected(each["msg"]) for each in near))
+    expected = " or ".join(dict.fromkeys(_rephrase(each["msg"]) for each in near))
     place = _place(near[0]["loc"])
     return UserError(f"{where}: {place + ': ' if place else ''}got {shown(near[0]['input'])}, expected {expected}.")
 
@@ -40,7 +40,7 @@ def _place(loc: tuple[int | str, ...]) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
 
 
-def _expected(message: str) -> str:
+def _rephrase(message: str) -> str:
     """Pydantic's message as what was expected."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
     text = re.sub(r"dictionary( or instance of \w+)?", "table", text)

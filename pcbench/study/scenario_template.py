@@ -30,7 +30,7 @@ def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping
         raise UserError(
             f"show {s.name}: got a plant of a study's own, expected another; its table [lti] is the file to edit."
         )
-    lines = [f"name = {said('my-' + s.name.replace('/', '-'))}", "seeds = 256", "", "[scenario]"]
+    lines = [f"name = {toml_value('my-' + s.name.replace('/', '-'))}", "seeds = 256", "", "[scenario]"]
     lines += [_line(s, key) for key in FIRST]
     for record, fields in RECORDS.items():
         known = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
@@ -38,7 +38,7 @@ def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping
     tables = {f"scenario.options.{key_of(label)}": given for label, given in s.options.items()}
     tables |= {f"options.{key_of(label)}": given for label, given in options.items()}
     for name, given in (tables | ({"axes": axes} if axes else {})).items():
-        lines += ["", f"[{name}]", *(f"{key_of(key)} = {said(value)}" for key, value in given.items())]
+        lines += ["", f"[{name}]", *(f"{key_of(key)} = {toml_value(value)}" for key, value in given.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -48,11 +48,11 @@ def _line(s: Scenario, key: str) -> str:
     default = getattr(s, record)._field_defaults if record and key != "steady_start" else {}
     if key in ("input", "unknown_input") and not isinstance(value, str):
         sources = [_source(each) for each in value]
-        text = said(sources if len(sources) > 1 else sources[0])
+        text = toml_value(sources if len(sources) > 1 else sources[0])
     elif key in ("signals", "unknowns"):
-        text = said([f"{name} [{unit}]" for name, unit in value])
+        text = toml_value([f"{name} [{unit}]" for name, unit in value])
     else:
-        text = said(INTERVAL if key == "delay" and set(value) == {INTERVAL} else value)
+        text = toml_value(INTERVAL if key == "delay" and set(value) == {INTERVAL} else value)
     return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
 
 
@@ -63,19 +63,19 @@ def _source(source: Source) -> object:
     return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]
 
 
-def said(value: object) -> str:
+def toml_value(value: object) -> str:
     """Return a value as TOML on one line: numbers to their last digit."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key_of(key)} = {said(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{key_of(key)} = {toml_value(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(said(each) for each in value)}]"
+        return f"[{', '.join(toml_value(each) for each in value)}]"
     return repr(value)
 
 
 def key_of(name: str) -> str:
     """Return a name as a key of TOML: in quotes unless it has letters, digits, `-` and `_` only."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else said(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_value(name)

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator,
 
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
@@ -138,7 +138,7 @@ class Study(BaseModel):
     )
     tune: Tune = Tune()
     # what is a user's own, once the study is read: observers by label of `use`, plants and controllers by MODULE:NAME
-    _own: dict[str, Own] = PrivateAttr({})
+    _own: dict[str, UserPlugin] = PrivateAttr({})
 
     @field_validator("tuning", mode="before")
     @classmethod

@@ -7,13 +7,13 @@ import tomli_w
 
 from pcbench.study import Study, choices_of, observers_of, scenarios_of
 from pcbench.study.grid import Cell, numbering
-from pcbench.study.plugins.references import Named, named_in, renamed
+from pcbench.study.plugins.references import PluginReference, named_in, replace_references
 from pcbench.study.plugins.user_code import Code
 from pcbench.study.plugins.user_plants import facts
 from pcbench.toml_text import TomlTable
 
 
-def resolved(study: Study, every: list[Cell]) -> TomlTable:
+def resolve_study(study: Study, every: list[Cell]) -> TomlTable:
     """Return everything that decides the numbers, for `study.toml` and its hash."""
     known = scenarios_of(study)
     options: TomlTable = {"scenario": choices_of(study).model_dump(exclude_none=True)}
@@ -49,19 +49,19 @@ def as_dict(study: Study) -> TomlTable:
     left |= {"evaluation", "schedules"} if study.evaluation == "runs" else set()
     left |= set() if study.vary == "one-at-a-time" else {"vary"}
 
-    def copied(each: Named) -> str:
+    def copied(each: PluginReference) -> str:
         return study._own[each.key].code.reference if each.key in study._own else each.reference
 
-    return renamed(study.model_dump(exclude_none=True, exclude=left), copied)
+    return replace_references(study.model_dump(exclude_none=True, exclude=left), copied)
 
 
 def to_toml(study: Study, every: list[Cell]) -> str:
     """Return the resolved study as TOML; the part under `[resolved]` is for readers, the rest can be run again."""
-    return tomli_w.dumps(resolved(study, every))
+    return tomli_w.dumps(resolve_study(study, every))
 
 
 def digest(study: Study, every: list[Cell]) -> str:
     """Return the hash of the resolved study, whatever its cells' numbers: equal for equal numbers."""
-    decisive = resolved(study, every)
+    decisive = resolve_study(study, every)
     del decisive["resolved"]["cells"]
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

@@ -44,14 +44,14 @@ class Timing(NamedTuple):
 def times_of(s: Scenario) -> Timing:
     """Return a scenario's times in ticks."""
     return Timing(
-        ticks=whole(s.duration, s),
-        tail=whole(s.scoring.steady_start, s),
-        error=whole(s.belief.assumed_delay_error, s),
+        ticks=to_ticks(s.duration, s),
+        tail=to_ticks(s.scoring.steady_start, s),
+        error=to_ticks(s.belief.assumed_delay_error, s),
         clocks=clocks(s),
     )
 
 
-def whole(seconds: float, s: Scenario) -> int:
+def to_ticks(seconds: float, s: Scenario) -> int:
     """Return a time in ticks of a scenario, the nearest."""
     return round(seconds / s.dt)
 
@@ -69,28 +69,28 @@ def clocks(s: Scenario) -> list[Clock]:
 def _clock(measured: Sampling, channels: tuple[int, ...], s: Scenario) -> Clock:
     """One sensor: its delay's steps are later by a few values or by a gamma distribution, drawn one by one or by a chain."""
     delay, pattern = measured.delay[0], measured.sampling_pattern
-    steps = tuple(whole(v, s) for v in measured.delay_values)
+    steps = tuple(to_ticks(v, s) for v in measured.delay_values)
     share = tuple(each / sum(measured.delay_weights) for each in measured.delay_weights)
     if measured.delay_gamma_mean:
         share = gamma(number(measured.delay_gamma_mean) / s.dt, number(measured.delay_gamma_shape))
         steps = tuple(range(len(share)))
     start, length = number(measured.outage_start), number(measured.outage_duration)
-    offset, jitter = (whole(v, s) for v in (measured.timestamp_offset, measured.timestamp_jitter))
+    offset, jitter = (to_ticks(v, s) for v in (measured.timestamp_offset, measured.timestamp_jitter))
     return Clock(
         channels=channels,
-        period=whole(measured.sampling_period[0], s),
-        delay=None if isinstance(delay, str) else whole(delay, s),
-        profile=pattern if isinstance(pattern, str) else tuple(whole(v, s) for v in pattern),
-        jitter=whole(number(measured.sampling_jitter), s),
-        spread=whole(number(measured.delay_jitter), s),
+        period=to_ticks(measured.sampling_period[0], s),
+        delay=None if isinstance(delay, str) else to_ticks(delay, s),
+        profile=pattern if isinstance(pattern, str) else tuple(to_ticks(v, s) for v in pattern),
+        jitter=to_ticks(number(measured.sampling_jitter), s),
+        spread=to_ticks(number(measured.delay_jitter), s),
         steps=steps,
         stay=chain(measured),
         share=share,
-        turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_sequence),
+        turns=tuple(sampling.LOST if v == LOST else to_ticks(float(v), s) for v in measured.delay_sequence),
         loss=number(measured.loss),
         burst=number(measured.mean_burst_length) if measured.loss else 0.0,
-        phase=whole(number(measured.sampling_phase), s),
-        outage=(whole(start, s), whole(start + length, s)) if length else (0, 0),
+        phase=to_ticks(number(measured.sampling_phase), s),
+        outage=(to_ticks(start, s), to_ticks(start + length, s)) if length else (0, 0),
         stamp=Stamp(offset, 1e-6 * measured.clock_skew, jitter),
         early=measured.prefilled,
         swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),

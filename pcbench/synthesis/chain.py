@@ -35,7 +35,7 @@ from pcbench.dynamics.observability import rank
 from pcbench.errors import DesignError, said
 from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.sampled_model import Sampled, by_poles, invertible, noise_over, power, require_seen
+from pcbench.synthesis.sampled_model import SampledPlant, by_poles, invertible, noise_over, power, require_seen
 
 LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
 
@@ -56,7 +56,7 @@ def ages(tau: tuple[int, ...]) -> list[int]:
     return [0, *sorted(tau)]
 
 
-def links(plant: Sampled, gain: str, pole: float, per_sample: bool, output: str, where: str) -> list[Link]:
+def links(plant: SampledPlant, gain: str, pole: float, per_sample: bool, output: str, where: str) -> list[Link]:
     """Return a link for each channel, nearest first; `pole` is of each link, or of each sample of it."""
     theta, out = ages(plant.tau), []
     n, q = len(plant.A), len(plant.C)
@@ -74,7 +74,7 @@ def links(plant: Sampled, gain: str, pole: float, per_sample: bool, output: str,
     return out
 
 
-def by_riccati(plant: Sampled, d: int, where: str) -> Matrix:
+def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
     """Return K = A^d P C'(C P C' + R)^-1 [n, q] of the stationary Kalman predictor over d samples."""
     require_seen(plant, d, where)
     Ad, C = power(plant.A, d), plant.C
@@ -99,7 +99,7 @@ def companion(p: float, n: int) -> Matrix:
     return G
 
 
-def by_companion(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
+def by_companion(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
     """Return K [n, q] of the paper's companion G with T = C, so F = inv(C) G C; C must be invertible."""
     if not invertible(plant.C):
         raise DesignError(

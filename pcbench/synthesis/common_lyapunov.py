@@ -48,7 +48,7 @@ def design(
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
 
     def ask(solver: str) -> CommonLyapunov:
-        return solvers.remembered(
+        return solvers.solve_or_load(
             CommonLyapunov, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
         )
 

@@ -83,12 +83,12 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
 
 def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
     """Return the gain that the optimum defines: see the module. What does not attain the solver's optimum stays as it came."""
-    L, I, reached = closed_form(Phi, C), np.eye(len(Phi)), attained(found, Phi, C)
+    L, I, reached = closed_form(Phi, C), np.eye(len(Phi)), lmi_margin(found, Phi, C)
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
     if t > reached - SAME:
         return found._replace(P=I, L=L, t=t)
     least = found._replace(L=least_norm(found, Phi, C)) if np.isfinite(reached) else found
-    return least if attained(least, Phi, C) > reached - SAME else found
+    return least if lmi_margin(least, Phi, C) > reached - SAME else found
 
 
 def least_norm(found: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
@@ -98,7 +98,7 @@ def least_norm(found: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
     return np.asarray(Phi @ root @ np.linalg.pinv(C @ Phi @ root), float)
 
 
-def attained(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
+def lmi_margin(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
     """Return the t that an answer attains, whatever it says of itself; minus infinity where its shapes are wrong."""
     P, L = np.asarray(found.P, float), np.asarray(found.L, float)
     if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:

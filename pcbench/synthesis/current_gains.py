@@ -89,7 +89,7 @@ def at_the_mean(
 
     def ask(solver: str) -> current_estimator.CurrentGain:
         name = f"lmi23-{solver.lower()}"
-        return solvers.remembered(
+        return solvers.solve_or_load(
             current_estimator.CurrentGain, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
         )
 

@@ -52,7 +52,7 @@ def over_period(tick: tuple[Matrix, Matrix], ticks: int) -> tuple[Matrix, Matrix
     return F, G
 
 
-def closed(tick: tuple[Matrix, Matrix], law: Law, every: int, late: int) -> Matrix:
+def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, every: int, late: int) -> Matrix:
     """Return the map over one period of the plant, the law and its commands on their way, which come `late` ticks later.
 
     Its eigenvalues within the unit circle: the loop is stable, the state known. A decision is made every `every` ticks.

@@ -61,7 +61,7 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
             "decays; ask for a slower beta or a faster L1."
         )
     name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
-    return solvers.remembered(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
+    return solvers.solve_or_load(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
 
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
@@ -75,7 +75,7 @@ def certify(found: PIGains, plant: Split, L1: Matrix) -> Certificate:
     KP, KI, P = (np.asarray(M, float) for M in found[:3])
     what = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
     unproven, (p, k) = Certificate(what, float("nan"), found.solver, found.status), plant.A21.shape
-    if [M.shape for M in (KP, KI, P)] != [(p, p), (p, p), (k + 2 * p, k + 2 * p)] or not _formed(P, k, p):
+    if [M.shape for M in (KP, KI, P)] != [(p, p), (p, p), (k + 2 * p, k + 2 * p)] or not _has_form(P, k, p):
         return unproven
     margin = unknown_input.proven_rate(closed_loop(plant, L1, KP, KI), P)
     if np.isnan(margin):
@@ -93,7 +93,7 @@ def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:
     return np.block([[P1, zero, zero], *low])
 
 
-def _formed(P: Matrix, k: int, p: int) -> bool:
+def _has_form(P: Matrix, k: int, p: int) -> bool:
     """Say whether P is of the form that Proposition 2 needs, to the bit."""
     of = [P[k + i * p : k + (i + 1) * p, k + j * p : k + (j + 1) * p].diagonal() for i, j in ((0, 0), (0, 1), (1, 1))]
     return np.array_equal(P, form(P[:k, :k], *of)) and bool((of[1] >= 0).all())

@@ -64,7 +64,7 @@ def design(
 
     def ask(solver: str) -> RobustGain:
         problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
-        return solvers.remembered(
+        return solvers.solve_or_load(
             RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
 

@@ -22,7 +22,7 @@ ROWS = 1500  # of the largest map whose radius is computed
 GROWS = 100.0  # powers of ten by which a model may grow over a delay
 
 
-class Sampled(NamedTuple):
+class SampledPlant(NamedTuple):
     """n states, q outputs; one step is one sample."""
 
     A: Matrix  # [n, n]
@@ -35,7 +35,7 @@ class Sampled(NamedTuple):
     sizes: Matrix  # [q] size of each output
 
 
-def sampled(setting: DesignContext, observer: str, q: float | None = None) -> Sampled:
+def sample_plant(setting: DesignContext, observer: str, q: float | None = None) -> SampledPlant:
     """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
 
     Raises UserError where channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
@@ -57,7 +57,7 @@ def sampled(setting: DesignContext, observer: str, q: float | None = None) -> Sa
     sizes = np.linalg.norm(model.C * scale, axis=1)
     R = setting.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
-    return Sampled(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
+    return SampledPlant(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
 
 
 def _whole_samples(setting: DesignContext, where: str) -> int:
@@ -81,7 +81,7 @@ def _whole_samples(setting: DesignContext, where: str) -> int:
     return period
 
 
-def noise_over(plant: Sampled, d: int) -> Matrix:
+def noise_over(plant: SampledPlant, d: int) -> Matrix:
     """Return what the process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
     each = [power(plant.A, j) for j in range(d)]
     return np.asarray(sum(E @ plant.Q @ E.T for E in each))
@@ -92,7 +92,7 @@ def invertible(C: Matrix) -> bool:
     return C.shape[0] == C.shape[1] and rank(C) == len(C)
 
 
-def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
+def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
     """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
 
     With n > 9 states they are closer together. Outputs that repeat each other share a gain.
@@ -126,7 +126,7 @@ def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
     return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
 
 
-def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
+def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
     """Raise UserError naming a mode of A^d, of size `least` or more, that C does not show.
 
     The test of Hautus at the scale of x(0) and of the noise; by singular values, so that it finds what a multiple mode hides:

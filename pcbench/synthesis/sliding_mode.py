@@ -56,7 +56,7 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> S
     """
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
-    return solvers.remembered(
+    return solvers.solve_or_load(
         SlidingModeGains, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
     )
 
@@ -88,13 +88,13 @@ def _solve(plant: Split, alpha: float, where: str, solver: str) -> SlidingModeGa
     *bounds, last = BOUNDS if fast else (np.inf,)
     for bound in bounds:
         try:
-            return _bounded(plant, alpha, bound, where, solver)
+            return _solve_with_bound(plant, alpha, bound, where, solver)
         except DesignError:
             continue
-    return _bounded(plant, alpha, last, where, solver)
+    return _solve_with_bound(plant, alpha, last, where, solver)
 
 
-def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) -> SlidingModeGains:
+def _solve_with_bound(plant: Split, alpha: float, bound: float, where: str, solver: str) -> SlidingModeGains:
     import cvxpy as cp
 
     A11, A21, A211 = plant.A11, plant.A21, plant.A211

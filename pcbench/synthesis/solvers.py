@@ -109,7 +109,7 @@ def proven(
     return best[0], require_certified(best[1], where, least)
 
 
-def remembered(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], F]) -> F:
+def solve_or_load(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], F]) -> F:
     """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
     said = f"{name} {_solvers()}".encode()
@@ -120,7 +120,7 @@ def remembered(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...
         return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
     except (OSError, ValueError, TypeError, AttributeError):
         found = solve()
-        keep(path, _said(found))
+        keep(path, _to_json(found))
         return found
 
 
@@ -137,5 +137,5 @@ def _source(module: str) -> bytes:
     return Path(found).read_bytes() if found else b""
 
 
-def _said(found: Any) -> str:
+def _to_json(found: Any) -> str:
     return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})

@@ -51,7 +51,7 @@ def split(model: Model, where: str) -> Split:
     the span of D2, each by `_basis`; the first non-zero entry of each row of T is positive. For the arm T comes out as the
     permutation [x1, x4, x3, x2], to which the printed gains belong.
     """
-    given = _assumed(model, where)
+    given = _require_assumptions(model, where)
     n, p, r = len(model.A), len(model.C), given.shape[1]
     C, rows = model.C, _unit(model.C)
     E = given / np.linalg.norm(C @ given, axis=0)  # f in units that move y by 1 each: no pseudo-inverse sees its units
@@ -115,7 +115,7 @@ def enough(rate: float) -> float:
     return rate * (1 - SHORT)
 
 
-def _assumed(model: Model, where: str) -> Matrix:
+def _require_assumptions(model: Model, where: str) -> Matrix:
     """Return E of a model that meets Assumptions 1 and 2; raise UserError naming the one it does not meet."""
     if model.discrete:
         raise UserError(f"{where}: got a discrete model, expected x' = A x + B u + E f; take another observer.")

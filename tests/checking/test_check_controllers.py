@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import controller_table
 from pcbench.study.plugins import user_controllers
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 
 CART, COUNT = SCENARIOS["cart/white"], itertools.count()
 
@@ -56,7 +56,7 @@ LAW = pcbench.Controller(lambda params, tick: jnp.zeros(1), lambda params, tick,
 
 def own(make=prepare, check=user_controllers.anything, **functions):
     entry = pcbench.ControllerSpec(LAW._replace(**functions), Options, make, "yours", check)
-    return Own(user_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
+    return UserPlugin(user_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
 
 
 def trial(mine, **options):

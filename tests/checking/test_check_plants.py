@@ -16,7 +16,7 @@ from pcbench.checking.targets import Noted
 from pcbench.errors import UserError
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 
 COUNT = itertools.count()
 
@@ -37,7 +37,7 @@ def swing(**changes):
 
 
 def alone(entry):
-    return plant.alone("swing", entry, {"own": {"plant": Own(entry, Code("", "swing", (), ""))}})
+    return plant.alone("swing", entry, {"own": {"plant": UserPlugin(entry, Code("", "swing", (), ""))}})
 
 
 def asked(check, entry):

@@ -148,7 +148,7 @@ def test_reading_a_dataset_opens_no_file_that_its_study_names(here, place, monke
     from pcbench.study import lti_inputs
 
     opened = []
-    monkeypatch.setattr(readers, "opened", lambda *given: opened.append(given))
+    monkeypatch.setattr(readers, "open_log", lambda *given: opened.append(given))
     monkeypatch.setattr(lti_inputs, "_read", lambda path: opened.append(path))
     edited(here, FILES[place])
     for name, words in READS.items():
@@ -168,8 +168,8 @@ def test_a_model_of_a_study_opens_no_file(tmp_path):
 def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):
     from pcbench.study.plugins import registry
 
-    offered = {"theirs": registry.Installed("evil_module:sc", "theirs")}
-    monkeypatch.setattr(registry, "installed", lambda kind: offered if kind == "scenario" else {})
+    offered = {"theirs": registry.PackagePlugin("evil_module:sc", "theirs")}
+    monkeypatch.setattr(registry, "find_plugins", lambda kind: offered if kind == "scenario" else {})
     edited(here, lambda study: study["scenarios"].append("theirs"))
     assert "expected a table" in sentence_of("status", ["ds"])
     assert not (here / "MARK").exists()

@@ -16,7 +16,7 @@ from scipy.io import loadmat
 import pcbench
 from pcbench.errors import UserError
 from pcbench.export import c_files, files, jaxpr_to_c
-from pcbench.export.terms import Writer, stored
+from pcbench.export.terms import Writer, array_entries
 from pcbench.observers import OBSERVERS
 
 DOUBLE = 1e-12  # of the signal's size: sums of a few products, in another order
@@ -155,10 +155,10 @@ def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
 def _compiled(f, *given):
     """A function of float vectors as C, called at some of them."""
     w = Writer()
-    args = [stored(f"x{i}", np.shape(a)) for i, a in enumerate(given)]
+    args = [array_entries(f"x{i}", np.shape(a)) for i, a in enumerate(given)]
     closed = jax.make_jaxpr(f)(*given)
     (out,) = jaxpr_to_c.write(w, closed, args)
-    jaxpr_to_c.assign(w, [("real", stored("out", out.shape), out)])
+    jaxpr_to_c.assign(w, [("real", array_entries("out", out.shape), out)])
     return w, out.size
 
 

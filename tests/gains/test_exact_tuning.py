@@ -50,11 +50,11 @@ def asked(study, observer, objective, signal=None, only=None):
     study, cell = parse.one_cell(study, [observer], [])
     observer = label_of(observer)
     known, options, entry = planning.setting(cell), cell.options[observer], cell.entry(observer)
-    designed = planning.designed(observer, entry, known, options)
-    every, start = tune.freed(observer, entry, known, options, designed, only, "test")
+    designed = planning.run_design(observer, entry, known, options)
+    every, start = tune.free_parameters(observer, entry, known, options, designed, only, "test")
 
     def design(at):
-        return planning.designed(observer, entry, known, tune.parameters.put(options, every, at)).gains
+        return planning.run_design(observer, entry, known, tune.parameters.put(options, every, at)).gains
 
     (p,) = padding.fit(list(planning.drafts([cell])))
     aim = objective_of(objective, cell.scenario, signal, "test")

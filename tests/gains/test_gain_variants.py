@@ -121,7 +121,7 @@ def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
         parse.grid_of(written | {"axes": {"noise_std": [0.1, 0.2]}}, {}, [])
     other = tomllib.loads(serialize.to_toml(made.study, made.grid.cells))
     other["tuned"]["cells"][1]["options"]["kf-tuned"]["R"] = 11.0
-    (changed,) = changes(serialize.resolved(*made.grid), other)
+    (changed,) = changes(serialize.resolve_study(*made.grid), other)
     assert changed == "options tuned at noise_std = 0.1.kf-tuned.R: 10.0 there, 11.0 here"
 
 

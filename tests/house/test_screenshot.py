@@ -15,7 +15,7 @@ from PIL import Image
 
 import pcbench
 from pcbench import plots
-from pcbench.plots.labels import saved
+from pcbench.plots.labels import render_figure
 from pcbench.report import page
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
@@ -39,7 +39,7 @@ def is_kept(drawn, name):
 def test_the_first_picture_in_the_readme_is_of_these_runs():
     result = pcbench.run("quick", observers=["kfbo", "pccebo", "kf"], seeds=32)
     figures = [plots.time(result, scenario=s, paper=plots.Paper(width=4.2)) for s in ("cart/nominal", "cart/white")]
-    left, right = (Image.open(io.BytesIO(saved(figure, "png"))).convert("RGB") for figure in figures)
+    left, right = (Image.open(io.BytesIO(render_figure(figure, "png"))).convert("RGB") for figure in figures)
     both = Image.new("RGB", (left.width + GAP + right.width, max(left.height, right.height)), "white")
     both.paste(left, (0, 0))
     both.paste(right, (left.width + GAP, 0))

@@ -18,7 +18,7 @@ from pcbench.planning import memo
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics.limit_verdicts import EXCEEDS, SUFFICES, Point
 from pcbench.study.load import raw_of
-from pcbench.study.parse import FROM_HERE, described
+from pcbench.study.parse import FROM_HERE, build_study
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 ASKED = {"axis": "noise_std", "threshold": 0.2, "metric": "steady_rmse", "seeds": 16, "observers": ["kf", "model-only"]}
@@ -109,14 +109,14 @@ def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
 
 @pytest.mark.ci
 def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, monkeypatch):
-    real = memo.designed
+    real = memo.run_design
 
     def picky(observer, entry, known, given):
         if observer == "kf" and known.noise_std[0] > 1:
             raise DesignError("cart/slow: kf has no gains there.")
         return real(observer, entry, known, given)
 
-    monkeypatch.setattr(memo, "designed", picky)
+    monkeypatch.setattr(memo, "run_design", picky)
     how = {"between": (0.5, 2.0), "tol": 1.0, "max_seeds": 4, "seeds": 4, "axis": "noise_std", "threshold": 1e3}
     table = pcbench.find_limit("cart/slow", observers=["kf", "model-only"], out=tmp_path / "out", **how)
     row = table.set_index("observer").loc["kf"]
@@ -185,7 +185,7 @@ def test_a_frontier_of_a_malformed_range_is_one_sentence(between):
 
 def asked_of(study, axis):
     raw = raw_of(study, [], FROM_HERE)
-    return question(described(raw, "x", FROM_HERE), "x", axis, "rmse", None, 0.1)
+    return question(build_study(raw, "x", FROM_HERE), "x", axis, "rmse", None, 0.1)
 
 
 def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():

@@ -12,7 +12,7 @@ import pytest
 from reference.propagation import Moments
 
 from pcbench.moments.programs import compute
-from pcbench.moments.realisations import Realised
+from pcbench.moments.realisations import Realisation
 from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import command_network, metrics
@@ -69,7 +69,7 @@ def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
     )  # fmt: skip
     layout = Layout(PLANT, (("o", observer),), 1, 4, True, watch=False, controller=CONTROLLER, commands=BACK)
     with config.float64():
-        return compute([Realised(layout, p, ())], "").sums
+        return compute([Realisation(layout, p, ())], "").sums
 
 
 @pytest.fixture(scope="module")

@@ -120,8 +120,8 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
     chain, each = delay_modes._chain(clock), over_modes(p)
     length = round(np.log(len(each)) / np.log(len(chain.later)))
     for seed in range(3):
-        drawn = [s for s in random_times.realised([clock], N, 2, 5, seed) if s.channel == 0]
-        true = common_times.schedule(random_times.realised([clock], N, 2, 5, seed), N, 2)
+        drawn = [s for s in random_times.draw_samples([clock], N, 2, 5, seed) if s.channel == 0]
+        true = common_times.schedule(random_times.draw_samples([clock], N, 2, 5, seed), N, 2)
         late = [chain.later.index(s.arrives - s.taken - clock.delay) for s in drawn]
         for i, s in enumerate(drawn):
             newest = [late[i - j] if i >= j else 0 for j in range(length)]

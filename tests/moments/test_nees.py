@@ -9,7 +9,7 @@ from test_against_superposition import LATE, PRIOR, STUDY, TE, TICK, N, expected
 
 import pcbench
 from pcbench.moments import nees
-from pcbench.moments.nees import Believed
+from pcbench.moments.nees import FinalErrors
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -82,7 +82,9 @@ def test_all_that_are_told_are():
 
 
 def test_what_is_known_counts_in_neither():
-    e = Believed(np.array([[0.5], [0.0]]), np.diag([2.0, 0.0])[..., None], np.diag([4.0, 1e-30])[..., None], np.ones(2))
+    e = FinalErrors(
+        np.array([[0.5], [0.0]]), np.diag([2.0, 0.0])[..., None], np.diag([4.0, 1e-30])[..., None], np.ones(2)
+    )
     found = nees.squares(e)
     assert found.whole.item() == pytest.approx(2.25 / 4)
     assert found.states.item() == 1

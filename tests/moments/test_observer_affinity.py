@@ -9,7 +9,7 @@ import pcbench
 from pcbench import planning
 from pcbench.moments import solve
 from pcbench.moments.affinity import is_curved
-from pcbench.moments.realisations import realised
+from pcbench.moments.realisations import draw_realisation
 from pcbench.simulation import rng
 from pcbench.study import parse
 
@@ -99,7 +99,7 @@ def planned(observer, scenario):
 def test_plants_that_each_run_draws_are_those_of_its_seed():
     """Kept from cell to cell, as all of them draw the same numbers."""
     p = planned("model-only", ARM | {"parameter_drift": 0.05})
-    each = [realised(p, root, seed).problem.params for root in (0, 7) for seed in (0, 1)]
+    each = [draw_realisation(p, root, seed).problem.params for root in (0, 7) for seed in (0, 1)]
     assert len({(float(params.pace), float(params.phase)) for params in each}) == 4
     for seed in (0, 1):
         uniform = rng.uniforms(jnp.asarray(7), jnp.asarray([seed]), "drift", jnp.asarray(0), 1, 2)[0, :, 0]
@@ -118,5 +118,5 @@ def test_plants_that_each_run_draws_are_those_of_its_seed():
 )
 def test_doubted_is_who_goes_by_a_slope_that_noise_moves(scenario, observer, doubted):
     p = planned(observer, scenario)
-    one = realised(p, 0, 0)
+    one = draw_realisation(p, 0, 0)
     assert is_curved(one.layout, one.problem) is doubted

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from pcbench.moments import solve
-from pcbench.moments.solve import Asked
+from pcbench.moments.solve import MomentRequest
 
 
 class Threads:
@@ -42,9 +42,9 @@ def submitted(monkeypatch):
 
     def calls(cells):
         out = []
-        for window in solve._windows(cells, Asked(0, 1), set()):
+        for window in solve._windows(cells, MomentRequest(0, 1), set()):
             threads = Threads()
-            solve._submit(threads, window, Asked(0, 1), set())
+            solve._submit(threads, window, MomentRequest(0, 1), set())
             assert [len(work.calls) for work in window] == [len(work.ones) for work in window]
             out.append(threads.calls)
         return out

@@ -64,7 +64,7 @@ def test_a_sample_of_slip_anywhere_is_caught(what, slip):
     slipped = gains._replace(links=links, tau=gains.tau + one if what == "tau" else gains.tau)
     wrong = p.problem._replace(gains=p.problem.gains | {"chain": slipped})
     with config.float64():
-        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, wrong, np.asarray(0), np.asarray(3)))
+        run = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, wrong, np.asarray(0), np.asarray(3)))
     assert np.abs(run.estimates["chain"] - runs[0].estimates["chain"]).max() > 1e-3
 
 
@@ -140,7 +140,7 @@ def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     plan = common_times.pad_slots(common_times.schedule(sent, N, 3, older), 3)
     problem = p.problem._replace(gains=gains, schedule=plan, noise_std=np.zeros(3))
     with config.float64():
-        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+        run = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, problem, np.asarray(0), np.asarray(3)))
     _, y = ref.simulate(model, p.problem.inputs, START["odd"])
     links = links_of("odd", p._replace(problem=problem), "chain", believed)
     want = ref.chain(model, links, p.problem.inputs, ref.received(y, delays), believed, 0 * START["odd"])
@@ -169,7 +169,7 @@ def test_it_equals_the_reference_for_any_delays_and_losses(delays, loss, pole, s
     changed = {"schedule": common_times.pad_slots(plan, 3), "xhat0": xhat0, "x0": x0, "noise_std": np.zeros(3)}
     problem = p.problem._replace(gains=p.problem.gains | {"chain": design.gains}, **changed)
     with config.float64():
-        run = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+        run = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, problem, np.asarray(0), np.asarray(3)))
     u = p.problem.inputs
     _, y = ref.simulate(model, u, x0)
     links = links_of("odd", p._replace(problem=problem), "chain", delays)

@@ -34,7 +34,7 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
     (p,) = padding.fit([planning.draft(cell_of(s), {"ekf": options})])
-    got = jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
+    got = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
     N = p.cell.times.ticks
     noise = np.asarray(rng.measurement_noise(0, 0, N // period + 1, 2)).T * s.sampling.noise_std
     arrivals = {

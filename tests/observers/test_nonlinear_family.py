@@ -261,9 +261,9 @@ def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis(valu
     sample = Measurement(
         taken=now.tick, mask=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), snapshot=jnp.zeros(0)
     )
-    found = particle.expected(gains._replace(sensor=partial), now, state, sample)
+    found = particle.innovation_of_cloud(gains._replace(sensor=partial), now, state, sample)
     off = jnp.where(jnp.arange(8) == 3, -jnp.inf, -jnp.log(7.0))
-    want = particle.expected(gains, now, state._replace(weight=off), sample)
+    want = particle.innovation_of_cloud(gains, now, state._replace(weight=off), sample)
     np.testing.assert_allclose(found.nis_sum, want.nis_sum, rtol=1e-12)
     assert np.isfinite(found.nis_sum)
 

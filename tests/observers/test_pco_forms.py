@@ -119,8 +119,8 @@ def step_of(F, k, A12=0.4):
     gains = pco.Gains(motion, jnp.eye(2), jnp.eye(2), jnp.zeros((1, 1)), *gain, jnp.zeros(0))
 
     def step(s, v):
-        before = pco.Reduced(Point(s[:2], jnp.asarray(3)), s[2:], jnp.asarray(True))
-        after = pco.reduced(gains, before, Measurement(jnp.asarray(4), v[None], jnp.array([True]), jnp.zeros(2)))
+        before = pco.ReducedState(Point(s[:2], jnp.asarray(3)), s[2:], jnp.asarray(True))
+        after = pco.step_reduced(gains, before, Measurement(jnp.asarray(4), v[None], jnp.array([True]), jnp.zeros(2)))
         return jnp.concatenate([after.point.free, after.L])
 
     return *jax.jacfwd(step, (0, 1))(jnp.zeros(3), jnp.asarray(0.0)), Ad

@@ -51,7 +51,7 @@ def recorded():
     }
     with config.float64():
         cells = planning.plan(parse.parse(raw, "rivals"))
-        runs = [trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
+        runs = [trajectory.jit_record()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
     found = [jax.tree.map(np.asarray, run.estimates) for run in runs]
     return {tuple(d): (p.problem.inputs, run) for d, p, run in zip(VECTORS, cells, found, strict=True)}
 

@@ -53,7 +53,7 @@ def layout():
 def recorded(p, seed=0):
     """One run, arrays [N+1, ...]."""
     problem = jax.tree.map(np.asarray, p.problem)
-    return jax.tree.map(np.asarray, trajectory.compiled()(layout(), problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trajectory.jit_record()(layout(), problem, np.asarray(0), np.asarray(seed)))
 
 
 @cache

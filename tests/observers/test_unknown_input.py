@@ -73,7 +73,7 @@ def planned(scenario, observers, dt, ticks):
 
 def recorded(p, problem=None):
     """One run, arrays [N+1, ...]."""
-    out = trajectory.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
+    out = trajectory.jit_record()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 
 

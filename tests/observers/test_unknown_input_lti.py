@@ -52,7 +52,7 @@ def planned(variant="predict", observers=FINDERS, **changes):
 
 def recorded(p, seed=0, problem=None):
     """One run, arrays [N+1, ...]."""
-    out = trajectory.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(seed))
+    out = trajectory.jit_record()(p.layout, problem or p.problem, np.asarray(0), np.asarray(seed))
     return jax.tree.map(np.asarray, out)
 
 

@@ -65,7 +65,9 @@ def wild(case, clock, observer, options):
     clock = clock._replace(channels=tuple(range(channels)))
     with config.float64():
         run = [clock], case.ticks
-        samples = random_times.realised(*run, channels, 0, case.seed) if clock.random else common_times.samples(*run)
+        samples = (
+            random_times.draw_samples(*run, channels, 0, case.seed) if clock.random else common_times.samples(*run)
+        )
     plan = common_times.pad_slots(common_times.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
     known = setting(case)._replace(
         overtaking=random_times.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))

@@ -215,8 +215,8 @@ def test_estimates_that_are_made_elsewhere_are_not_judged_either():
     ticks = cell.times.ticks
     x = np.exp(A * H * np.arange(ticks + 1.0))[None, :, None] * np.ones((3, 1, 1))
     with pytest.raises(DigitsError, match=BLAMELESS):
-        score.scored(p, x, x[:, :ticks] + 0.05)
-    assert score.scored(p, x, 0.8 * x[:, :ticks])["diverged"].all()
+        score.compute_metrics(p, x, x[:, :ticks] + 0.05)
+    assert score.compute_metrics(p, x, 0.8 * x[:, :ticks])["diverged"].all()
 
 
 @pytest.mark.slow

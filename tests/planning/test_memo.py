@@ -49,7 +49,7 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
 
 
 def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
-    made, ask = counted(monkeypatch, memo, "designed"), memo.once()
+    made, ask = counted(monkeypatch, memo, "run_design"), memo.once()
     cells = cells_of(parse.parse(STUDY, "map"))
     first, second = (list(planning.drafts(cells, ask=ask)) for _ in range(2))
     assert len(made) == len(cells) * 2

@@ -11,7 +11,7 @@ from pcbench.plants import PLANTS, entry_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import parse
 from pcbench.study.grid import cell_of
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 
 TABLE = {
     "plant": "pendulum",
@@ -243,7 +243,7 @@ def test_an_lqr_holds_it_upright_by_what_a_late_camera_sees(own):
 def test_a_scenario_carries_it_without_a_name():
     entry, four, two = pendulum(), (0.1,) * 4, (0.03,) * 2
     mine = SCENARIOS["cart/white"].having(
-        own={"plant": Own(entry, Code("mine.py", "pendulum", (), "abc"))},
+        own={"plant": UserPlugin(entry, Code("mine.py", "pendulum", (), "abc"))},
         plant="pendulum",
         x0=four,
         xhat0=four,

@@ -20,7 +20,7 @@ WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "sampl
 def traced(study, folder):
     """A run of a study: its frame, the folder of its log, and what arrived."""
     frame = pcbench.simulate(study, OBSERVERS, seed=3, log=folder)
-    log = tables.opened(folder)
+    log = tables.open_tables(folder)
     (batch,), (inputs,) = log.measurements(), log.inputs.read()
     came = ~np.isnan(batch.arrived)
     there = (column[came] for column in (batch.sampled, batch.arrived, batch.value))
@@ -73,7 +73,7 @@ def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(plain, write, tmp_
         if old in text:
             path.write_text(text.replace(old, new))
             with pytest.raises(UserError, match=r"radar|'w'") as caught:
-                survey(readers.opened(path))
+                survey(readers.open_log(path))
             assert str(caught.value).startswith("log.toml: "), caught.value
             assert str(caught.value).count(". ") == 0
 
@@ -86,10 +86,10 @@ def test_a_recording_that_is_cut_off_is_one_sentence(plain, write, share, tmp_pa
     file = next(p for p in tmp_path.rglob("run.*") if p.is_file())
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
     if file.suffix == ".ulg" and share:
-        assert 0 < survey(readers.opened(path)).rows < len(plain[2].t)
+        assert 0 < survey(readers.open_log(path)).rows < len(plain[2].t)
         return
     with pytest.raises(UserError, match=r"; expected (a whole|MATLAB's)") as caught:
-        survey(readers.opened(path))
+        survey(readers.open_log(path))
     assert str(caught.value).startswith("log.toml: run")
     assert ": ;" not in str(caught.value)
 
@@ -100,7 +100,7 @@ def test_a_flight_log_is_loaded_once_and_of_its_topics_those_that_are_asked_for(
         path.read_text().replace("[inputs.u1]", "[channels.y2]").replace("motor", "angle")
     )  # one topic, twice
     monkeypatch.setattr(pyulog, "ULog", lambda *given: asked.append(given[1]) or loads(*given))
-    log = readers.opened(path)
+    log = readers.open_log(path)
     for _ in range(2):
         assert survey(log).rows == 2 * len(plain[2].sampled)
     assert asked == [["angle"]]
@@ -114,7 +114,7 @@ def test_a_matlab_file_is_loaded_once_and_of_its_variables_those_that_are_asked_
     monkeypatch.setattr(
         scipy.io, "loadmat", lambda file, **how: asked.append(how.get("variable_names")) or loads(file, **how)
     )
-    log = readers.opened(path)
+    log = readers.open_log(path)
     for _ in range(2):
         assert survey(log).rows == 2 * len(plain[2].sampled)
     assert asked == [["camera"]]
@@ -136,7 +136,7 @@ def test_what_is_no_vector_of_numbers_in_a_matlab_file_is_one_sentence(tmp_path,
     scipy.io.savemat(tmp_path / "run.mat", {"t": np.arange(3.0), "x": value})
     (tmp_path / "log.toml").write_text('log = "run.mat"\n[channels.y1]\nfield = "x"\nunit = "m"\ndelay = 0.0')
     with pytest.raises(UserError) as caught:
-        survey(readers.opened(tmp_path / "log.toml"))
+        survey(readers.open_log(tmp_path / "log.toml"))
     assert got in str(caught.value)
     assert str(caught.value).startswith("log.toml: run.mat: ")
 
@@ -147,7 +147,7 @@ def test_what_is_no_vector_of_numbers_in_a_matlab_file_is_one_sentence(tmp_path,
 def test_what_is_received_when_it_is_stamped_did_not_come_before(write, tmp_path):
     """As in a bag of simulated time. Today's seconds are doubles a quarter of a microsecond apart: both are rounded alike."""
     t = 1_700_000_000 + np.random.default_rng(5).integers(1, 10**9, 2000).cumsum() * 1e-9
-    found = survey(readers.opened(write(tmp_path, recorded.Run(t, t, np.sin(t), t[:1], t[:1]))))
+    found = survey(readers.open_log(write(tmp_path, recorded.Run(t, t, np.sin(t), t[:1], t[:1]))))
     assert found.channels["y1"].delays.most == 0.0
 
 
@@ -159,13 +159,13 @@ def test_damage_in_the_middle_is_not_passed_over(plain, write, tmp_path):
     data[len(data) // 2 : len(data) // 2 + 40] = b"\xff" * 40
     file.write_bytes(data)
     with pytest.raises(UserError, match="expected a whole"):
-        survey(readers.opened(path))
+        survey(readers.open_log(path))
 
 
 def test_what_is_no_flight_log_is_one_sentence(tmp_path):
     (tmp_path / "run.ulg").write_bytes(b"not a log")
     with pytest.raises(UserError, match="expected a whole ULog"):
-        survey(readers.opened(recorded.told(tmp_path, "run.ulg", ("angle", "motor"), field="x")))
+        survey(readers.open_log(recorded.told(tmp_path, "run.ulg", ("angle", "motor"), field="x")))
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_a_mistake_in_the_toml_is_one_sentence(tmp_path, text, sentence):
         (tmp_path / name).write_text("t,x\n0,1\n1,2\n")
     (tmp_path / "log.toml").write_text(text)
     with pytest.raises(UserError) as caught:
-        survey(readers.opened(tmp_path / "log.toml"))
+        survey(readers.open_log(tmp_path / "log.toml"))
     assert sentence in str(caught.value)
 
 
@@ -204,6 +204,6 @@ def test_a_table_of_any_shape_is_a_log(plain, tmp_path):
     (tmp_path / "log.toml").write_text(
         'log = "measurements.csv"\n[channels.y1]\nfield = "x"\nunit = "rad"\nsampled = "stamp"\narrived = "came"\nscale = 2.0'
     )
-    (batch,) = readers.opened(tmp_path / "log.toml").measurements()
+    (batch,) = readers.open_log(tmp_path / "log.toml").measurements()
     np.testing.assert_array_equal(batch.value, 2.0 * known.value)
     np.testing.assert_array_equal(batch.arrived, known.arrived)

@@ -30,7 +30,7 @@ def books(folder):
     """Innovations and their variances by the book's recursion at the ticks of the samples that arrived."""
     A, B = np.array(MOTOR["lti"]["A"]), np.array(MOTOR["lti"]["B"])
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * DT)
-    (batch,), (inputs,) = tables.opened(folder).measurements(), tables.opened(folder).inputs.read()
+    (batch,), (inputs,) = tables.open_tables(folder).measurements(), tables.open_tables(folder).inputs.read()
     y = np.full(len(inputs.t), np.nan)
     came = ~np.isnan(batch.arrived)
     y[np.rint(batch.sampled[came] / DT).astype(int)] = batch.value[came]

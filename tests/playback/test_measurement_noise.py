@@ -158,11 +158,13 @@ def test_R_multiplies_what_is_stated_and_its_score_is_a_slope(tmp_path):
     samples = walk(1)
     std = stds(samples)
     a = open_playback(recording(tmp_path / "log", samples, std), PLANT, ["kf"])
-    p, part = likelihood.recorded(a)
+    p, part = likelihood.load_recording(a)
     entry, options = a.cell.entry("kf"), a.cell.options["kf"]
 
     def design(point):
-        return planning.designed("kf", entry, p.setting, options.model_copy(update={"R": np.exp(point).tolist()})).gains
+        return planning.run_design(
+            "kf", entry, p.setting, options.model_copy(update={"R": np.exp(point).tolist()})
+        ).gains
 
     look, channel = likelihood.evaluator(p, part, design), np.array([s.channel for s in samples])
     at = np.log(np.array(R) * [4.0, 0.25])
@@ -205,7 +207,7 @@ def test_a_toml_names_the_column_of_std_or_variance(key, tmp_path):
     column = accuracy if key == "std" else accuracy**2
     pd.DataFrame({"t": t, "north": 1000.0 * t, "accuracy": column}).to_csv(tmp_path / "gps.csv", index=False)
     (tmp_path / "log.toml").write_text(TOML.format(key=key, column="accuracy"))
-    log = readers.opened(tmp_path / "log.toml")
+    log = readers.open_log(tmp_path / "log.toml")
     (batch,) = log.measurements()
     np.testing.assert_allclose(batch.std, accuracy / 1000, rtol=1e-15)
     assert survey(log).with_std() == ["y1"]
@@ -258,11 +260,11 @@ def test_std_of_inputs_or_beside_variance_is_one_sentence(tmp_path):
     path = tmp_path / "log.toml"
     path.write_text(TOML.format(key="std", column="accuracy") + 'variance = "accuracy"\n')
     with pytest.raises(UserError, match=r"channels.y1: got std and variance, expected one of them; leave one out."):
-        readers.opened(path)
+        readers.open_log(path)
     inputs = '[inputs.u1]\nfield = "north"\nunit = "m"\nstd = "accuracy"\n'
     path.write_text(TOML.format(key="std", column="accuracy") + inputs)
     with pytest.raises(UserError, match=r"inputs.u1: got std, expected it of channels alone; leave it out."):
-        readers.opened(path)
+        readers.open_log(path)
 
 
 @pytest.mark.ci

@@ -14,7 +14,7 @@ from reference import logs as reference
 
 import pcbench
 from pcbench.recordings import readers
-from pcbench.recordings.survey import described, survey
+from pcbench.recordings.survey import channel_rows, survey
 
 HERE = Path(__file__).parents[1] / "support" / "nile.csv"
 WALK, NOISE, WIDE = 1469.1, 15099.0, 1e7
@@ -52,7 +52,7 @@ def nile(tmp_path_factory):
 
 
 def test_the_log_is_a_hundred_years_without_a_gap(nile):
-    (row,) = described(survey(readers.opened(nile)))
+    (row,) = channel_rows(survey(readers.open_log(nile)))
     assert (row["samples"], row["first"], row["last"], row["gaps"], row["doubled"]) == (100, 1871.0, 1970.0, 0, 0)
     assert (row["interval_least"], row["interval_most"]) == (1.0, 1.0)
 

@@ -99,13 +99,13 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
 @pytest.mark.nightly
 def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     folder, samples, _ = replayed
-    p, part = likelihood.recorded(open_playback(folder, PLANT, ["kf"]))
+    p, part = likelihood.load_recording(open_playback(folder, PLANT, ["kf"]))
     cell = open_playback(folder, PLANT, ["kf"]).cell
     entry, options = cell.entry("kf"), cell.options["kf"]
 
     def design(point):
         free = options.model_copy(update={"R": tuple(np.exp(point).tolist())})
-        return planning.designed("kf", entry, p.setting, free).gains
+        return planning.run_design("kf", entry, p.setting, free).gains
 
     found = likelihood.evaluator(p, part, design)(np.log(R))
     assert len(found.tick) == len({(s.arrival, s.taken) for s in samples})

@@ -32,7 +32,7 @@ def traced(tmp_path_factory):
 
 def as_csv(folder, into):
     """The same log in the other kind of table."""
-    log = tables.opened(folder)
+    log = tables.open_tables(folder)
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
     (truth,) = log.truth.read()
@@ -92,7 +92,7 @@ def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
 @pytest.mark.ci
 def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     study, frame, folder = traced["plain"]
-    log = tables.opened(folder)
+    log = tables.open_tables(folder)
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
     written(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
@@ -124,7 +124,7 @@ def test_errors_against_truth_are_those_of_the_study(traced):
 
 def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
     study, frame, folder = traced["plain"]
-    log = tables.opened(folder)
+    log = tables.open_tables(folder)
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,), (truth,) = log.inputs.read(), log.truth.read()
     some = slice(5, None, 7)
@@ -147,7 +147,7 @@ def test_truth_is_read_by_the_names_of_its_columns(traced, tmp_path):
 
 def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     _, frame, folder = traced["wild"]
-    (batch,) = tables.opened(folder).measurements()
+    (batch,) = tables.open_tables(folder).measurements()
     lost = np.isnan(batch.arrived)
     assert 0 < lost.sum() < len(lost)
     assert (np.isnan(batch.value) <= lost).all()

@@ -11,7 +11,7 @@ from pcbench.cli.render.recordings import odd
 from pcbench.errors import UserError
 from pcbench.playback.replay import stamps_that_go_back
 from pcbench.recordings import readers, tables
-from pcbench.recordings.survey import described, survey
+from pcbench.recordings.survey import channel_rows, survey
 
 
 def spoilt(column, row, value):
@@ -42,16 +42,16 @@ def without(column):
 )
 def test_a_bad_row_is_named(tmp_path, kind, columns, sentence):
     with pytest.raises(UserError) as caught:
-        survey(readers.opened(rows(tmp_path / "log", columns, kind=kind)))
+        survey(readers.open_log(rows(tmp_path / "log", columns, kind=kind)))
     assert sentence in str(caught.value)
     assert str(caught.value).count(". ") == 0
 
 
 def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     """It is no mistake: rows may stand in any order, and each counts at its stamp. `replay` says so too."""
-    log = readers.opened(rows(tmp_path / "log", spoilt("sampled", 9, 0.012)))
+    log = readers.open_log(rows(tmp_path / "log", spoilt("sampled", 9, 0.012)))
     found = survey(log)
-    (row,) = described(found)
+    (row,) = channel_rows(found)
     assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
     assert "1 sample stands behind one with a later stamp, the first in row 9" in odd(row)
     assert stamps_that_go_back(found)[0].startswith(
@@ -63,7 +63,7 @@ def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
 def test_a_column_of_another_kind_is_named(tmp_path, column):
     folder = rows(tmp_path / "log", plain() | {column: [[1.0, 2.0]] * 40}, kind="parquet")
     with pytest.raises(UserError, match=f"measurements.parquet: {column}: got list<element: double>, expected n"):
-        survey(readers.opened(folder))
+        survey(readers.open_log(folder))
 
 
 @pytest.mark.parametrize("column", ["t", "x"])
@@ -73,13 +73,13 @@ def test_a_column_of_another_kind_in_a_table_of_any_shape_is_named(tmp_path, col
     pd.DataFrame(table).to_parquet(tmp_path / "run.parquet", index=False)
     (tmp_path / "log.toml").write_text('log = "run.parquet"\n[channels.y1]\nfield = "x"\nunit = "m"\ndelay = 0.0')
     with pytest.raises(UserError, match=f"^log.toml: {column}: got .*, expected numbers; mend the column"):
-        survey(readers.opened(tmp_path / "log.toml"))
+        survey(readers.open_log(tmp_path / "log.toml"))
 
 
 def test_a_word_among_numbers_is_quoted(tmp_path):
     folder = rows(tmp_path / "log", spoilt("value", 3, "much"))
     with pytest.raises(UserError, match="'much'"):
-        survey(readers.opened(folder))
+        survey(readers.open_log(folder))
 
 
 def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
@@ -90,7 +90,7 @@ def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(tables.csv, "open_csv", full)
     with pytest.raises(UserError) as caught:
-        readers.opened(folder)
+        readers.open_log(folder)
     assert str(caught.value).endswith(
         "memory ran out while it was read (malloc of 1048576 failed), expected more; end other programs."
     )
@@ -100,17 +100,17 @@ def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
 def test_a_head_says_the_unit_of_time(tmp_path, head, scale):
     columns = plain()
     columns[head] = columns.pop("sampled") * scale
-    found = survey(readers.opened(rows(tmp_path / "log", columns)))
+    found = survey(readers.open_log(rows(tmp_path / "log", columns)))
     assert found.channels["y1"].delays.mean == pytest.approx(0.1, abs=1e-9)
 
 
 def test_a_stated_delay_stands_for_arrivals(tmp_path):
     folder = rows(tmp_path / "log", without("arrived"))
-    assert survey(readers.opened(folder, 0.25)).channels["y1"].delays.mean == pytest.approx(0.25)
+    assert survey(readers.open_log(folder, 0.25)).channels["y1"].delays.mean == pytest.approx(0.25)
     with pytest.raises(UserError, match="expected 0 s or more"):
-        readers.opened(folder, -1.0)
+        readers.open_log(folder, -1.0)
     with pytest.raises(UserError, match="expected one of them"):
-        readers.opened(rows(tmp_path / "other", plain()), 0.1)
+        readers.open_log(rows(tmp_path / "other", plain()), 0.1)
 
 
 @pytest.mark.parametrize(
@@ -149,9 +149,9 @@ def test_a_log_that_does_not_fit_a_plant_is_one_sentence(tmp_path, columns, sent
 
 def test_what_is_no_log_is_one_sentence(tmp_path):
     with pytest.raises(UserError, match="no such file"):
-        readers.opened(tmp_path / "none")
+        readers.open_log(tmp_path / "none")
     with pytest.raises(UserError, match=r"a folder without measurements\.parquet"):
-        readers.opened(tmp_path)
+        readers.open_log(tmp_path)
     (tmp_path / "flight.bag").write_bytes(b"")
     with pytest.raises(UserError, match="expected a TOML that says which"):
-        readers.opened(tmp_path / "flight.bag")
+        readers.open_log(tmp_path / "flight.bag")

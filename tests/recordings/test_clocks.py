@@ -125,7 +125,7 @@ def test_gaps_and_delays_of_one_clock_are_no_second_clock(tmp_path):
         {"sampled": 4e6 * t, "arrived": 4e6 * t},
         {"sampled": t + UNIX, "arrived": t + UNIX + 0.1},
     ):
-        found = survey(readers.opened(rows(tmp_path / "log", plain() | changes)))
+        found = survey(readers.open_log(rows(tmp_path / "log", plain() | changes)))
         assert found.rows == 40
 
 

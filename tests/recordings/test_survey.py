@@ -8,7 +8,7 @@ from reference.logs import delays
 import pcbench
 from pcbench.errors import UserError
 from pcbench.recordings import running_stats
-from pcbench.recordings.survey import described, survey
+from pcbench.recordings.survey import channel_rows, survey
 
 
 def drawn(seed, many=60, doubled=3):
@@ -24,7 +24,7 @@ def drawn(seed, many=60, doubled=3):
 @pytest.mark.parametrize("seed", range(5))
 def test_rates_delays_and_orders_are_those_of_loops(seed):
     samples = drawn(seed)
-    (row,) = described(survey(log_of(samples, 0.1, channels=1, part=1000)))
+    (row,) = channel_rows(survey(log_of(samples, 0.1, channels=1, part=1000)))
     late = np.array([(a - t) * 0.1 for _, t, a in samples])
     behind, doubled = delays([(t, a) for _, t, a in samples])
     assert (row["samples"], row["out_of_order"], row["doubled"]) == (len(samples), behind, doubled)
@@ -45,7 +45,7 @@ def test_rates_delays_and_orders_are_those_of_loops(seed):
 
 def test_parts_change_nothing_that_is_counted():
     samples = drawn(7, 200)
-    whole, parts = (described(survey(log_of(samples, part=part)))[0] for part in (1000, 41))
+    whole, parts = (channel_rows(survey(log_of(samples, part=part)))[0] for part in (1000, 41))
     same = ["samples", "lost", "delay_mean", "delay_median", "out_of_order", "drift_ppm", "first", "last"]
     np.testing.assert_allclose([whole[k] for k in same], [parts[k] for k in same], rtol=1e-9)
 
@@ -56,7 +56,7 @@ def test_a_gap_a_jump_and_a_drift_are_found_with_their_rows():
     late = 0.3 + 1e-4 * t + 0.001 * np.cos(t)
     late[80] += 0.9
     found = survey(log_of([(0, a, a + b) for a, b in zip(t, late, strict=True)], channels=1))
-    (row,) = described(found)
+    (row,) = channel_rows(found)
     assert (row["gaps"], row["longest_gap"], row["longest_gap_row"]) == (1, 31.0, 61)
     assert (row["jumps"], row["largest_jump_row"]) == (2, 81)
     slope = np.polyfit(t, late, 1)[0]
@@ -82,7 +82,7 @@ def test_a_clock_that_is_fast_in_a_simulation_is_fast_in_its_log(tmp_path):
 
 
 def test_a_lost_sample_is_counted_and_has_no_delay():
-    (row,) = described(survey(log_of([(0, 0, 3), (0, 5, None), (0, 10, 14)], channels=1)))
+    (row,) = channel_rows(survey(log_of([(0, 0, 3), (0, 5, None), (0, 10, 14)], channels=1)))
     assert (row["samples"], row["lost"], row["delay_mean"]) == (3, 1, 3.5)
 
 

@@ -213,7 +213,9 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
 
 @pytest.mark.ci
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
-    names = figures.write(pcbench.open_result(folder), tmp_path, shown=figures.Shown(paper=plots.Paper(3.3, 8.0)))
+    names = figures.write(
+        pcbench.open_result(folder), tmp_path, shown=figures.FigureOptions(paper=plots.Paper(3.3, 8.0))
+    )
     assert names == re.findall(r'<figure id="([^"]+)">', text)
     for name in names:
         svg, pdf, png = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in figures.KINDS)

@@ -20,13 +20,13 @@ AMOUNTS = {
 
 @pytest.mark.parametrize("text", AMOUNTS)
 def test_an_amount_is_what_its_unit_says(text):
-    assert memory.allowed(text) == AMOUNTS[text]
+    assert memory.memory_budget(text) == AMOUNTS[text]
 
 
 @pytest.mark.parametrize("text", ["0", "-1GB", "2Gx", "many", "1e19", "nan", ""])
 def test_what_is_no_amount_is_one_sentence(text):
     with pytest.raises(UserError, match="expected an amount such as 500MB or 2GiB"):
-        memory.allowed(text)
+        memory.memory_budget(text)
 
 
 def test_the_memory_is_the_least_of_the_machines_and_its_control_groups(monkeypatch, tmp_path):
@@ -41,9 +41,9 @@ def test_the_memory_is_the_least_of_the_machines_and_its_control_groups(monkeypa
 def test_without_saying_results_may_take_a_quarter_of_the_memory_and_never_more_than_is_free(monkeypatch):
     monkeypatch.setattr(memory, "usable", lambda: 4_000)
     monkeypatch.setattr(memory, "free", lambda: 3_000)
-    assert memory.allowed(None) == 1_000
+    assert memory.memory_budget(None) == 1_000
     monkeypatch.setattr(memory, "free", lambda: 600)
-    assert memory.allowed(None) == 600
+    assert memory.memory_budget(None) == 600
 
 
 def test_numbers_that_json_does_not_know_are_null_or_words():

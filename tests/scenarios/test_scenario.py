@@ -11,7 +11,7 @@ from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import CODE, RECORDS
 from pcbench.study.grid import cell_of
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 
 ARM = SCENARIOS["arm/sampled"]
 
@@ -41,7 +41,9 @@ def test_a_scenario_may_carry_its_plant_and_its_controller_of_which_it_says_the_
     plain = SCENARIOS["helicopter/constant"]
     plant, law = PLANTS["helicopter"]._replace(heavy=False), CONTROLLERS["pd"]._replace(options=Options)
     code = Code("mine.py", "mine", (), "abc")
-    own = plain.having(own={"plant": Own(plant, code), "controller": Own(law, code)}, plant="mine", controller="mine")
+    own = plain.having(
+        own={"plant": UserPlugin(plant, code), "controller": UserPlugin(law, code)}, plant="mine", controller="mine"
+    )
     assert (plants.entry_of(own), controllers.entry_of(own)) == (plant, law)
     assert (plants.entry_of(plain), controllers.entry_of(plain)) == (PLANTS["helicopter"], CONTROLLERS["pd"])
     code = {"plant": "abc", "controller": "abc"}

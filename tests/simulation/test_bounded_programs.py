@@ -18,7 +18,7 @@ START, EACH = 2500, 600  # mappings of a process that has imported all, and of a
 
 @pytest.mark.ci
 def test_a_bounded_function_drops_its_programs():
-    power = program_cache.bounded(lambda n, x: x**n, 0)
+    power = program_cache.jit_with_limit(lambda n, x: x**n, 0)
     for n in range(3 * program_cache.MOST):
         assert power(n, np.full(2, 2.0)).tolist() == [2.0**n, 2.0**n]
         assert power._cache_size() <= program_cache.MOST

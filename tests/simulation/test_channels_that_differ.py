@@ -28,7 +28,7 @@ def samples(seed, **given):
     """By channel, (number, tick at which it is taken, tick at which it arrives) of a run's samples."""
     (cell,) = parse.grid_of(having(**given), {}, []).cells
     t = times.times_of(cell.scenario)
-    found = random_times.realised(t.clocks, t.ticks, 2, 0, seed)
+    found = random_times.draw_samples(t.clocks, t.ticks, 2, 0, seed)
     return [[(s.number, s.taken, s.arrives) for s in found if s.channel == j] for j in range(2)]
 
 

@@ -38,15 +38,15 @@ def small_chunks():
 
 def times_of(clocks, ticks, channels, error):
     """One shape for every period."""
-    return random_times.padded(TIMES(clocks, ticks, channels, error), ticks + 20)
+    return random_times.pad_times(TIMES(clocks, ticks, channels, error), ticks + 20)
 
 
 def samples_of(clocks, ticks, channels, seed):
-    """`random_times.realised`, compiled once."""
+    """`random_times.draw_samples`, compiled once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(random_times, "times", times_of)
         patch.setattr(random_times, "clock_times", CLOCK_TIMES)
-        return random_times.realised(clocks, ticks, channels, 0, seed)
+        return random_times.draw_samples(clocks, ticks, channels, 0, seed)
 
 
 # an observer that keeps accounts

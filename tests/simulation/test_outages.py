@@ -29,7 +29,9 @@ def samples(**given):
     """By channel, what becomes of the samples of one run: (number, tick at which it is taken, tick at which it arrives)."""
     (cell,) = parse.grid_of(having(**given), {}, []).cells
     t = times.times_of(cell.scenario)
-    every = random_times.realised(t.clocks, t.ticks, 2, 0, 1) if t.random else common_times.samples(t.clocks, t.ticks)
+    every = (
+        random_times.draw_samples(t.clocks, t.ticks, 2, 0, 1) if t.random else common_times.samples(t.clocks, t.ticks)
+    )
     return [[(s.number, s.taken, s.arrives) for s in every if s.channel == j] for j in range(2)]
 
 

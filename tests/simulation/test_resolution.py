@@ -37,7 +37,7 @@ def error(y, step, dither):
     """Of every sample y [K], each a channel of its own."""
     uniform = jnp.asarray(np.random.default_rng(5).uniform(size=y.shape))
     r = measurements.Rounding(jnp.full(y.shape, step), jnp.asarray(dither))
-    return np.asarray(measurements.rounded(r, jnp.asarray(y), uniform)) - y
+    return np.asarray(measurements.quantize(r, jnp.asarray(y), uniform)) - y
 
 
 @pytest.mark.parametrize("signal", ["constant", "ramp", "sine"])

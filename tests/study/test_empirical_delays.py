@@ -31,7 +31,9 @@ def study(log):
 def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
     late = recorded(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
-    found = [s for seed in range(12) for s in random_times.realised(cell.times.clocks, cell.times.ticks, 1, 0, seed)]
+    found = [
+        s for seed in range(12) for s in random_times.draw_samples(cell.times.clocks, cell.times.ticks, 1, 0, seed)
+    ]
     lost = np.array([s.arrives >= 2**29 for s in found])
     ages = np.array([s.arrives - s.taken for s in found])[~lost]
     assert lost.mean() == pytest.approx(0.1, abs=0.015)
@@ -72,7 +74,7 @@ def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
 
 
 def test_the_first_of_a_channel_follows_none_of_another():
-    found = empirical_delays.drawn(np.array([3.0, 9.0, 9.0, 3.0]), np.array([0, 0, 1, 1]), TICK)
+    found = empirical_delays.fit_delay_chain(np.array([3.0, 9.0, 9.0, 3.0]), np.array([0, 0, 1, 1]), TICK)
     assert found == {"delay": 0.03, "delay_values": [0.0, 0.06], "delay_self_transition": [0.0, 0.0]}
 
 

@@ -7,7 +7,7 @@ import pytest
 from pcbench.cli.commands import app
 from pcbench.study import grid as module
 from pcbench.study import parse
-from pcbench.study.grid import cells, cells_of, identity, numbered, numbering
+from pcbench.study.grid import cells, cells_of, identity, number_cells, numbering
 from pcbench.study.serialize import digest, to_toml
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -59,7 +59,7 @@ def test_a_cell_is_another_with_another_root_seed_choice_or_parameter():
 def test_cells_that_are_known_keep_their_numbers_and_new_ones_follow():
     old = study(axes={"noise_std": [0.1, 0.5]})
     known = numbering(cells_of(old))
-    found = numbered(cells_of(study(axes={"noise_std": [0.9, 0.5, 0.3, 0.1]})), known)
+    found = number_cells(cells_of(study(axes={"noise_std": [0.9, 0.5, 0.3, 0.1]})), known)
     assert {c.values["noise_std"]: c.number for c in found} == {0.1: 0, 0.5: 1, 0.9: 2, 0.3: 3}
 
 

@@ -112,7 +112,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
     assert done.returncode == 0, done.stderr
     shutil.rmtree(here / "swing_package")
     monkeypatch.syspath_prepend(str(here / "site"))
-    assert registry.installed("plant")["swing"] == ("swing_package.loop:pendulum", "swing-observers")
+    assert registry.find_plugins("plant")["swing"] == ("swing_package.loop:pendulum", "swing-observers")
     for kind, name in (
         ("observers", "gentle"),
         ("plants", "swing"),
@@ -157,10 +157,10 @@ def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     for got, want in zip(found, ([[1.0]], [[0.05, 0.0]], [[-1.0]], [[-2.05, 0.0]]), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-15)
     looks = law.entry.controller._replace(command=lambda p, now, x, coming, kept: (coming(0), kept))
-    assert user_controllers.linearised(looks, law.entry.prepare, law.entry.options(), told) is None
+    assert user_controllers.linearize_law(looks, law.entry.prepare, law.entry.options(), told) is None
     raises = law.entry.controller._replace(command=lambda p, now, x, coming, kept: 1 // 0)
     with caplog.at_level("INFO"):
-        assert user_controllers.linearised(raises, law.entry.prepare, law.entry.options(), told) is None
+        assert user_controllers.linearize_law(raises, law.entry.prepare, law.entry.options(), told) is None
     assert "is not linearised: ZeroDivisionError: " in caplog.text
 
 
@@ -174,7 +174,7 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
     ):
         pcbench.run(STUDY | {"controller": LAW | {"kp": -40.0}}, out=here)
     assert not parse.unstable(parse.grid_of(STUDY | {"controller": LAW}, {}, []))
-    assert controller_table.held(cell(STUDY | {"controller": LAW}).scenario)
+    assert controller_table.has_generic_controller(cell(STUDY | {"controller": LAW}).scenario)
 
 
 WRONG = {

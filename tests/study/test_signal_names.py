@@ -71,7 +71,7 @@ def recording(tmp_path, what, unit):
     tables = {"channels": "y1", "inputs": "u1", "truth": "position"}
     lines = [f"[{w}.{n}]\nfield = 'a'\nunit = {unit if w == what else 'm'!r}" for w, n in tables.items()]
     path.write_text("log = 'x.csv'\n" + "\n".join(lines), encoding="utf-8")
-    return readers.opened(path)
+    return readers.open_log(path)
 
 
 PLACES = {

@@ -3,7 +3,7 @@
 import pytest
 
 from pcbench.errors import UserError
-from pcbench.study import choices_of, given, observers_of, options_of, parse, scenarios_of
+from pcbench.study import choices_of, merge_options, observers_of, options_of, parse, scenarios_of
 
 
 def study(scenario="cart/variable", **changes):
@@ -12,7 +12,7 @@ def study(scenario="cart/variable", **changes):
 
 def options(made, observer):
     (name,) = made.scenarios
-    return given(made, scenarios_of(made)[name], observer)
+    return merge_options(made, scenarios_of(made)[name], observer)
 
 
 def test_the_studys_options_win_over_the_scenarios_and_the_labels_over_its_names():

@@ -235,7 +235,7 @@ def test_what_pcbench_itself_does_wrong_is_no_mistake_of_a_users():
 
     broken.__module__ = "pcbench.observers.kf"
     with pytest.raises(TypeError):
-        planning.designed("kf", OBSERVERS["kf"]._replace(design=broken), None, None)
+        planning.run_design("kf", OBSERVERS["kf"]._replace(design=broken), None, None)
 
 
 def test_two_contents_of_one_file_stand_side_by_side(here):

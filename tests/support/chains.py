@@ -53,9 +53,9 @@ def recorded(plant, perfect=False):
     """Every cell, planned and recorded; one program serves them all."""
     with config.float64():
         cells = planning.plan(study(plant, START[plant] if perfect else None))
-        before = trajectory.compiled()._cache_size()
-        runs = [trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
-        assert trajectory.compiled()._cache_size() - before <= 1
+        before = trajectory.jit_record()._cache_size()
+        runs = [trajectory.jit_record()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
+        assert trajectory.jit_record()._cache_size() - before <= 1
     return cells, jax.tree.map(np.asarray, runs)
 
 

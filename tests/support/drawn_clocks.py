@@ -24,15 +24,15 @@ TIMES = random_times.times
 
 def roomy(*given):
     """`random_times.times` in one shape for every horizon and period; that it changes nothing is tested below."""
-    return random_times.padded(TIMES(*given), ROOM + 1)
+    return random_times.pad_times(TIMES(*given), ROOM + 1)
 
 
 def realised(clocks, ticks, seed, root=0, times=roomy):
-    """`random_times.realised`, compiled once for each number of clocks and channels."""
+    """`random_times.draw_samples`, compiled once for each number of clocks and channels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(random_times, "times", times)
         patch.setattr(random_times, "clock_times", CLOCK_TIMES)
-        return random_times.realised(clocks, ticks, width(clocks), root, seed)
+        return random_times.draw_samples(clocks, ticks, width(clocks), root, seed)
 
 
 def width(clocks):

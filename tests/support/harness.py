@@ -123,7 +123,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, G
 
 def recorder() -> Any:
     """Return what records a run, compiled once for each shape."""
-    return one_run.compiled()
+    return one_run.jit_record()
 
 
 def trace(case: Case, observers: dict[str, dict[str, Any]]) -> Recording:

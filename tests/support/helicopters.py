@@ -42,7 +42,7 @@ def planned(observer: str, seconds: float, *, name="constant", choices=None, par
 
 def record(p: Plan, seed: int = 0) -> trajectory.Recording:
     """Run one seed; arrays [N+1, ...]."""
-    return jax.tree.map(np.asarray, trajectory.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
 
 
 def estimate(got: trajectory.Recording) -> np.ndarray:

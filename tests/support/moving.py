@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from pcbench.moments.programs import compute
 from pcbench.moments.propagate import COVARIANCE
-from pcbench.moments.realisations import Realised
+from pcbench.moments.realisations import Realisation
 from pcbench.protocols import Controller, Observer, Plant
 from pcbench.runtime import config
 from pcbench.simulation import command_network
@@ -89,7 +89,7 @@ def moments(loop, cases):
             line=command_network.held_line(0, 4, N + 4),
         )  # fmt: skip
         layout = Layout(plant, (("o", observer),), 1, 1, False, watch=False, controller=law, commands=4)
-        ones.append(Realised(layout, p, (), case.chance))
+        ones.append(Realisation(layout, p, (), case.chance))
     with config.float64():
         found = compute(ones, COVARIANCE)
     assert (found.sums.apart <= 1e-9 * np.maximum(found.sums.size, 1e-9)).all()

@@ -5,7 +5,7 @@ import numpy as np
 from pcbench import statistics
 from pcbench.statistics.aggregate import columns
 from pcbench.statistics.comparison import pair_stats, paired_t_test
-from pcbench.statistics.confidence_intervals import moments, positive, reached, root, wilson
+from pcbench.statistics.confidence_intervals import moments, positive, rms_efficiency, root, wilson
 from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
 
 
@@ -22,7 +22,7 @@ def pooled(squares):
 
 def efficiency(steady_squares, bound):
     """A bound over the root of the mean of squares."""
-    return columns(reached(np.array([bound]), root(positive(moments(steady_squares[None])))))[0]
+    return columns(rms_efficiency(np.array([bound]), root(positive(moments(steady_squares[None])))))[0]
 
 
 def fraction(happened):

@@ -47,7 +47,7 @@ def test_a_simulated_loop_obeys_the_characteristic_polynomial_of_its_map(name, e
     """Cayley and Hamilton: the reference's states at its decisions, the state known, obey the recursion of its coefficients."""
     entry, known = CONTROLLERS[name], told(late)
     options = entry.options.model_validate(LAWS[name] | {"period": every * 0.01})
-    map_ = lqr.closed(TICK, entry.linear(options, known), every, late)
+    map_ = lqr.monodromy_matrix(TICK, entry.linear(options, known), every, late)
     coefficients = np.poly(map_)
     if name == "pid":
         gains = np.array(LAWS[name]["Kp"]), np.diag(LAWS[name]["Ki"]), np.array(LAWS[name]["Kd"])

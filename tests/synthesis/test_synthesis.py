@@ -48,7 +48,7 @@ def test_where_the_closed_form_is_not_optimal_the_lmi_still_finds_a_gain():
     found = current_estimator.solve(slow, C, "test")
     sharp = current_estimator.sharpen(found, slow, C)
     np.testing.assert_allclose(sharp.P, found.P, rtol=1e-12)
-    assert current_estimator.attained(sharp, slow, C) > found.t - 1e-9
+    assert current_estimator.lmi_margin(sharp, slow, C) > found.t - 1e-9
     assert current_estimator.certify(sharp, slow, C, 1.0).margin > 0
 
 
@@ -76,7 +76,7 @@ def test_of_all_gains_that_attain_the_optimum_it_is_the_least():
     """Brute force: gains beside it that attain t with the same P have a larger norm of D^-1/2 P (I - L C) Phi D^-1/2."""
     Phi, C = expm(0.1 * np.array(GROWING[1][0])), np.array(GROWING[1][1])
     found = current_estimator.sharpen(current_estimator.solve(Phi, C, "test"), Phi, C)
-    t = current_estimator.attained(found, Phi, C)
+    t = current_estimator.lmi_margin(found, Phi, C)
     size, V = np.linalg.eigh(found.P - t * np.eye(2))
     root = V @ np.diag(1 / np.sqrt(size)) @ V.T
 
@@ -86,7 +86,7 @@ def test_of_all_gains_that_attain_the_optimum_it_is_the_least():
     rng, tried = np.random.default_rng(1), 0
     for _ in range(400):
         L = found.L + 10.0 ** rng.uniform(-4, 0) * rng.standard_normal((2, 1))
-        if current_estimator.attained(found._replace(L=L), Phi, C) > t - 1e-6:
+        if current_estimator.lmi_margin(found._replace(L=L), Phi, C) > t - 1e-6:
             tried += 1
             assert norm(L) > norm(found.L)
     assert tried > 5
@@ -151,7 +151,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        solvers.remembered(
+        solvers.solve_or_load(
             current_estimator.CurrentGain, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
         ).L
         for Phi in (slow, 0.9 * slow, slow)
@@ -165,7 +165,7 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     kind, shapes = current_estimator.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
-        found = solvers.remembered(
+        found = solvers.solve_or_load(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
         )
         assert found.L.shape == shape

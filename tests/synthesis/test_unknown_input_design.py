@@ -275,10 +275,10 @@ def test_a_proof_that_would_grow_for_ever_is_bounded():
     assert np.linalg.eigvals(got.A11).real.min() < -1
     found = sliding_mode.solve(got, 1.0, "test")
     assert np.linalg.norm(found.P1, 2) == pytest.approx(sliding_mode.BOUNDS[0], rel=1e-6)
-    wider = sliding_mode._bounded(got, 1.0, 4 * sliding_mode.BOUNDS[0], "test", "CLARABEL")
+    wider = sliding_mode._solve_with_bound(got, 1.0, 4 * sliding_mode.BOUNDS[0], "test", "CLARABEL")
     assert np.linalg.norm(wider.P1, 2) > 3 * sliding_mode.BOUNDS[0]
     assert wider.r < found.r
-    assert sliding_mode._bounded(ARM, 1.0, 1e2, "arm", "CLARABEL").r == pytest.approx(2.6245619646, rel=1e-7)
+    assert sliding_mode._solve_with_bound(ARM, 1.0, 1e2, "arm", "CLARABEL").r == pytest.approx(2.6245619646, rel=1e-7)
 
 
 def test_modes_that_no_gain_moves_are_named():

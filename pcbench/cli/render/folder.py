@@ -9,7 +9,7 @@ from pcbench.dataset.compare import Comparison
 from pcbench.dataset.validate_exact import KEY, Checked
 from pcbench.dataset.verify import Status, Verdict
 from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
-from pcbench.statistics.number_format import marked
+from pcbench.statistics.number_format import mark_uncertified
 
 MOST = 8  # lines of a kind
 LONGEST = 40  # rows of a comparison; the rest is counted
@@ -22,7 +22,7 @@ def status(found: Status, folder: str, screen: Screen) -> None:
     rows = []
     for s in found.shares:
         share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
-        name = marked(s.observer, [s.certified])
+        name = mark_uncertified(s.observer, [s.certified])
         rows.append((s.scenario, name, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share))
     title = f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB"
     screen.fold(title, ("scenario", "observer", *numbers), rows, right=numbers)
@@ -99,7 +99,7 @@ def _changes(rows: pd.DataFrame, title: str, screen: Screen) -> None:
     for r in rows.to_dict("records"):
         sides = [mean(r[f"mean_{side}"], r[f"se_{side}"], r["unit"]) for side in "ab"]
         p = "no spread" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}"
-        observer = marked(r["observer"], [r["certified_a"], r["certified_b"]])
+        observer = mark_uncertified(r["observer"], [r["certified_a"], r["certified_b"]])
         names = (r["scenario"], r["where"], observer, r["signal"], r["metric"])
         texts.append((*names, *sides, f"{r['difference']:+.3g}", p))
     numbers = ("there", "here", "difference", "p (Holm)")

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from pcbench.checking.targets import Finding
 from pcbench.cli.render.tables import Column, Screen, mean
-from pcbench.statistics.number_format import UNPROVEN, marked
+from pcbench.statistics.number_format import UNPROVEN, mark_uncertified
 from pcbench.synthesis.certificate import Design, is_certified
 from pcbench.toml_text import TomlTable
 
@@ -45,7 +45,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
     designs = table[table.refused == ""]
     values = designs[[*fixed, *moving]].to_dict("split")["data"]
     rows = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in values]
-    screen.fold(marked(title, table.certified), heads, rows, right=heads)
+    screen.fold(mark_uncertified(title, table.certified), heads, rows, right=heads)
     if len(designs) > 1 and not moving and designs.rate.nunique() <= 1:
         screen.print(f"{option} changes nothing here: the gains are not found from it; name a --gain that does.")
     screen.say_unproven(table.certified)
@@ -68,7 +68,7 @@ def tuned(found: "Tuning", observer: str, folder: str | None, screen: Screen) ->
     if of_runs:
         columns.append(Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in judged], spare=1))
     what = ("" if of_runs else "expected ") + ("mean square" if aim.metric != aim.base else aim.metric)
-    name, points = marked(observer, [found.certified]), f"{len(found.points)} points by {found.method}"
+    name, points = mark_uncertified(observer, [found.certified]), f"{len(found.points)} points by {found.method}"
     screen.fit(f"{name}: {what} of {aim.name}, {points}", columns)
     screen.say_unproven([found.certified])
     for name, value in found.found.items():
@@ -123,7 +123,7 @@ def fair(table: pd.DataFrame, screen: Screen) -> None:
     training = [mean(r["training"], r["training_se"]) for r in rows]
     columns = [Column("cell", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
     columns += [
-        Column("observer", [marked(r["observer"], [r["certified"]]) for r in rows], left=True),
+        Column("observer", [mark_uncertified(r["observer"], [r["certified"]]) for r in rows], left=True),
         Column("gains", [r["tuning"] for r in rows], left=True),
         Column("held out", [mean(r["held_out"], r["held_out_se"]) for r in rows]),
         Column("of the bound\n(tail)", bound),

@@ -12,7 +12,7 @@ from pcbench.statistics import Z95
 from pcbench.statistics.number_format import estimate
 
 if TYPE_CHECKING:
-    from pcbench.playback.replay import Replayed
+    from pcbench.playback.replay import ReplayResult
 
 MILLI = 1e3
 NOTHING = 1e-9  # what is less is rounding
@@ -71,7 +71,7 @@ def odd(row: Row) -> list[str]:
     return out
 
 
-def replayed(found: "Replayed", folder: str, screen: Screen) -> None:
+def replayed(found: "ReplayResult", folder: str, screen: Screen) -> None:
     """Print what is known of observers on a log."""
     about = found.summary
     if len(found.innovations):

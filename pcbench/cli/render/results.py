@@ -17,7 +17,7 @@ from pcbench.dataset.result import Result
 from pcbench.limits.search import settles_sentence
 from pcbench.scenarios import Scenario
 from pcbench.statistics.consistency import BANDS, Band, exact_band, verdict
-from pcbench.statistics.number_format import as_good, difference, fraction, interval, marked
+from pcbench.statistics.number_format import as_good, difference, fraction, interval, mark_uncertified
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
 from pcbench.study import scenarios_of
 
@@ -141,7 +141,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
             if observer in found.leaders:
                 bold.add(len(values["observer"]))
             row = {axis: _axis_value(cell[axis].iloc[0]) if best else "" for axis in axes}
-            row["observer"] = marked(observer, [wide.loc[(observer, metric), "certified"]])
+            row["observer"] = mark_uncertified(observer, [wide.loc[(observer, metric), "certified"]])
             row[metric] = interval(wide.loc[observer, metric])
             row[LESS] = "" if best else difference(met, observer, found.order[0])
             row |= {name: _beside(wide, observer, name, view.scenario.duration) for name in beside}
@@ -198,7 +198,7 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     rows = [(str(observer), own, own["mean"].median()) for observer, own in part.groupby("observer", sort=False)]
     rows.sort(key=lambda row: (-won[row[0]], np.nan_to_num(row[2], nan=np.inf)))
     columns = [
-        Column("observer", [marked(o, own.certified) for o, own, _ in rows], left=True),
+        Column("observer", [mark_uncertified(o, own.certified) for o, own, _ in rows], left=True),
         Column("cells won", [str(won[o]) for o, _, _ in rows]),
         Column("as good as\nthe best", [str(led[o]) for o, _, _ in rows]),
         Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pcbench.errors import printable
-from pcbench.statistics.number_format import UNPROVEN, estimate, marked
+from pcbench.statistics.number_format import UNPROVEN, estimate, mark_uncertified
 
 
 class Column(NamedTuple):
@@ -47,7 +47,7 @@ class Screen(Console):
 
     def say_unproven(self, certified: Iterable[object]) -> None:
         """Say what the mark behind a name means, where one stands."""
-        if marked("", certified):
+        if mark_uncertified("", certified):
             self.print(f"{UNPROVEN} its gains.")
 
     def fold(

@@ -27,7 +27,7 @@ def xhat(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.xhat
 
 
-def kept(which: Array, after: State, before: State) -> State:
+def select_memory(which: Array, after: State, before: State) -> State:
     """Return the memory after an event where any of `which` holds, else the one before."""
     there = jnp.any(which)
     return jax.tree.map(lambda a, b: jnp.where(there, a, b), after, before)

@@ -62,12 +62,12 @@ def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
     return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
-def unjudged() -> InnovationStats:
+def empty_stats() -> InnovationStats:
     """Return the square of a sample of which nothing has been looked at."""
     return InnovationStats(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), each=jnp.zeros(0))
 
 
-def judged(
+def add_innovation(
     so_far: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
 ) -> InnovationStats:
     """Return the square with the next channel, whose innovation nu has the variance s; of one that is fresh."""
@@ -93,11 +93,11 @@ def by_slope(
     gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean and covariance of z once a sample is known, by a sensor's slope."""
-    value, total, R = nearest(gains, sample.value, sensor.y), unjudged(), sample.variances(gains.R)
+    value, total, R = nearest(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
         nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
-        total = judged(total, nu, s, mask)
+        total = add_innovation(total, nu, s, mask)
         K = gain(P @ h, s, mask)
         z, P = z + K * nu, covariance(P, K, h, r)
     return z, P, total
@@ -107,12 +107,12 @@ def by_points(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
-    N, total, R = gains.P0.shape[0], unjudged(), sample.variances(gains.R)
+    N, total, R = gains.P0.shape[0], empty_stats(), sample.variances(gains.R)
     value = nearest(gains, sample.value, mean[N:])
     for channel in range(gains.C.shape[0]):
         r, mask, c = R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
-        total = judged(total, nu, s, mask)
+        total = add_innovation(total, nu, s, mask)
         K = gain(J[:, N + channel], s, mask)
         mean, J = mean + K * nu, covariance(J, K, c, r)
     return mean[:N], J[:N, :N], total

@@ -71,7 +71,7 @@ def prior(gains: Gains, xhat0: Float[Array, " plant"]) -> Posterior:
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior."""
     first, q = prior(gains, xhat0), gains.C.shape[0]
-    return prediction.start(first.mean, robust_update.begun(first, gains.guard, q), gains.room, q)
+    return prediction.start(first.mean, robust_update.initial_posterior(first, gains.guard, q), gains.room, q)
 
 
 def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
@@ -79,7 +79,7 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
 
-def predicted(gains: Gains, before: Known, tick: Array) -> Posterior:
+def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
     """Return mean and covariance carried on to a tick; a copy beside the state stays as it is."""
     n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
     free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
@@ -93,7 +93,7 @@ def predicted(gains: Gains, before: Known, tick: Array) -> Posterior:
 
 def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
-    free, P, _ = predicted(gains, before, sample.taken)
+    free, P, _ = predict_posterior(gains, before, sample.taken)
     value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
     rows = kalman.wide(gains.C, free.shape[0])
@@ -110,18 +110,18 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
 
 def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged."""
-    there = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
+    there = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
     return against(gains, there, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
 
 
 def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what the state at its own time expects of it, channel by channel."""
     free, P, mask = there.mean, there.P, sample.mask
-    value, total, R = value_of(gains, sample), kalman.unjudged(), sample.variances(gains.R)
+    value, total, R = value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], R[channel]
         nu, s = value[channel] - c @ (sample.snapshot + free), c @ P @ c + r
-        total = kalman.judged(total, nu, s, mask[channel])
+        total = kalman.add_innovation(total, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])
         free, P = free + K * nu, kalman.covariance(P, K, c, r)
     return total
@@ -164,20 +164,20 @@ def newest(gains: Gains, memory: Memory) -> Known:
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
-    return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
+    return spread(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
 
 
 def covariance_of_posterior(gains: Gains, memory: PyTree, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance at the newest sample used, carried on to now; of a memory that has this posterior."""
-    return spread(gains, memory, predicted(gains, memory.posterior, memory.tick).P)
+    return spread(gains, memory, predict_posterior(gains, memory.posterior, memory.tick).P)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
-    return expected(gains, memory, reorder_buffer.sample_of(now, arrival, gains.D))
+    return innovation_of_sample(gains, memory, reorder_buffer.sample_of(now, arrival, gains.D))
 
 
-def expected(gains: Gains, memory: Memory, sample: Measurement) -> InnovationStats:
+def innovation_of_sample(gains: Gains, memory: Memory, sample: Measurement) -> InnovationStats:
     """Return how far a sample is from what is expected of it; one older than all samples kept is not judged."""
     buffer = memory.buffer
     if not buffer.samples.taken.shape[0]:
@@ -185,7 +185,7 @@ def expected(gains: Gains, memory: Memory, sample: Measurement) -> InnovationSta
     first, n = buffer.before, gains.P0.shape[0]
 
     def copy(state: Known, sample: Measurement) -> Known:
-        there = predicted(gains, state, sample.taken)
+        there = predict_posterior(gains, state, sample.taken)
         return state._replace(mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken)
 
     sample = sample._replace(mask=sample.mask & (sample.taken >= first.taken))

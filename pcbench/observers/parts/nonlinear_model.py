@@ -84,7 +84,7 @@ def slope(model: Model, room: Room, now: Now, z: Array) -> Array:
     return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
-def moved(successor: Model, room: Room, now: Now, z: Array) -> Array:
+def step_augmented(successor: Model, room: Room, now: Now, z: Array) -> Array:
     """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
     n = z.shape[0] - room.shape[0]
     return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
@@ -92,10 +92,12 @@ def moved(successor: Model, room: Room, now: Now, z: Array) -> Array:
 
 def moved_slope(successor: Model, room: Room, now: Now, z: Array) -> Array:
     """Return the Jacobian of that."""
-    return jax.jacfwd(lambda z: moved(successor, room, now, z))(z)
+    return jax.jacfwd(lambda z: step_augmented(successor, room, now, z))(z)
 
 
-def pushed(A: Array, B: Array, E: Array, known: Callable[[Array], Array], now: Now, x: Array, p: Array) -> Array:
+def disturbed_derivative(
+    A: Array, B: Array, E: Array, known: Callable[[Array], Array], now: Now, x: Array, p: Array
+) -> Array:
     """Return dx/dt of a linear model pushed by f = known(x) + p."""
     return A @ x + B @ now.u + E @ (known(x) + p)
 
@@ -105,21 +107,21 @@ def motion_of(setting: DesignContext) -> tuple[Partial, Partial]:
     model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.successor is not None:
         after = setting.successor
-        return Partial(moved, after, room), Partial(moved_slope, after, room)
+        return Partial(step_augmented, after, room), Partial(moved_slope, after, room)
     if setting.field is None and (model.E is None or model.known is None):
         whole = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(whole, setting.dt)
         return Partial(affine, Phi, Gamma), Partial(constant, Phi)
-    field = setting.field or Partial(pushed, model.A, model.B, model.E, model.known)
+    field = setting.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.known)
     return Partial(step, field, room), Partial(slope, field, room)
 
 
-def started(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
+def initial_augmented(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
     """Return z at t = 0."""
     return jnp.concatenate([xhat0, gains.start])
 
 
-def within(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " joint"]:
+def clip_parameters(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " joint"]:
     """Return z with p clipped to its range; z may have a copy beside it."""
     s, N = gains.start.shape[0], gains.P0.shape[0]
     beside = [z[N:]] if z.shape[0] > N else []
@@ -132,13 +134,13 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
 
 
-def carried(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tuple[Array, Array]:
+def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tuple[Array, Array]:
     """Return mean and covariance carried on to a tick, one by one; a copy beside the state stays as it is."""
     N, beside = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         (z, P), there = carry, at(now, k)
-        F, moved, Q = gains.slope(there, z[:N]), within(gains, gains.motion(there, z[:N])), gains.Q
+        F, moved, Q = gains.slope(there, z[:N]), clip_parameters(gains, gains.motion(there, z[:N])), gains.Q
         if beside:
             F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(beside)), jnp.pad(Q, (0, beside))
             moved = jnp.concatenate([moved, z[N:]])
@@ -147,7 +149,7 @@ def carried(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tu
     return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
 
 
-def sensed(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+def linearize_sensor(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
     """Return what a sensor that is not linear gives at z, [q], and its Jacobian, [q, N]."""
     n = gains.C.shape[1]
 
@@ -158,10 +160,10 @@ def sensed(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Arra
     return output(z), jax.jacfwd(output)(z)
 
 
-def seen(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+def linearize_output(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
     """Return what is expected of a sample at z, [q], and its slope, [q, N]."""
     if gains.sensor is not None:
-        return sensed(gains, there, z)
+        return linearize_sensor(gains, there, z)
     C = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
     return C @ z, C
 

@@ -71,7 +71,7 @@ def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer
     if not buffer.samples.taken.shape[0]:
         state = update(buffer.before, arrived)
         return Buffer(state, buffer.samples), state
-    entries, kept = _merged(buffer.samples, arrived)
+    entries, kept = _merge_sample(buffer.samples, arrived)
     newest, states = _through(update, buffer.before, entries)
     leaving = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states)  # the oldest of K + 1
     return Buffer(leaving, kept), newest
@@ -89,7 +89,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
     corrected by all that has arrived, and says what is expected of the sample: the innovations in the order of arrival are
     independent if the model is true.
     """
-    entries, _ = _merged(buffer.samples, arrived)
+    entries, _ = _merge_sample(buffer.samples, arrived)
     place = jnp.sum(buffer.samples.taken <= arrived.taken)
 
     def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
@@ -112,7 +112,7 @@ def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTr
     return lax.scan(step, before, entries)
 
 
-def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
+def _merge_sample(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
     """K samples in the order they were taken, and one more in its place: [K + 1]; and the newest K of them.
 
     All runs merge in one piece: entry by entry, a program would grow with K.

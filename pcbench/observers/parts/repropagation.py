@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at, started
+from pcbench.observers.parts.nonlinear_model import Gains, at, initial_augmented
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
 
@@ -34,7 +34,7 @@ class Memory(NamedTuple):
 
 def prior(gains: Gains, xhat0: Float[Array, " n"]) -> Posterior:
     """Return the prior: xhat(0), p at its start, P0."""
-    return Posterior(started(gains, xhat0), gains.P0, jnp.asarray(0))
+    return Posterior(initial_augmented(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
 class Way(NamedTuple):

@@ -22,7 +22,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import kept
+from pcbench.observers.parts.common import select_memory
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.linear_filter import Gains
 from pcbench.observers.parts.reorder_buffer import Measurement
@@ -32,7 +32,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
 
 
-class Own(NamedTuple):
+class RetrodictionParams(NamedTuple):
     """What it has besides a filter."""
 
     back: Float[Leaf, "2 R n n"]  # e^{-A h i R^level}
@@ -81,7 +81,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     """Update at a sample that is as new as the newest, or newer; channels of one tick count as one update."""
     before, again = memory.posterior, sample.taken == memory.posterior.taken
-    there = linear_filter.predicted(gains, before, sample.taken)
+    there = linear_filter.predict_posterior(gains, before, sample.taken)
     P = jnp.where(again, memory.last.P, there.P)
     u, U = jnp.where(again, memory.last.u, 0.0), jnp.where(again, memory.last.U, 0.0)
     value, known, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
@@ -119,11 +119,11 @@ def backward(
     across = after(gains.own.back, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
     joint = jnp.block([[P, across], [across.T, there]])
-    value, total, R = linear_filter.value_of(gains, sample), kalman.unjudged(), sample.variances(gains.R)
+    value, total, R = linear_filter.value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), R[channel], sample.mask[channel]
         nu, s = value[channel] - gains.C[channel] @ sample.snapshot - c @ z, c @ joint @ c + r
-        total = kalman.judged(total, nu, s, mask)
+        total = kalman.add_innovation(total, nu, s, mask)
         K = kalman.gain(joint @ c, s, mask)
         z = z + K * nu
         joint = kalman.covariance(joint, K, c, r)
@@ -136,10 +136,12 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         late = sample.taken < memory.posterior.taken
-        old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory)
+        old = select_memory(
+            late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
+        )
         reached = sample.taken >= memory.past.taken[0]
         new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
-        memory = kept(late, kept(reached, old, memory), new)
+        memory = select_memory(late, select_memory(reached, old, memory), new)
         there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + there)
 
@@ -150,7 +152,7 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         late = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
         old = backward(gains, memory, late, retrodict(gains, memory, late.taken), zero)[1]
         new = linear_filter.surprise(gains, memory.posterior, sample)
-        return kept(reached, old, new)
+        return select_memory(reached, old, new)
 
     return Observer(
         init,
@@ -169,7 +171,7 @@ def design(setting: DesignContext, options: linear_filter.Options, name: str, pa
     `past` posteriors are kept; `why` nothing proves the filter where samples overtake each other.
     """
 
-    def own(model: linear.Model) -> Own:
+    def own(model: linear.Model) -> RetrodictionParams:
         A = model.A
         if model.discrete and np.linalg.cond(A) > SINGULAR:
             raise UserError(
@@ -179,6 +181,6 @@ def design(setting: DesignContext, options: linear_filter.Options, name: str, pa
         back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
         reverse = model._replace(A=back)
         with np.errstate(over="ignore", invalid="ignore"):
-            return Own(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
+            return RetrodictionParams(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
 
     return linear_filter.design(setting, options, name, own=own, unproven=why if setting.overtaking else "")

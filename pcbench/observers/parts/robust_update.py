@@ -37,7 +37,7 @@ class Guard(NamedTuple):
     huber: Float[Leaf, ""]
 
 
-class Guarded(NamedTuple):
+class GuardedPosterior(NamedTuple):
     """A filter's posterior, and how many samples of each channel were left out in a row."""
 
     mean: Float[Array, " joint"]
@@ -46,7 +46,7 @@ class Guarded(NamedTuple):
     left_out: Int[Array, " q"]
 
 
-Known = Posterior | Guarded  # what a filter knows after a sample
+Known = Posterior | GuardedPosterior  # what a filter knows after a sample
 
 
 def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
@@ -56,21 +56,25 @@ def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
     return Guard(*(np.asarray(np.inf if each is None else each) for each in (gate, opens, huber)))
 
 
-def begun(first: Posterior, guard: PyTree, outputs: int) -> Known:
+def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> Known:
     """Return the state before the first sample."""
-    return Guarded(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
+    return GuardedPosterior(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
 def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Array]) -> Known:
     """Return the state after a sample, of the kind of the one before."""
-    return Guarded(mean, P, taken, jnp.stack(left_out)) if isinstance(before, Guarded) else Posterior(mean, P, taken)
+    return (
+        GuardedPosterior(mean, P, taken, jnp.stack(left_out))
+        if isinstance(before, GuardedPosterior)
+        else Posterior(mean, P, taken)
+    )
 
 
 def weigh(
     guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array
 ) -> tuple[Array, Array, Array]:
     """Return whether a channel is used, the variance of its noise that it is used with, how many were left out in a row."""
-    if not isinstance(before, Guarded):
+    if not isinstance(before, GuardedPosterior):
         return mask, r, jnp.asarray(0)
     count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
     out = mask & (z > guard.gate) & (count < guard.opens)

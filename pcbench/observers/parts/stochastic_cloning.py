@@ -65,7 +65,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     )
 
 
-def carried(gains: Gains, memory: Memory, now: Now) -> Memory:
+def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with the covariance of now."""
     n, age = memory.xhat.shape[0], now.tick - memory.at
     powers = gains.motion.powers
@@ -79,7 +79,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
     """Make a clone of the present, in place of the oldest."""
 
     def cloned(memory: Memory, mask: Array) -> Memory:
-        memory = carried(gains, memory, now)
+        memory = predict_clone(gains, memory, now)
         J, n = memory.clones.shape
         mine = jnp.arange(J) == memory.made % J
         row = jnp.repeat(jnp.append(False, mine), n)
@@ -107,7 +107,7 @@ def observer(gain: Gain) -> Observer:
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         def jumped(memory: Memory, arrival: Arrival) -> Memory:
-            sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+            sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
             n, P = memory.xhat.shape[0], memory.P
             z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
             mine = jnp.append(False, memory.taken == sample.taken)
@@ -140,17 +140,17 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
 
     def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
-        sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+        sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
         z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
         mine = jnp.append(False, memory.taken == sample.taken)
-        value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
+        value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.empty_stats()
         R = sample.variances(gains.R)
         for channel in range(gains.C.shape[0]):
             c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
             there = (mine[:, None] * c[None, :]).reshape(-1)
             h = P @ there
             nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
-            total = kalman.judged(total, nu, s, mask)
+            total = kalman.add_innovation(total, nu, s, mask)
             K = kalman.gain(h, s, mask)
             z, P = z + K * nu, kalman.covariance(P, K, there, r)
         return total

@@ -46,7 +46,7 @@ class Bounds(NamedTuple):
     size: Float[Leaf, " N"]  # what is near a bound is so by this
 
 
-def smoothed(chain: Chain) -> Float[Array, "S N"]:
+def smooth_chain(chain: Chain) -> Float[Array, "S N"]:
     """Return the likeliest states, without bounds."""
 
     def forward(carry: tuple[Array, Array], stage: PyTree) -> tuple[tuple[Array, Array], PyTree]:
@@ -82,7 +82,7 @@ class Point(NamedTuple):
     u: Array
 
 
-def solved(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> Float[Array, "S N"]:
+def solve_bounded(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> Float[Array, "S N"]:
     """Return the likeliest states within bounds, from a guess."""
     width = bounds.high - bounds.low
     inside = jnp.where(jnp.isfinite(width), jnp.minimum(0.1 * width, bounds.size), bounds.size)
@@ -90,16 +90,16 @@ def solved(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> Float[Ar
     there = [jnp.broadcast_to(jnp.isfinite(each), z.shape) for each in (bounds.low, bounds.high)]
     away = [jnp.where(*each, 1.0) for each in zip(there, (z - bounds.low[None], bounds.high[None] - z), strict=True)]
     first = Point(z, *away, *(jnp.where(has, FIRST / far, 0.0) for has, far in zip(there, away, strict=True)))
-    return lax.fori_loop(0, STEPS, lambda _, at: stepped(chain, there, at), first).z
+    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, there, at), first).z
 
 
-def stepped(chain: Chain, there: list[Array], at: Point) -> Point:
+def newton_step(chain: Chain, there: list[Array], at: Point) -> Point:
     """Return where a step of Newton's leads, as far as nothing leaves its bounds."""
     (low, high), (z, s, t, l, u) = there, at
     tau = jnp.maximum(SHARE * (jnp.sum(l * s) + jnp.sum(u * t)) / (jnp.sum(low) + jnp.sum(high)), LEAST)
     d, push = l / s + u / t, jnp.where(low, tau / s, 0.0) - jnp.where(high, tau / t, 0.0)
     each = jnp.broadcast_to(jnp.eye(z.shape[1]), (*z.shape, z.shape[1]))
-    aim = smoothed(
+    aim = smooth_chain(
         chain._replace(
             h=jnp.concatenate([chain.h, each], axis=1),
             y=jnp.concatenate([chain.y, z + push / jnp.where(d > 0, d, 1.0)], axis=1),

@@ -71,7 +71,7 @@ def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
     return jnp.where(gains.stamps, stamped, now.tick)
 
 
-def carried(
+def predict_linear(
     Phi: Array, Gamma: Array, Q: Array, now: Now, x: Array, P: Array, start: Array, stop: Array
 ) -> tuple[Array, Array]:
     """Return mean and covariance of tick `stop` from those of tick `start`, by a linear model and the stored inputs."""

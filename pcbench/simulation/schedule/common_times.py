@@ -105,7 +105,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
             by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
     slots = max((len(group) for group in by_arrival.values()), default=1)
     stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
-    noted = _noted(samples, packet, ticks, error)
+    noted = _snapshots_by_tick(samples, packet, ticks, error)
     early, notes = sum(tick < 0 for tick in instants), max((len(each) for each in noted.values()), default=1) - 1
     out = at_no_tick(ticks, channels, slots, early, notes)
     for s in samples:
@@ -201,7 +201,7 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
     )
 
 
-def _noted(samples: list[Sample], packet: dict[int, int], ticks: int, error: int) -> dict[int, list[int]]:
+def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int, error: int) -> dict[int, list[int]]:
     """The packets for which observers note at each tick what they will need."""
     out: dict[int, set[int]] = {}
     for s in samples:

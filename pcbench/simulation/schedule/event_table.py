@@ -36,7 +36,7 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
     order = jnp.argsort(taken, axis=0, stable=True)
     taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    believed, packet = random_times.believed(t, root_seed, seeds, taken), _first(_repeats(taken))
+    believed, packet = random_times.timestamp(t, root_seed, seeds, taken), _first(_repeats(taken))
     numbers = _by_clock(len(each), -1, clock, packet, number)
     taken, believed = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, believed))
 

@@ -88,7 +88,7 @@ def _most(clock: Clock, ticks: int) -> int:
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
-def padded(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
+def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
     """Add instants that never come, and to shares of delays the last again, so that the times of one study share a shape."""
     more = samples - t.due.shape[1]
     t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
@@ -104,12 +104,12 @@ def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple
     timing, losing = (
         rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
     )
-    step = t.low[c] + _whole(timing[:, 0], t.high[c] - t.low[c] + 1)
+    step = t.low[c] + _integers_below(timing[:, 0], t.high[c] - t.low[c] + 1)
     random = jnp.cumsum(jnp.concatenate([jnp.full_like(step[:1], t.due[c, 0]), step[1:]]), 0)
     due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
-    moved = _whole(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
+    moved = _integers_below(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
     taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
-    late = _whole(timing[:, 2], t.spread[c] + 1)
+    late = _integers_below(timing[:, 2], t.spread[c] + 1)
     if t.steps.shape[1]:
         late = late + t.steps[c][_which_step(t, c, root_seed, seeds)]
     arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
@@ -147,35 +147,35 @@ def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
 
     def following(now: Array, u: Array) -> tuple[Array, Array]:
         left = (u - stay[now]) / (1 - stay[now])  # uniform again where it is left
-        other = (now + 1 + jnp.clip(_whole(left, many - 1), 0, max(many - 2, 0))) % many
+        other = (now + 1 + jnp.clip(_integers_below(left, many - 1), 0, max(many - 2, 0))) % many
         after = jnp.where(u < stay[now], now, other)
         return after, after
 
     return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
 
 
-def believed(t: ClockParams, root_seed: Array, seeds: Array, taken: Array) -> Array:
+def timestamp(t: ClockParams, root_seed: Array, seeds: Array, taken: Array) -> Array:
     """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
     if not t.stamp:
         return taken - t.error
     key = rng.run_keys(root_seed, seeds, "stamp", 1)
     uniform = lax.map(lambda at: rng.uniforms_of(key, [at])[0], taken)
     off = t.stamp.offset + jnp.round(t.stamp.drift * taken).astype(int)
-    return taken - t.error + off + _whole(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
+    return taken - t.error + off + _integers_below(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
 
 
-def _whole(uniform: Array, many: Array) -> Array:
+def _integers_below(uniform: Array, many: Array) -> Array:
     return jnp.floor(uniform * many).astype(int)
 
 
-def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
+def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
     """Return the samples of one run as `common_times.samples` does for clocks that are not random."""
     t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
         run = jnp.asarray(root_seed), jnp.asarray([seed])
         taken, arrives = clock_times(t, c, *run)
-        ahead = believed(t, *run, taken) - taken
+        ahead = timestamp(t, *run, taken) - taken
         each = enumerate(zip(*(a[:, 0].tolist() for a in (taken, arrives, ahead)), strict=True))
         out += [Sample(j, i, *times) for i, times in each if times[0] <= ticks for j in clock.channels]
     return out

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from pcbench.controllers import CONTROLLERS
 from pcbench.plants import PLANTS
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.registry import installed
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.registry import find_plugins
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.toml_text import TomlTable
 
 NAMES: dict[str, Collection[str]] = {"plant": PLANTS, "controller": CONTROLLERS}
@@ -16,7 +16,7 @@ KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # o
 SCENARIO = "scenario"  # the kind of a scenario that a raw study names, which its table replaces
 
 
-class Named(NamedTuple):
+class PluginReference(NamedTuple):
     """One place."""
 
     kind: str
@@ -27,59 +27,65 @@ class Named(NamedTuple):
 class Gate(NamedTuple):
     """What a study may reach beside its own text. Whoever reads a study hands one in; there is no default."""
 
-    code: Callable[[Named, str], Own]  # (what is named, where) -> the user's own object; raises UserError for a refusal
+    code: Callable[
+        [PluginReference, str], UserPlugin
+    ]  # (what is named, where) -> the user's own object; raises UserError for a refusal
     files: bool  # whether it may name tables of inputs and logs, which are opened
 
 
-def named_in(study: TomlTable) -> list[Named]:
+def named_in(study: TomlTable) -> list[PluginReference]:
     """Return every name of what is a user's own in a study, as a dict."""
-    found: list[Named] = []
+    found: list[PluginReference] = []
 
-    def seen(each: Named) -> str:
+    def seen(each: PluginReference) -> str:
         if user_code.is_reference(each.reference):
             found.append(each)
         return each.reference
 
-    renamed(study, seen)
+    replace_references(study, seen)
     return found
 
 
-def renamed(study: TomlTable, change: Callable[[Named], str]) -> TomlTable:
+def replace_references(study: TomlTable, change: Callable[[PluginReference], str]) -> TomlTable:
     """Return a study, as a dict, with every name of what may be a user's own changed."""
     out = dict(study)
     if isinstance(use := out.get("custom_observers"), dict):
         mine = {label: text for label, text in use.items() if isinstance(text, str)}
-        out["custom_observers"] = use | {label: change(Named("observer", label, text)) for label, text in mine.items()}
+        out["custom_observers"] = use | {
+            label: change(PluginReference("observer", label, text)) for label, text in mine.items()
+        }
     if isinstance(tables := out.get("tables"), dict):
-        out["tables"] = {name: _changed(table, ("plant", "controller"), change) for name, table in tables.items()}
+        out["tables"] = {
+            name: _replace_in_table(table, ("plant", "controller"), change) for name, table in tables.items()
+        }
     if "scenario" in out:
-        out["scenario"] = _changed(out["scenario"], ("plant", "controller"), change)
+        out["scenario"] = _replace_in_table(out["scenario"], ("plant", "controller"), change)
     if "controller" in out:
-        out["controller"] = _changed(out["controller"], ("use",), change)
+        out["controller"] = _replace_in_table(out["controller"], ("use",), change)
     return out
 
 
-def _changed(table: object, keys: tuple[str, ...], change: Callable[[Named], str]) -> object:
+def _replace_in_table(table: object, keys: tuple[str, ...], change: Callable[[PluginReference], str]) -> object:
     """A table with the names in it changed; what is no table, or no name, as it is."""
     if not isinstance(table, dict):
         return table
     mine = {key: table[key] for key in keys if isinstance(table.get(key), str)}
-    return table | {key: change(Named(KINDS[key], text, text)) for key, text in mine.items()}
+    return table | {key: change(PluginReference(KINDS[key], text, text)) for key, text in mine.items()}
 
 
 def looked_up(study: TomlTable) -> TomlTable:
     """Return a study, as a dict, whose plants and controllers of installed packages are named MODULE:NAME."""
 
-    def found(each: Named) -> str:
+    def found(each: PluginReference) -> str:
         if user_code.is_reference(each.reference) or each.kind == "observer" or each.reference in NAMES[each.kind]:
             return each.reference
-        there = installed(each.kind).get(each.reference)
+        there = find_plugins(each.kind).get(each.reference)
         return there.reference if there else each.reference
 
-    return renamed(study, found)
+    return replace_references(study, found)
 
 
 def absolute(study: TomlTable, folder: Path | None = None) -> TomlTable:
     """Return a study, as a dict, whose files are found from every folder; relative paths are from `folder`, or from here."""
     here = Path().resolve() if folder is None else folder
-    return renamed(study, lambda each: user_code.beside(each.reference, here))
+    return replace_references(study, lambda each: user_code.resolve_reference(each.reference, here))

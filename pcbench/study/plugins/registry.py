@@ -15,7 +15,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.protocols import Controller, Observer
 from pcbench.signal_names import pair
 from pcbench.study.plugins import user_code, user_controllers, user_observers
-from pcbench.study.plugins.user_code import Own
+from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_observers import require_model
 from pcbench.toml_text import TomlTable
 
@@ -56,8 +56,8 @@ def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
         names = [name for name, each in vars(module).items() if each is value]
         if not isinstance(value, KINDS[kind].types) or not names:
             raise UserError(
-                f"{where}.{kind}: got {called(value)}, expected {KINDS[kind].expected} that the same module holds, or a name; "
-                "write that."
+                f"{where}.{kind}: got {describe_kind(value)}, expected {KINDS[kind].expected} that the same module holds, or "
+                "a name; write that."
             )
         out[kind] = InModule(names[0])
     return out
@@ -77,20 +77,20 @@ KINDS = {
 }
 
 
-class Installed(NamedTuple):
+class PackagePlugin(NamedTuple):
     """What an installed package offers by a plain name."""
 
     reference: str  # MODULE:NAME
     package: str
 
 
-def installed(kind: str) -> dict[str, Installed]:
+def find_plugins(kind: str) -> dict[str, PackagePlugin]:
     """Return what installed packages offer of a kind, by name; nothing is imported."""
     points = entry_points(group=f"pcbench.{kind}s")
-    return {point.name: Installed(point.value, point.dist.name if point.dist else "") for point in points}
+    return {point.name: PackagePlugin(point.value, point.dist.name if point.dist else "") for point in points}
 
 
-def load(kind: str, reference: str, where: str, folder: Path | None = None) -> Own:
+def load(kind: str, reference: str, where: str, folder: Path | None = None) -> UserPlugin:
     """Return what MODULE:NAME names, a path taken from a `folder` (default: the working folder).
 
     Raises UserError where there is none, where its module raises, or where it is of another kind.
@@ -101,14 +101,14 @@ def load(kind: str, reference: str, where: str, folder: Path | None = None) -> O
     return of(kind, code, where, here)
 
 
-def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> Own:
+def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> UserPlugin:
     """Return what some code makes; raise UserError where it makes none, or a plant or a controller called as pcbench's own."""
     module = user_code.module_of(code, where, folder)
     found, there = user_code.found_in(module, code.name, KINDS[kind].types)
     if found is None:
         raise unknown(f"{where} {code.module}", f"{kind} there", code.name, there)
     if not isinstance(found, KINDS[kind].types):
-        raise UserError(f"{where}: got {called(found)}, expected {KINDS[kind].expected}; name one of those.")
+        raise UserError(f"{where}: got {describe_kind(found)}, expected {KINDS[kind].expected}; name one of those.")
     taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
     if code.name in taken.get(kind, ()):
         raise UserError(
@@ -118,10 +118,10 @@ def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) 
     if isinstance(made, observers.ObserverSpec | controllers.ControllerSpec):
         require_model(made.options, module, where)
     elsewhere = not code.files and getattr(made, "elsewhere", False)
-    return Own(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
+    return UserPlugin(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
 
 
-def called(found: object) -> str:
+def describe_kind(found: object) -> str:
     """Return what something is, in a word or two."""
     if isinstance(found, plants.PlantSpec):
         return "a plant"

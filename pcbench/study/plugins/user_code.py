@@ -41,7 +41,7 @@ class Code(NamedTuple):
         return f"{folder}{self.module}:{self.name}"
 
 
-class Own(NamedTuple):
+class UserPlugin(NamedTuple):
     """What is a user's own, as an entry beside pcbench's, and the code that makes it."""
 
     entry: Any
@@ -118,7 +118,7 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
     """
     module = code.module
     try:
-        return _executed(code, folder) if code.files else _imported(module)
+        return _execute(code, folder) if code.files else _import_module(module)
     except (UserError, KeyboardInterrupt):
         raise
     except BaseException as error:
@@ -142,7 +142,7 @@ def digest_of(code: Code, module: ModuleType) -> str:
     return hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()[:DIGITS]
 
 
-def beside(text: str, folder: Path) -> str:
+def resolve_reference(text: str, folder: Path) -> str:
     """Return MODULE:NAME with the path of a file taken from a folder; anything else as it is."""
     module, _, name = text.rpartition(":")
     return f"{folder / module}:{name}" if is_file(module) else text
@@ -162,7 +162,7 @@ def _imports(text: bytes) -> list[str]:
     return sorted(name for name in out if "." not in name)
 
 
-def _executed(code: Code, folder: Path | None) -> ModuleType:
+def _execute(code: Code, folder: Path | None) -> ModuleType:
     name = f"{Path(code.module).stem}_{code.digest}"  # by which its types are found when they are unpickled
     if name in sys.modules:
         return sys.modules[name]
@@ -228,7 +228,7 @@ class InFolder(MetaPathFinder):
         return PathFinder.find_spec(fullname, [str(self.folder)]) if self.folder and path is None else None
 
 
-def _imported(name: str) -> ModuleType:
+def _import_module(name: str) -> ModuleType:
     """Import a module by its name, one of the working folder after all others."""
     finder = InFolder(Path.cwd())
     sys.meta_path.append(finder)

@@ -25,7 +25,7 @@ from pcbench.errors import UserError, raised
 from pcbench.protocols import Controller, Now, Params
 from pcbench.runtime import config
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 from pcbench.study.plugins.user_observers import ABSENT, NoOptions
 from pcbench.synthesis.lqr import Law
 
@@ -37,7 +37,7 @@ def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) ->
     if isinstance(found, ControllerSpec):
         law, linear = found.controller, found.linear
         if linear is None and isinstance(law, Controller):
-            linear = partial(linearised, law, found.prepare)
+            linear = partial(linearize_law, law, found.prepare)
         return found._replace(check=found.check or anything, linear=linear)
     prepare = getattr(module, "prepare", None)
     if not callable(prepare):
@@ -51,7 +51,7 @@ def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) ->
         prepare=prepare,
         summary="yours",
         check=getattr(module, "check", anything),
-        linear=getattr(module, "linear", partial(linearised, found, prepare)),
+        linear=getattr(module, "linear", partial(linearize_law, found, prepare)),
     )
 
 
@@ -59,7 +59,7 @@ def anything(options: BaseModel, sizes: Sizes) -> None:
     """Take all options as fitting."""
 
 
-def linearised(
+def linearize_law(
     law: Controller, prepare: Callable[..., Params], options: BaseModel, told: ControllerContext
 ) -> Law | None:
     """Return a law about its set point of tick 0, by jax.
@@ -100,8 +100,8 @@ def _slopes(law: Controller, params: Params, told: ControllerContext, asked: lis
     return Law(*(np.asarray(each, float) for each in (A, B, C, D)))
 
 
-def absent(reference: str, code: Code) -> Own:
+def absent(reference: str, code: Code) -> UserPlugin:
     """Return what stands for a controller where its code is not asked for: a result is read so."""
     nothing = user_code.absent(reference)
     model = create_model("Options", __config__=ConfigDict(extra="allow"))
-    return Own(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)
+    return UserPlugin(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)

@@ -14,7 +14,7 @@ from pcbench.errors import UserError, is_ours, raised, shown
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.user_code import Code, UserPlugin
 from pcbench.study.pydantic_errors import sentence
 from pcbench.toml_text import TomlTable
 
@@ -43,7 +43,7 @@ def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> Obs
     return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
 
-def absent(reference: str, code: Code, options: TomlTable) -> Own:
+def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
     """Return what stands for an observer where its code is not asked for, with the options it had: a result is read so."""
     nothing = user_code.absent(reference)
     kept: TomlTable = {name: (object, value) for name, value in options.items()}
@@ -56,10 +56,10 @@ def absent(reference: str, code: Code, options: TomlTable) -> Own:
         takes="any schedule",
         nonlinear=True,
     )
-    return Own(stand_in, code)
+    return UserPlugin(stand_in, code)
 
 
-def is_absent(mine: Own) -> bool:
+def is_absent(mine: UserPlugin) -> bool:
     """Say whether something stands there without its code."""
     return bool(mine.entry.summary == ABSENT)
 
@@ -84,7 +84,7 @@ def require_model(options: object, module: ModuleType, where: str) -> None:
     )
 
 
-def filled(model: type[Model], given: TomlTable, where: str) -> Model:
+def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
     """Return the options that a table gives, checked and complete; raise UserError for what does not fit."""
     try:
         return model.model_validate(given)

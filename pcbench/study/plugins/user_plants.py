@@ -27,8 +27,8 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.signal_names import pair
 from pcbench.study import times
 from pcbench.study.plugins import registry, user_code
-from pcbench.study.plugins.references import SCENARIO, Gate, Named
-from pcbench.study.plugins.user_code import Code, Own
+from pcbench.study.plugins.references import SCENARIO, Gate, PluginReference
+from pcbench.study.plugins.user_code import Code, UserPlugin
 from pcbench.study.plugins.user_observers import ABSENT
 from pcbench.toml_text import TomlTable
 
@@ -57,7 +57,7 @@ def facts(entry: PlantSpec) -> TomlTable:
     }
 
 
-def absent(reference: str, code: Code, known: TomlTable) -> Own:
+def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
     """Return what stands for a plant of which only the facts are known."""
     nothing = user_code.absent(reference)
     linear = {name: np.array(value, float) for name, value in known["linear"].items()}
@@ -87,10 +87,10 @@ def absent(reference: str, code: Code, known: TomlTable) -> Own:
         drifts=known["drifts"],
         residual=None if rest is None else lambda numbers: rest,
     )
-    return Own(there, code)
+    return UserPlugin(there, code)
 
 
-def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
+def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read.
 
     `gate` is what the study may reach.
@@ -116,14 +116,14 @@ def tabled(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlT
             if _names_one(name):
                 table, name = {"base": name} | table, name.rpartition(":")[2]
             if _names_one(table.get("base")):
-                table = _based(table, here, folder, gate)
+                table = _apply_base(table, here, folder, gate)
             if table and name in tables:
                 raise UserError(f"{here}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
             tables |= {name: table} if table else {}  # of a published one there is none
         names.append(name)
     scenario = raw.get("scenario")
     if isinstance(scenario, dict) and _names_one(scenario.get("base")):
-        raw = raw | {"scenario": _based(scenario, f"{where}: scenario", folder, gate)}
+        raw = raw | {"scenario": _apply_base(scenario, f"{where}: scenario", folder, gate)}
     return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
 
 
@@ -131,30 +131,32 @@ def _names_one(text: object) -> bool:
     """Whether a text names a scenario of a user's own."""
     if not isinstance(text, str) or text in SCENARIOS:
         return False
-    return user_code.is_reference(text) or text in registry.installed("scenario")
+    return user_code.is_reference(text) or text in registry.find_plugins("scenario")
 
 
-def _based(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
+def _apply_base(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """A table with what its `base`, of a user's own, says beneath it, as data.
 
     What that names in its module, or in files beside it, is named as from here.
     """
-    found = registry.installed(SCENARIO).get(table["base"])
+    found = registry.find_plugins(SCENARIO).get(table["base"])
     reference = found.reference if found else table["base"]
     user_code.split(reference, where)
-    reference = reference if folder is None else user_code.beside(reference, folder)
+    reference = reference if folder is None else user_code.resolve_reference(reference, folder)
     module, _ = user_code.split(reference, where)
     here = Path(module).parent if user_code.is_file(module) else None
-    below = dict(gate.code(Named(SCENARIO, reference, reference), where).entry)
+    below = dict(gate.code(PluginReference(SCENARIO, reference, reference), where).entry)
     below.pop("name", None)
     for key in ("plant", "controller"):
         value = below.get(key)
         if isinstance(value, registry.InModule):
             below[key] = f"{module}:{value.name}"
         elif isinstance(value, str) and here is not None:
-            below[key] = user_code.beside(value, here)
+            below[key] = user_code.resolve_reference(value, here)
     if isinstance(below.get("observers"), list | tuple) and here is not None:
-        below["observers"] = [user_code.beside(o, here) if isinstance(o, str) else o for o in below["observers"]]
+        below["observers"] = [
+            user_code.resolve_reference(o, here) if isinstance(o, str) else o for o in below["observers"]
+        ]
     return {k: plain(v) for k, v in below.items()} | {k: v for k, v in table.items() if k != "base"}
 
 
