@@ -369,3 +369,21 @@ def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
         recordings.table(SimpleNamespace(about=about), found, found, "the recording", console)
         assert ("rms error" in console.file.getvalue()) == shown
         assert "nan" not in console.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [30, 60, 80, 200])
+def test_a_table_without_room_goes_on_below_and_cuts_no_number(width):
+    """Every cell is printed whole; the first columns of text are in each part, and no line is wider than the terminal."""
+    names = ["kf", "ekf-iterated"]
+    columns = [Column("observer", names, left=True)]
+    columns += [Column(f"head {i}", [f"{i}.{i}{row}25" for row in (1, 2)]) for i in range(8)]
+    screen = Screen(width=width, file=io.StringIO())
+    assert screen.fit("a title", columns, [1, 1]) == []
+    lines = screen.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    for column in columns[1:]:
+        assert sum(cell in line.split() for line in lines for cell in column.cells) == 2
+        assert sum(column.head in line for line in lines) == 1
+    parts = sum("head" in line for line in lines)
+    assert [sum(line.strip().startswith(name) for line in lines) for name in names] == [parts, parts]
+    assert (parts == 1) == (width == 200)

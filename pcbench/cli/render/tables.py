@@ -1,10 +1,11 @@
-"""How all tables of pcbench look: a number is never cut; where a terminal is narrow, columns are left out, the least first.
+"""How all tables of pcbench look: a number is never cut. In a narrow terminal, columns are left out, or go into a table below.
 
 What a program reads: arrays, complex numbers and tuples as JSON.
 """
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
 from typing import Any, Literal, NamedTuple
 
 from rich.box import SIMPLE_HEAD
@@ -70,18 +71,30 @@ class Screen(Console):
     def fit(self, title: str, columns: list[Column], sections: list[int] | None = None) -> list[str]:
         """Print a table as wide as the terminal at most, below its title; return the heads of the columns left out for it.
 
-        `sections` are the numbers of rows between which a line stands.
+        Columns that cannot be left out and have no room follow in further tables, after the same first columns. `sections` are
+        the numbers of rows of each part.
         """
         shown, out = list(columns), []
-        while self._needs(table := _table(shown, sections)) > self.width:
+        while self._needs(_table(shown, None)) > self.width:
             spare = max(shown, key=lambda c: c.spare)
             if not spare.spare:
                 break
             shown.remove(spare)
             out.append(spare.head.replace("\n", " "))
         self.print(title, style="italic")
-        self.print(table)
+        for part in self._parts(shown):
+            self.print(_table(part, sections))
         return out[::-1]
+
+    def _parts(self, columns: list[Column]) -> list[list[Column]]:
+        """Divide columns into tables that have room, each with the columns of text that come first; one is never empty."""
+        first = list(takewhile(lambda c: c.left, columns))
+        parts = [first]
+        for column in columns[len(first) :]:
+            if len(parts[-1]) > len(first) and self._needs(_table([*parts[-1], column], None)) > self.width:
+                parts.append(first)
+            parts[-1] = [*parts[-1], column]
+        return parts
 
     def fits(self, columns: list[Column]) -> bool:
         """Say whether the columns that stay are no wider than the terminal."""
