@@ -74,14 +74,18 @@ def draw_run(
     at = [frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items()]
     title = ", ".join([title_of_scenario(result, scenario), *at, f"seed {seed}"])
     plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
-    with sheet(paper, title, panels=2, sharex=True, keys=[plant]) as (figure, (above, below)):
+    has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
+    with sheet(paper, title, 1 + has_truth, sharex=True, keys=[plant] * has_truth) as (figure, axes):
+        below = axes[-1]
         set_limits(below, "x", 0.0, float(part.t.max()))
-        set_limits(above, "y", *_range(part))
         log = _set_errors_range(below, part)
-        above.set_title(f"{signal.replace('_', ' ')} [{unit}]")
         exact = exactly(result, scenario, cell)
-        below.set(title=_size(part, unit, exact) if log else f"error (true less estimated) [{unit}]", xlabel="t [s]")
-        _draw_states(above, part, look)
+        error = "error (true less estimated)" if has_truth else signal.replace("_", " ")
+        below.set(title=_size(part, unit, exact) if log else f"{error} [{unit}]", xlabel="t [s]")
+        if has_truth:
+            set_limits(axes[0], "y", *_range(part))
+            axes[0].set_title(f"{signal.replace('_', ' ')} [{unit}]")
+            _draw_states(axes[0], part, look)
         _draw_errors(below, part, look, log)
     return figure
 
@@ -178,7 +182,8 @@ def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
     size = part[part.kind == "rms"] if (part.kind == "rms").any() else errors
     true = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     start = errors[errors.t == 0].value.abs().max()
-    most = RUNAWAY * max(true.max() - true.min(), start if np.isfinite(start) else 0.0) or np.inf
+    span = true.max() - true.min() if len(true) else 0.0
+    most = RUNAWAY * max(span, start if np.isfinite(start) else 0.0) or np.inf
     values = size.value.abs()
     values = values[np.isfinite(values) & (values <= most)]
     if not len(values) or not values.max():

@@ -83,7 +83,10 @@ def convergence(part: pd.DataFrame) -> str:
 
 def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
     """Return where one run ends, and how to read its picture, where errors of some observers over time are `exact`."""
-    ends = run[run.kind.isin(["truth", "estimate", "target"])].groupby("series", sort=False).value.last()
+    kinds = (
+        ["truth", "estimate", "target"] if (run.kind == "truth").any() else ["error"]
+    )  # of a user's own there is no more
+    ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.last()
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
     of = frozenset(run.series[run.kind == "rms"])
     runs = "" if of <= exact else ", this one and the seeds after it"
@@ -155,7 +158,7 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
     found = limit_verdicts.points(part, axis, limit)
     each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in found.items())
     which = f"{number(limit)} {unit}".strip() + (", twice the least" if threshold is None else "")
-    return f"Surely below {which}: {each}."
+    return f"Significantly below {which}: {each}."
 
 
 def _words(a: Answer) -> str:

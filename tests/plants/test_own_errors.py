@@ -10,6 +10,8 @@ from pcbench.errors import UserError
 from pcbench.external import export_draws, score
 from pcbench.planning import run_local
 from pcbench.plants import PLANTS
+from pcbench.plots import one_run, time_series
+from pcbench.report import captions
 from pcbench.runtime import config
 from pcbench.study import parse
 
@@ -200,3 +202,15 @@ def test_errors_beside_unknown_numbers_are_refused():
             field=lambda p, now, x: jnp.stack([x[1], -p.k * x[0] - 0.4 * x[1] + now.u[0]]),
             unknown_parameters={"k": "1/s^2"},
         )
+
+
+@pytest.mark.ci
+def test_its_picture_in_time_has_the_errors_alone(study):
+    """Of an own error there is neither truth nor estimate: one pair of axes, with the error of each observer."""
+    result = pcbench.run(study(observers=["kf"]))
+    of_state, own = (time_series.time(result, signal=signal) for signal in ("position", "distance"))
+    assert [len(figure.axes) for figure in (of_state, own)] == [2, 1]
+    assert "[m]" in own.axes[0].get_title(loc="left")
+    run = one_run.of(result.study, result.scenarios[0], result.out, 0, 0)
+    text, _ = captions.time(run[run.signal == "distance"], "m")
+    assert text.startswith("At the end: kf ")
