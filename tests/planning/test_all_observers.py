@@ -84,14 +84,14 @@ def test_trace_and_replay_take_all(tmp_path, monkeypatch):
     frame = pcbench.simulate(STUDY, "all", log=tmp_path / "log")
     assert {"kf.x1", "model-only.x1"} <= set(frame.columns)
     assert frame.attrs["excluded"] == {"smo": REASON}
-    real = replay.prepared
+    real = replay.prepare_observers
 
     def picky(playback, *given):
         if "kf" in playback.cell.options:
             raise UserError("kf has no room.")
         return real(playback, *given)
 
-    monkeypatch.setattr(replay, "prepared", picky)
+    monkeypatch.setattr(replay, "prepare_observers", picky)
     found = pcbench.replay(tmp_path / "log", STUDY, "all")
     assert set(found.metrics.observer) == {"model-only"}
     assert found.summary["said"][:2] == [f"{o} is left out of all observers: {why}" for o, why in LEFT_OUT.items()]
