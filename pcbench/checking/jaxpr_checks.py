@@ -158,7 +158,8 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
                     run({name: f})
                 except Exception as error:
                     raise UserError(
-                        f"lanes: {name} under {way}: got {describe_exception(error)}, expected a batch of runs; write it in jax.numpy, "
+                        f"lanes: {name} under {way}: got {describe_exception(error)}, expected a batch of runs; write it in "
+                        "jax.numpy, "
                         "without callbacks into Python."
                     ) from None
             raise

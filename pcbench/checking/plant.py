@@ -172,7 +172,8 @@ def shapes(t: Trial) -> str:
             value = jax.eval_shape(lambda g, f=f: jnp.asarray(f(g)), points(t)[0])
         except Exception as error:
             raise UserError(
-                f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one run, with "
+                f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one "
+                "run, with "
                 "jnp.where in place of if; mend that line."
             ) from None
         if value.shape != want:

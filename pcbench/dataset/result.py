@@ -189,7 +189,8 @@ class Result:
             for block in blocks:
                 block_files.read(target, block)
             raise UserError(
-                f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected whole blocks; see pcbench verify {target.name}."
+                f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected whole blocks; see pcbench "
+                f"verify {target.name}."
             ) from None
 
     def _closing(self, name: str) -> "pd.DataFrame":

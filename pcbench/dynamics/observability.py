@@ -110,7 +110,8 @@ def require_detectable(model: Model, where: str) -> None:
     for mode in unobservable(model.A, model.C):
         if not decays(mode, model.discrete):
             raise UserError(
-                f"{where}: got a plant whose mode {format_mode(mode)} is undetectable (no output shows it and it does not decay), "
+                f"{where}: got a plant whose mode {format_mode(mode)} is undetectable (no output shows it and it does "
+                "not decay), "
                 "expected a detectable one; measure another output or leave that state out."
             )
 

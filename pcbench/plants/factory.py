@@ -328,11 +328,13 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: A
         same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
     except Exception as error:
         raise UserError(
-            f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: {describe_exception(error)}; mend that line."
+            f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: "
+            f"{describe_exception(error)}; mend that line."
         ) from None
     if same.shape or same != 0:
         raise UserError(
-            f"{WHERE}: errors: number {i + 1} is {brief_repr(same.tolist())} where x and xhat agree, expected 0: it takes (numbers, "
+            f"{WHERE}: errors: number {i + 1} is {brief_repr(same.tolist())} where x and xhat agree, expected 0: "
+            "it takes (numbers, "
             "now, x, xhat) and returns one number."
         )
 
@@ -340,6 +342,7 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: A
 def _require_finite(name: str, value: np.ndarray, e: Equations) -> None:
     if not np.isfinite(value).all():
         raise UserError(
-            f"{WHERE}: {name}: got {brief_repr(np.asarray(value).tolist())} at the operating point x = {brief_repr(list(e.x0))}, "
+            f"{WHERE}: {name}: got {brief_repr(np.asarray(value).tolist())} at the operating point x = "
+            f"{brief_repr(list(e.x0))}, "
             f"u = {brief_repr(list(e.u0))}, expected finite numbers; take another point, or mend the function."
         )

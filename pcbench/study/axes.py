@@ -74,7 +74,8 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
             raise UserError(
-                f"{where}: got {brief_repr(value)}, expected no log among the values of an axis; write it as delay of a table, one "
+                f"{where}: got {brief_repr(value)}, expected no log among the values of an axis; write it as delay of "
+                "a table, one "
                 "[scenarios.NAME] for each log."
             )
         if value != INTERVAL:

@@ -69,7 +69,8 @@ def covariance(given: float | list[float] | list[list[float]], many: int, where:
     flat = not any(isinstance(row, list) for row in given)
     if len(given) != many or not (flat or all(isinstance(row, list) and len(row) == many for row in given)):
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a number, {many} numbers, or {many} x {many}: one noise for each column "
+            f"{where}: got {brief_repr(given)}, expected a number, {many} numbers, or {many} x {many}: one noise "
+            "for each column "
             "of G."
         )
     Q: NDArray[np.float64] = np.diag(np.array(given, float)) if flat else np.array(given, float)

@@ -136,7 +136,8 @@ def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, 
     for i, row in enumerate(given):
         if not isinstance(row, list) or len(row) not in (2, many + 1) or len(row) != len(rows[0]):
             raise UserError(
-                f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} numbers, the "
+                f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} "
+                "numbers, the "
                 f"same in each: one for all, or one for each of {many} {kind}."
             )
     numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(rows)]

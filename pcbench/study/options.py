@@ -103,5 +103,6 @@ def _require_sensible_size(value: object, where: str) -> None:
         _require_sensible_size(each, where)
     if isinstance(value, int | float) and value == value and value and not LEAST <= abs(value) <= axes.LARGEST:
         raise UserError(
-            f"{where}: got {brief_repr(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
+            f"{where}: got {brief_repr(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; "
+            "write SI units."
         )

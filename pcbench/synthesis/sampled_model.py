@@ -141,7 +141,8 @@ def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, 
             along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
             kind = "a detectable" if least else "an observable"
             raise UserError(
-                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} of A^d (along "
+                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} "
+                "of A^d (along "
                 f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
             )
 

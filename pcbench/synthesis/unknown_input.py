@@ -90,7 +90,8 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
     if slowest >= -rate:
         other = f"ask for a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
-            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed))}, expected each left of "
+            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed))}, "
+            "expected each left of "
             f"{-rate:.4g} 1/s; {other}measure other outputs."
         )
 

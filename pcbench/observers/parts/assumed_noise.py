@@ -42,7 +42,8 @@ def covariance(given: Variances | Sizes | None, many: int, where: str, each: str
     found = np.asarray(given, float) if _regular(given) else np.zeros(0)
     if found.shape not in ((), (many,), (many, many)):
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected {many} number{'s' if many > 1 else ''}, one for each {each}, or a matrix "
+            f"{where}: got {brief_repr(given)}, expected {many} number{'s' if many > 1 else ''}, one for each "
+            f"{each}, or a matrix "
             f"of {many} x {many}."
         )
     if found.ndim < 2:
@@ -81,7 +82,8 @@ def independent(
         L = np.linalg.cholesky(R)
     except np.linalg.LinAlgError:
         raise UserError(
-            f"{where}: R: got {brief_repr(given)}, expected every eigenvalue above 0: an output without noise would be divided by 0."
+            f"{where}: R: got {brief_repr(given)}, expected every eigenvalue above 0: an output without noise "
+            "would be divided by 0."
         ) from None
     if setting.sensors > 1 or len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(

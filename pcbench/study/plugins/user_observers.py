@@ -94,5 +94,6 @@ def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
         if is_ours(model):
             raise
         raise UserError(
-            f"{where}: its {model.__name__} raised {describe_exception(error)}, expected options or a ValueError; mend that line."
+            f"{where}: its {model.__name__} raised {describe_exception(error)}, expected options or a ValueError; "
+            "mend that line."
         ) from error
