@@ -37,7 +37,7 @@ class Field(NamedTuple):
     signed: bool = False  # may be below 0
     listed: bool = False  # one value may be a list
     always: bool = False  # a column of every table; of others only where they are axes
-    random: bool = False  # of times: drawn in each run anew
+    random: bool = False  # of times: drawn again in each run
     loop: bool = False  # of loops that a study closes
     limit: Limit | None = None
     search: tuple[End, End] | None = None  # where `find-limit` looks; None: a decade about the scenario's own value
@@ -136,8 +136,8 @@ FIELDS = (
     Field(
         "assumed_delay_error",
         "s",
-        "observers believe every sample to be so much older than it is",
-        title="observers believe samples older by",
+        "observers assume every sample to be this much older than it is",
+        title="observers assume samples older by",
         form="{} s",
         ticks=True,
         signed=True,
@@ -221,7 +221,7 @@ FIELDS = (
     Field(
         "outlier_probability",
         "1",
-        "that a sample's noise is outlier_scale times what it would be, which nobody is told",
+        "that a sample's noise is outlier_scale times what it would be, which no observer takes into account",
         title="outliers among samples",
         form="percent",
         per="sensor",
@@ -239,8 +239,8 @@ FIELDS = (
     Field(
         "student_t_dof",
         "1",
-        "degrees of freedom of Student's t that the noise of samples has, of the same variance, which nobody is "
-        "told; inf: it is Gaussian",
+        "degrees of freedom of Student's t that the noise of samples has, of the same variance, which no "
+        "observer takes into account; inf: it is Gaussian",
         title="noise of samples",
         form="Student's t, {} degrees of freedom",
         word="inf",
@@ -253,19 +253,20 @@ FIELDS = (
     Field(
         "assumed_noise_scale",
         "1",
-        "how many times larger than it is the noise of a sample is believed to be",
-        title="observers believe noise larger by",
+        "how many times larger than it is the noise of a sample is assumed to be",
+        title="observers assume noise larger by",
         form="{} times",
         limit=Limit(
             lambda n: n > 0,
-            "a number greater than 0: how many times larger noise is believed to be than it is; write 1 where that is right.",
+            "a number greater than 0: how many times larger noise is assumed to be than it is; write 1 if that is right.",
         ),
         search=(0.1, 10.0),
     ),
     Field(
         "quantization_step",
         "unit of the output",
-        "a sample is rounded to whole steps of this size, which nobody is told; a list where output channels differ",
+        "a sample is rounded to whole steps of this size, which no observer takes into account; a list where output "
+        "channels differ",
         title="samples rounded to steps of",
         form="outputs",
         per="output",
@@ -319,7 +320,7 @@ FIELDS = (
     Field(
         "timestamp_offset",
         "s",
-        "a sample's stamp says that it was taken so much later than it was, which nobody is told",
+        "a sample's stamp says that it was taken so much later than it was, which no observer takes into account",
         title="stamps ahead by",
         form="{} s",
         ticks=True,
@@ -368,7 +369,7 @@ FIELDS = (
     Field(
         "command_std",
         "unit of the input",
-        "standard deviation of one command's noise, which no observer is told",
+        "standard deviation of one command's noise, which observers do not know of",
         title="noise of a command (std)",
         loop=True,
     ),

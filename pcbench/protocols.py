@@ -120,7 +120,7 @@ class Plant(NamedTuple):
 
     `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
     numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params. `errors` are scored
-    beside x - xhat, of a plant without `unknown`.
+    in addition to x - xhat; a plant has these or `unknown`.
     """
 
     step: Step
@@ -266,6 +266,6 @@ class Observer(NamedTuple):
     estimate: Estimate
     field: ObserverField | None = None  # where it runs on continuous measurement as well
     covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
-    on_sample: OnSample | None = None  # where it must be told at sampling time that a sample will come
+    on_sample: OnSample | None = None  # for observers that need to know at sampling time that a sample will come
     innovation: Innovation | None = None  # where it says what it expects of a sample
     init_random: InitRandom | None = None  # where it draws numbers itself

@@ -14,6 +14,7 @@ T = TypeVar("T")
 class _Call(NamedTuple):
     key: Hashable
     arguments: tuple[object, ...]
+    named: dict[str, object]
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -25,22 +26,25 @@ class _Call(NamedTuple):
 def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
     """Return the function with its last 256 results kept, by arguments that are equal to the bit.
 
-    Arguments are given by position; arrays among them reach the function as contiguous floats. Callers must not write to an
-    array of a result.
+    Arrays among the arguments reach the function as contiguous floats. Callers must not write to an array of a result.
     """
 
     @lru_cache(maxsize=256)
     def once(call: _Call) -> T:
-        return function(*call.arguments)  # type: ignore[call-arg, arg-type]
+        return function(*call.arguments, **call.named)  # type: ignore[arg-type]
 
     @wraps(function)
-    def ask(*arguments: P.args, **none: P.kwargs) -> T:
-        plain = tuple(np.ascontiguousarray(a, float) if isinstance(a, np.ndarray) else a for a in arguments)
-        return once(_Call(key_of(plain), plain))
+    def ask(*arguments: P.args, **named: P.kwargs) -> T:
+        each = tuple(map(_contiguous, arguments)), {name: _contiguous(a) for name, a in named.items()}
+        return once(_Call(key_of(each), *each))
 
     for name in ("cache_clear", "cache_info"):  # as functools.lru_cache has them
         setattr(ask, name, getattr(once, name))
     return ask
+
+
+def _contiguous(argument: object) -> object:
+    return np.ascontiguousarray(argument, float) if isinstance(argument, np.ndarray) else argument
 
 
 def key_of(what: object) -> Hashable:

@@ -9,6 +9,7 @@ from importlib.machinery import ExtensionFileLoader
 from threading import Thread
 from time import sleep
 from types import FrameType
+from typing import Any
 
 from pcbench.runtime import ending
 from pcbench.runtime.progress import Progress
@@ -70,7 +71,7 @@ def _loads_an_extension(frame: FrameType | None) -> bool:
     return False
 
 
-def unraisable(found: "sys.UnraisableHookArgs") -> None:
+def unraisable(found: Any) -> None:
     """Report what Python could not raise, as Python does, except a Ctrl-C: that is noted and raised later."""
     if not issubclass(found.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(found)

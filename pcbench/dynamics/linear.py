@@ -5,16 +5,13 @@ never by one matrix exponential over a long interval, which overflows silently (
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pcbench.value_cache import cached_by_value
-
-if TYPE_CHECKING:
-    from jax import Array
 
 Matrix = NDArray[np.float64]
 
@@ -33,7 +30,7 @@ class Model(NamedTuple):
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
     # x [n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
-    known: "Callable[[Array], Array] | None" = None
+    known: Callable[[Any], Any] | None = None
 
     @property
     def feedthrough(self) -> Matrix:

@@ -77,7 +77,7 @@ def tune(
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
     simulated; `training_seeds` and `validation_seeds` are ranges of seeds, (first, one past the last). `exact_objective`
     takes the expected value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With
-    `out`, a folder, the history stands there, and what was stopped goes on when run again. `progress` hears of each point.
+    `out`, a folder, the history is stored there, and a stopped call continues if repeated. `progress` hears of each point.
     Raises UserError for whatever the user can mend.
     """
     where = f"tune {observer}"

@@ -1,6 +1,6 @@
 """The mobile cart under a camera of unknown delay: the plant of `cart`, with the delay of its samples as a signal.
 
-`sensor_delay` is not set: it is the delay of the scenario's samples, which nobody is told.
+`sensor_delay` is not set: it is the delay of the scenario's samples, which observers do not know of.
 """
 
 from typing import NamedTuple

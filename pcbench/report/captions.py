@@ -1,6 +1,6 @@
 """What pictures show, in words: for those who do not see them, and as captions.
 
-What suffices, in a sentence beside a curve: up to which value of its axis each observer's error is significantly below a limit.
+A sentence for each curve: up to which value of its axis each observer's error is significantly below a limit.
 
 From the values that were run; `pcbench find-limit` finds values between them.
 """

@@ -2,7 +2,7 @@
 
 All in seconds and SI units; n states, s unknowns beside them, q outputs, states in the plant's order. The fields of the five
 records have names of their own: an axis, a table's column or a user's option says `delay`, and `having` knows where it is. What
-an axis means, and its unit, stands in `pcbench.fields`.
+an axis means, and its unit, is in `pcbench.fields`.
 """
 
 from collections.abc import Mapping

@@ -47,7 +47,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def kind(field: fields.Field) -> Any:
-    """Return the type of what a table may say of a field; what it may be beside is the axis' to check (`axes.point`)."""
+    """Return the type of a field's value in a table; its range is checked by `axes.point`."""
     if field.word == "inf":
         return Degrees
     if field.word == "lost":
@@ -89,7 +89,7 @@ def takes_axes(
 
 
 class Experiment(BaseModel):
-    """What both tables say beside the axes. n states, s unknowns beside them, q outputs; what is left out has a default.
+    """The keys of both tables that are no axes. n states, s unknowns, q outputs; what is left out has a default.
 
     One number in place of a list holds for all of them.
     """
@@ -98,9 +98,7 @@ class Experiment(BaseModel):
     noise_correlation: NumberRows | None = Field(
         None, description="[q][q] between the channels' noise; default: they are independent"
     )
-    assumed_process_std: Size | list[Size] | None = Field(
-        None, description="[n] in place of the process noise that there is"
-    )
+    assumed_process_std: Size | list[Size] | None = Field(None, description="[n] instead of the plant's process noise")
     input: object = Field(
         None,
         description="a signal's name, or one for each input, with commas; or a wave, values, rows, a CSV file; default: sine",

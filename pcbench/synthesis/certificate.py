@@ -5,16 +5,12 @@
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import PyTree
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 UNCERTIFIED = "uncertified"  # a status
@@ -42,7 +38,7 @@ class Certificate(NamedTuple):
 class Design(NamedTuple):
     """An observer's numbers with their proof."""
 
-    gains: "PyTree"
+    gains: Any
     certificate: Certificate
     # whether its prediction to now carries the unknown input it has found; None: no such
     predicts_unknown_input: bool | None = None
@@ -74,15 +70,15 @@ class DesignContext(NamedTuple):
     unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start
     unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
     # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
-    field: "Callable[..., Array] | None" = None
+    field: Callable[..., Any] | None = None
     # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
-    parts: "Callable[..., tuple[Array, Array]] | None" = None
+    parts: Callable[..., tuple[Any, Any]] | None = None
     variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
     # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
-    successor: "Callable[..., Array] | None" = None
-    sensor: "Callable[..., Array] | None" = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
+    successor: Callable[..., Any] | None = None
+    sensor: Callable[..., Any] | None = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
     # (y[q], yhat[q]) -> y less yhat, where outputs wrap; None: their difference
-    residual: "Callable[..., Array] | None" = None
+    residual: Callable[..., Any] | None = None
     xhat0: tuple[float, ...] = ()  # [n] the estimate at t = 0, where it is the same in all runs
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
