@@ -88,7 +88,7 @@ def shortened(scenario: str, observers: list[str]) -> dict[str, Any]:
 def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> task.Report:
     """Simulate a task's seeds and leave it at that."""
     with hold() as device:
-        p, _, made, _ = task.simulated(work, one, device)
+        p, _, made, _ = task.simulate_task(work, one, device)
     cost = timing.Cost(one.runs, {("", 0): made.compile_seconds})
     return task.Report(p.cell.key, cost, provenance.versions(), {})
 
@@ -118,7 +118,7 @@ def writing(turns: int, small: bool) -> None:
         seeds, block, observers = (32, 16, observers[:1]) if small else (seeds, block, observers)
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
         study = shortened(scenario, observers) if small else study
-        with executors.here() as execute:
+        with executors.local_executor() as execute:
             timed(study | {"seeds": 16 if small else 2048}, execute)
             longer, share, base = [], [], []
             for _ in range(turns):

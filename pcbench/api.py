@@ -239,7 +239,7 @@ def simulate(
         columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}
     columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
-    columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
+    columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.arrived).T)}
     frame = pd.DataFrame(columns)
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["excluded"] = study.excluded or {}  # why others of "all" are not here
@@ -287,7 +287,7 @@ def operation_counts(
     return table
 
 
-def _held(arrived: np.ndarray) -> np.ndarray:
+def _forward_fill(arrived: np.ndarray) -> np.ndarray:
     """What has arrived and is held at every tick, [N+1, q], from what arrives at each; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isnan(arrived), -1, np.arange(len(arrived))[:, None]))
     return np.where(last >= 0, np.take_along_axis(arrived, np.maximum(last, 0), 0), np.nan)

@@ -47,7 +47,7 @@ def source_of(observer: str) -> str:
     return " ".join(match[1].split()) if match else ""
 
 
-def known(sources: Iterable[str]) -> list[str]:
+def find_citations(sources: Iterable[str]) -> list[str]:
     """Return the keys of what sources name."""
     every = list(sources)
     return [r.key for r in references() if any(r.words in source for source in every)]
@@ -62,12 +62,12 @@ def bibtex(what: str | None = None) -> str:
     if what is not None:
         target = storage.target(what)
         is_result = storage.text(target, manifest.TEXT) is not None
-        study = manifest.opened(target).study if is_result else outline(what, [])
+        study = manifest.load_manifest(target).study if is_result else outline(what, [])
         record = (close.record(target) if is_result else None) or {}
         solvers = {c["solver"] for each in record.get("certificates", {}).values() for c in each.values()} & set(
             SOLVERS
         )
-        keys = {*known(_sources(study)), *ALWAYS, *(r.key for r in entries if r.words in solvers)}
+        keys = {*find_citations(_sources(study)), *ALWAYS, *(r.key for r in entries if r.words in solvers)}
         keys |= {MODELLING} if solvers else set()
         entries = [r for r in entries if r.key in keys]
         releases = ", ".join(f"{k} {v}" for k, v in record.get("versions", {}).items())

@@ -77,7 +77,7 @@ def shown_address(text: str) -> str:
     return f"{scheme}://{place}" + (f"?{'&'.join(settings)}" if settings else "")
 
 
-def said(error: object) -> str:
+def first_sentence(error: object) -> str:
     """Return the first sentence of what another library said, without its full stop."""
     return short(re.split(r"\.\s|\n", str(error).strip())[0].rstrip("."))
 
@@ -90,13 +90,13 @@ def out_of_memory(error: BaseException) -> bool:
 
 def unreadable(error: BaseException, where: str, instead: str) -> UserError:
     """Say why a file could not be read: memory ran out, or what its reader says of it, and what was expected `instead`."""
-    found = said(error) if str(error) else "it ends too early"
+    found = first_sentence(error) if str(error) else "it ends too early"
     if out_of_memory(error):
         return UserError(f"{where}: memory ran out while it was read ({found}), expected more; end other programs.")
     return UserError(f"{where}: {found}; expected {instead}.")
 
 
-def shown(value: object) -> str:
+def brief_repr(value: object) -> str:
     """Return a value as a sentence quotes it: its repr, of a size that can be read."""
     brief = Repr()
     brief.maxstring = brief.maxother = brief.maxlong = LONGEST
@@ -108,10 +108,10 @@ def shown(value: object) -> str:
         return f"a value of type {type(value).__name__} that is too long to be written here"
 
 
-def raised(error: BaseException) -> str:
+def describe_exception(error: BaseException) -> str:
     """Return `Type: message, file line n`, of the last line that is neither pcbench's nor a library's."""
     try:
-        message = said(error)
+        message = first_sentence(error)
     except Exception:  # of an exception that cannot even say what it is
         message = "without a message that can be read"
     place = line_of(error)

@@ -17,7 +17,7 @@ from pcbench.study.scenario_template import toml_value
 DEFAULT = "cart/white"  # what an observer and a controller are tried on
 
 
-class Checked(NamedTuple):
+class CheckReport(NamedTuple):
     """What every check says."""
 
     kind: str  # observer, plant, controller, scenario or study
@@ -26,7 +26,7 @@ class Checked(NamedTuple):
     findings: list[Finding]
 
 
-def check(target: str, scenario: str | None = None, options: Mapping[str, Any] | None = None) -> Checked:
+def check(target: str, scenario: str | None = None, options: Mapping[str, Any] | None = None) -> CheckReport:
     """Return what every check says of what MODULE:NAME names, found out by what it is; or of a study.
 
     `scenario` is what it is tried on: a published one, a study file or MODULE:NAME with one. `options` are an observer's or a
@@ -47,15 +47,15 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
                 )
             parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
             found = study.findings(target, [f"{key}={toml_value(value)}" for key, value in given.items()])
-            return Checked(kind, label, "", found)
+            return CheckReport(kind, label, "", found)
         if kind == "plant":
             s = _of_plant(target, label, scenario, given)
-            return Checked(kind, label, s.name if scenario else "", plant.findings(label, s))
+            return CheckReport(kind, label, s.name if scenario else "", plant.findings(label, s))
         s = parse.scenario_of(scenario or DEFAULT)
         if kind == "observer":
-            return Checked(kind, label, s.name, observer.findings(load(target, given), s))
+            return CheckReport(kind, label, s.name, observer.findings(load(target, given), s))
         mine = registry.load("controller", target, WHERE)
-        return Checked(kind, label, s.name, controller.findings(label, mine, s, given))
+        return CheckReport(kind, label, s.name, controller.findings(label, mine, s, given))
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:

@@ -15,12 +15,12 @@ from jaxtyping import PyTree
 from pydantic import BaseModel
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.jaxpr_checks import WIDTH, Functions, moved
-from pcbench.checking.noise_free_runs import planned, quiet, recorded, short
-from pcbench.checking.targets import Finding, Skipped, ask, require
+from pcbench.checking.jaxpr_checks import WIDTH, Functions, perturb_lane
+from pcbench.checking.noise_free_runs import plan_cell, quiet, record_run, short
+from pcbench.checking.targets import Finding, SkipCheck, ask, require
 from pcbench.controllers import ControllerContext, ControllerSpec, entry_of, law_of
-from pcbench.dynamics.observability import shown as shown_mode
-from pcbench.errors import UserError, shown
+from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.errors import UserError, brief_repr
 from pcbench.observers import entry_of as observer_of
 from pcbench.planning import loop_setup
 from pcbench.plants import estimated_of, nonlinear, states_of
@@ -36,7 +36,7 @@ TICKS, ROOM = 40, 8  # the horizon of its numbers; commands kept and on their wa
 TICK = 5  # at which functions are asked
 
 
-class Given(NamedTuple):
+class LawArguments(NamedTuple):
     """What a law's functions take."""
 
     params: PyTree
@@ -82,7 +82,7 @@ def trial(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str
     s = controller_table.close_loop(opened.having(actuator_delay=None), given, "options", {label: mine})
     cell = cell_of(s)
     made = loop_setup.options(cell)
-    said = ", ".join(f"{name} = {shown(value)}" for name, value in made.model_dump().items())
+    said = ", ".join(f"{name} = {brief_repr(value)}" for name, value in made.model_dump().items())
     return Trial(
         label, s, made, loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
     ), said or "it takes none"
@@ -93,24 +93,24 @@ def numbers(t: Trial) -> PyTree:
     return jaxpr_checks.arrays(t.entry.prepare(t.options, t.told))
 
 
-def given(t: Trial) -> Given:
+def make_arguments(t: Trial) -> LawArguments:
     """Return arguments of a plausible size, with what the law keeps as it makes it."""
     params, m = numbers(t), t.told.model.B.shape[1]
     estimate = jnp.asarray(t.scenario.truth.x0) + jnp.arange(1.0, len(states_of(t.scenario)) + 1)
     kept = t.law.start(params, estimate) if t.law.start else ()
-    return Given(params, jnp.asarray(TICK), estimate, jnp.arange(1.0, ROOM * m + 1).reshape(ROOM, m), kept)
+    return LawArguments(params, jnp.asarray(TICK), estimate, jnp.arange(1.0, ROOM * m + 1).reshape(ROOM, m), kept)
 
 
 def functions(t: Trial) -> Functions:
-    """Return the law's functions, each of a `Given`."""
+    """Return the law's functions, each of a `LawArguments`."""
     law, start, dt = t.law, t.law.start, jnp.asarray(t.told.dt)
 
-    def command(g: Given) -> PyTree:
+    def command(g: LawArguments) -> PyTree:
         now = Now(g.tick * dt, g.tick, dt, g.coming[0], lambda age: g.coming[0])  # held: the first on its way
         kept = (g.kept,) if start else ()
         return law.command(g.params, now, g.estimate, lambda i: g.coming[jnp.minimum(i, ROOM - 1)], *kept)
 
-    out: dict[str, Callable[[Given], PyTree]] = {
+    out: dict[str, Callable[[LawArguments], PyTree]] = {
         "target": lambda g: law.target(g.params, g.tick),
         "before": lambda g: law.before(g.params, g.tick - ROOM, g.estimate),
         "command": command,
@@ -133,16 +133,16 @@ def shapes(t: Trial) -> str:
 
 def lanes(t: Trial) -> str:
     """Each lane of a batch is what the run gives alone."""
-    g = given(t)
-    rows = [(g.estimate * (1 + i), moved(g.kept, i)) for i in range(WIDTH)]
+    g = make_arguments(t)
+    rows = [(g.estimate * (1 + i), perturb_lane(g.kept, i)) for i in range(WIDTH)]
     return jaxpr_checks.lanes(functions(t), rows, lambda own: g._replace(estimate=own[0], kept=own[1]))
 
 
-def held(t: Trial) -> str:
+def check_hold(t: Trial) -> str:
     """Between decisions the command stays, whatever the estimate does."""
     if t.every == 1:
-        raise Skipped("its options have no period: it decides at every tick")
-    g, command = given(t), jax.jit(functions(t)["command"])
+        raise SkipCheck("its options have no period: it decides at every tick")
+    g, command = make_arguments(t), jax.jit(functions(t)["command"])
     kept, commands = g.kept, []
     for tick in range(2 * t.every):
         given_now = g._replace(tick=jnp.asarray(tick), estimate=g.estimate * (1 + tick), kept=kept)
@@ -161,7 +161,7 @@ def settles(t: Trial) -> str:
     """The eigenvalues of the closed loop, the state known, lie within the unit circle."""
     found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
     if found is None:
-        raise Skipped(
+        raise SkipCheck(
             "it has no linear law about rest, as it looks at inputs on their way: write linear(options, told)"
         )
     if sentence := controller_table.warning(t.scenario, "settles"):
@@ -176,8 +176,8 @@ def run(t: Trial) -> str:
     """A run from a true start, without noise, stays finite."""
     observer = "ekf" if nonlinear(t.scenario) else "model-only"
     cell = cell_of(t.scenario)._replace(options={observer: observer_of(observer).options()})
-    (p,) = planned(quiet(short(cell)))
-    s, out = p.cell.scenario, recorded(p, noise=False)
+    (p,) = plan_cell(quiet(short(cell)))
+    s, out = p.cell.scenario, record_run(p, noise=False)
     x = np.asarray(out.x)[:, : len(states_of(s))]
     for k in np.flatnonzero(~(np.isfinite(x).all(1) & np.isfinite(np.asarray(out.u)).all(1))):
         raise UserError(
@@ -191,10 +191,10 @@ def run(t: Trial) -> str:
 CHECKS: dict[str, Callable[[Trial], str]] = {
     "numbers": numbers_are_arrays,
     "shapes": shapes,
-    "purity": lambda t: jaxpr_checks.purity(functions(t), given(t)),
-    "float64": lambda t: jaxpr_checks.float64(functions(t), given(t)),
+    "purity": lambda t: jaxpr_checks.purity(functions(t), make_arguments(t)),
+    "float64": lambda t: jaxpr_checks.float64(functions(t), make_arguments(t)),
     "lanes": lanes,
-    "held": held,
+    "held": check_hold,
     "settles": settles,
     "run": run,
 }

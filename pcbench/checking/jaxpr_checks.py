@@ -16,7 +16,7 @@ from jaxtyping import PyTree
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner
 from pcbench.engine.lane_array import is_lanes, join, split
-from pcbench.errors import UserError, raised, shown
+from pcbench.errors import UserError, brief_repr, describe_exception
 
 NARROW = ("float32", "float16", "bfloat16", "complex64")
 WIDTH, CLOSE = 3, 1e-11  # lanes; sums over lanes may be in another order
@@ -52,7 +52,7 @@ def _parts(jaxpr: Any) -> Iterator[Any]:
             yield from _parts(getattr(each, "jaxpr", each))
 
 
-def alike(a: Program, b: Program) -> bool:
+def is_same_program(a: Program, b: Program) -> bool:
     """Say whether two programs are the same, numbers included."""
     return (
         a.text == b.text
@@ -66,7 +66,7 @@ def arrays(prepared: PyTree) -> PyTree:
     for leaf in jax.tree.leaves(prepared):
         if not is_number(leaf):
             raise UserError(
-                f"numbers: got {shown(leaf)} among what prepare returns, expected arrays of numbers only; keep words and "
+                f"numbers: got {brief_repr(leaf)} among what prepare returns, expected arrays of numbers only; keep words and "
                 "functions out of it."
             )
     return jax.tree.map(jnp.asarray, prepared)
@@ -90,7 +90,7 @@ def purity(functions: Functions, given: PyTree) -> str:
                 f"purity: got a traced value that {name} leaves behind outside itself, expected none; return what is to be "
                 "kept."
             ) from None
-        if not alike(first, second):
+        if not is_same_program(first, second):
             raise UserError(
                 f"purity: got two programs when {name} was traced twice, expected one; take out counters and random numbers of "
                 "Python."
@@ -140,7 +140,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
     def entrywise(some: Functions) -> PyTree:
         def run(rows: PyTree) -> PyTree:
             own = jax.tree.map(lambda a: split(a) if a.size else a[..., 0], rows)  # what is empty differs in none
-            return _joined(vmap_entrywise(every(some))(own))
+            return _join_lanes(vmap_entrywise(every(some))(own))
 
         return jax.jit(run)(stacked)
 
@@ -158,7 +158,8 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
                     run({name: f})
                 except Exception as error:
                     raise UserError(
-                        f"lanes: {name} under {way}: got {raised(error)}, expected a batch of runs; write it in jax.numpy, "
+                        f"lanes: {name} under {way}: got {describe_exception(error)}, expected a batch of runs; write it in "
+                        "jax.numpy, "
                         "without callbacks into Python."
                     ) from None
             raise
@@ -172,7 +173,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
     return f"{len(rows)} runs at once are the same as one at a time"
 
 
-def _joined(tree: PyTree) -> PyTree:
+def _join_lanes(tree: PyTree) -> PyTree:
     """Join what is split; what does not differ between lanes is the same in each."""
 
     def one(x: Any) -> jax.Array:
@@ -181,6 +182,6 @@ def _joined(tree: PyTree) -> PyTree:
     return jax.tree.map(one, tree, is_leaf=is_lanes)
 
 
-def moved(tree: PyTree, lane: int) -> PyTree:
+def perturb_lane(tree: PyTree, lane: int) -> PyTree:
     """Return what another lane has in place of a pytree: its real numbers differ."""
     return jax.tree.map(lambda a: a * (1 + lane / 8) + lane / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)

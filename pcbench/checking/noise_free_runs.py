@@ -46,7 +46,7 @@ def quiet(cell: Cell) -> Cell:
     return calm._replace(parameters={}, choices=choices)
 
 
-def planned(cell: Cell, known: bool = True) -> list[Plan]:
+def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
     """Return a cell with its observers, of a closed loop one by one; they are told the plant's unknowns where `known`."""
     setting = planning.setting(cell)
     if known:
@@ -63,7 +63,7 @@ def unknowns(cell: Cell, believed: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(map(float, found)) if len(found) == len(believed) else believed
 
 
-def recorded(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.float64] | None = None) -> Recording:
+def record_run(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.float64] | None = None) -> Recording:
     """Record a run, with other `inputs` [N+1, m] of an open loop where they are given."""
     p = planning.alone(p, 0, seed)
     problem = p.problem if inputs is None else p.problem._replace(inputs=inputs)

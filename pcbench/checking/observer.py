@@ -16,11 +16,21 @@ from jax import Array
 from jaxtyping import PyTree
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.jaxpr_checks import WIDTH, alike, moved, program
-from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
-from pcbench.checking.observer_fixtures import AGE, TICK, Candidate, Case, Trial, designed, functions, given, trial
+from pcbench.checking.jaxpr_checks import WIDTH, is_same_program, perturb_lane, program
+from pcbench.checking.noise_free_runs import errors, in_parts, plan_cell, quiet, record_run, short
+from pcbench.checking.observer_fixtures import (
+    AGE,
+    TICK,
+    Candidate,
+    Case,
+    Trial,
+    functions,
+    make_observer_arguments,
+    run_observer_design,
+    trial,
+)
 from pcbench.checking.study import LINEAR, ROUNDING, claims_it, require_none
-from pcbench.checking.targets import Finding, Skipped, ask, require
+from pcbench.checking.targets import Finding, SkipCheck, ask, require
 from pcbench.errors import UserError
 from pcbench.protocols import Arrival, Gains
 from pcbench.scenarios import Scenario
@@ -47,8 +57,8 @@ def shapes(t: Trial) -> str:
 def gains(t: Trial) -> str:
     """Gains are arrays; another design fits the same program, and changes no number in it."""
     case = t.cases[0]
-    first = designed(t.candidate, case).gains
-    programs = {name: program(f, given(t, case, first)) for name, f in functions(t, case).items()}
+    first = run_observer_design(t.candidate, case).gains
+    programs = {name: program(f, make_observer_arguments(t, case, first)) for name, f in functions(t, case).items()}
     for name, each in programs.items():
         captured = [a for a in each.numbers if a.ndim and a.dtype.kind == "f" and not np.isin(a, ALLOWED).all()]
         require(
@@ -58,7 +68,7 @@ def gains(t: Trial) -> str:
         )
     other = t.cases[-1]
     known = other.setting._replace(noise_std=tuple(2 * s or 1.0 for s in case.setting.noise_std))
-    second = designed(t.candidate, other._replace(setting=known)).gains
+    second = run_observer_design(t.candidate, other._replace(setting=known)).gains
     require(
         _form(first) == _form(second),
         f"gains: got {_form(second)} from another delay and noise, expected the form {_form(first)} of the first design; keep "
@@ -66,7 +76,7 @@ def gains(t: Trial) -> str:
     )
     for name, f in functions(t, case).items():
         require(
-            alike(program(f, given(t, case, second)), programs[name]),
+            is_same_program(program(f, make_observer_arguments(t, case, second)), programs[name]),
             f"gains: got other numbers in the program of {name} after another design, expected the gains alone to change; take "
             "from gains what design finds, not from a global or a closure.",
         )
@@ -80,8 +90,8 @@ def _form(gains: Gains) -> str:
 
 def lanes(t: Trial) -> str:
     """Each lane of a batch is what the run gives alone; lanes stand last."""
-    first = given(t, t.cases[0])
-    rows = [(moved(first.memory, i), first.value * (1 + i)) for i in range(WIDTH)]
+    first = make_observer_arguments(t, t.cases[0])
+    rows = [(perturb_lane(first.memory, i), first.value * (1 + i)) for i in range(WIDTH)]
     return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda own: first._replace(memory=own[0], value=own[1]))
 
 
@@ -101,9 +111,9 @@ def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
 def perfect_start(t: Trial) -> str:
     """True model, true start, no noise: no error, on every schedule."""
     if not t.candidate.entry.knows_schedule:
-        raise Skipped("it declares that it does not know the schedule")
+        raise SkipCheck("it declares that it does not know the schedule")
     if t.cases[0].setting.model.E is not None:
-        raise Skipped("an unknown input pushes this plant: no start stays perfect; name a --scenario without one")
+        raise SkipCheck("an unknown input pushes this plant: no start stays perfect; name a --scenario without one")
     for case in t.cases:
         p = case.problem
         got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
@@ -121,7 +131,7 @@ def delay_0(t: Trial) -> str:
     """A sample may arrive at the tick it is taken: numbers stay finite, and u of that tick is not known to jump."""
     case = next((case for case in t.cases if case.name == "delay 0"), None)
     if case is None:
-        raise Skipped("its design refuses delay 0")
+        raise SkipCheck("its design refuses delay 0")
     for bad in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
         raise UserError(
             f"delay 0: got an estimate that is not finite at tick {bad}, expected numbers when a sample of age 0 arrives; "
@@ -165,7 +175,7 @@ def after_the_jump(t: Trial) -> str:
     if not moved.any():
         return "no measurement changes its estimate"
     if not t.candidate.entry.knows_schedule:
-        raise Skipped("it declares that it does not know the schedule: when it corrects is its own")
+        raise SkipCheck("it declares that it does not know the schedule: when it corrects is its own")
     first = int(np.flatnonzero(moved)[0])
     rate = first == k + 1 and moved[first + 1] > RATE * moved[first]
     require(
@@ -202,7 +212,7 @@ def _not_fresh(t: Trial, case: Case) -> None:
     """Raise UserError where the value of a channel that did not arrive changes anything that is estimated."""
     o, q = t.observer, len(case.problem.noise_std)
     p = jax.tree.map(jnp.asarray, case.problem)
-    g = given(t, case)
+    g = make_observer_arguments(t, case)
 
     @jax.jit
     def after(gains: Gains, memory: PyTree, channel: Array, value: Array) -> tuple[Array, Array]:
@@ -229,8 +239,8 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
     """In a scenario's loop, true start, no noise: no error where it claims so, else one that stays within the bound."""
     label, mine = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
     cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: mine})
-    (p,) = planned(quiet(short(cell)))
-    out, where = recorded(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
+    (p,) = plan_cell(quiet(short(cell)))
+    out, where = record_run(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
     if claims_it(cell, label):
         require_none(in_parts(p, out)[label], where, cell)
         return f"no error in {scenario.name} under {scenario.loop.controller}"
@@ -246,9 +256,9 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
 
 CHECKS: dict[str, Callable[[Trial], str]] = {
     "shapes": shapes,
-    "purity": lambda t: jaxpr_checks.purity(functions(t, t.cases[0]), given(t, t.cases[0])),
+    "purity": lambda t: jaxpr_checks.purity(functions(t, t.cases[0]), make_observer_arguments(t, t.cases[0])),
     "gains": gains,
-    "float64": lambda t: jaxpr_checks.float64(functions(t, t.cases[0]), given(t, t.cases[0])),
+    "float64": lambda t: jaxpr_checks.float64(functions(t, t.cases[0]), make_observer_arguments(t, t.cases[0])),
     "lanes": lanes,
     "perfect start": perfect_start,
     "delay 0": delay_0,

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 from pcbench import planning
 from pcbench.checking.jaxpr_checks import Functions, is_number
 from pcbench.checking.targets import WHERE
-from pcbench.errors import UserError, raised, short, unknown
+from pcbench.errors import UserError, describe_exception, short, unknown
 from pcbench.observers import ObserverSpec
 from pcbench.plants import entry_of, nonlinear
 from pcbench.protocols import Arrival, Gains, Now, Observer, Plant
@@ -68,7 +68,7 @@ def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise UserError(f"{where}: its options cannot be made: {raised(error)}; mend that.") from None
+        raise UserError(f"{where}: its options cannot be made: {describe_exception(error)}; mend that.") from None
 
 
 class Case(NamedTuple):
@@ -153,7 +153,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> 
     return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
 
 
-def designed(candidate: Candidate, case: Case) -> Design:
+def run_observer_design(candidate: Candidate, case: Case) -> Design:
     """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
     where = f"design on {case.name}"
     try:
@@ -163,7 +163,9 @@ def designed(candidate: Candidate, case: Case) -> Design:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise Broken(f"{where}: got {raised(error)}, expected Design(gains, Certificate); mend that line.") from None
+        raise Broken(
+            f"{where}: got {describe_exception(error)}, expected Design(gains, Certificate); mend that line."
+        ) from None
     if not isinstance(made, Design) or not isinstance(made.certificate, Certificate):
         raise Broken(
             f"{where}: got {type(made).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; return "
@@ -191,7 +193,7 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
         fits.works_on(candidate.label, candidate.entry, scenario, "design")
     for case in cases(scenario, candidate.entry.takes, near):
         try:
-            made = designed(candidate, case)
+            made = run_observer_design(candidate, case)
         except Broken:
             raise
         except UserError as error:
@@ -207,7 +209,7 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
     return Trial(candidate, entry_of(scenario).plant, tuple(kept), tuple(refused.values()), near)
 
 
-class Given(NamedTuple):
+class ObserverArguments(NamedTuple):
     """What an observer's functions take, of a plausible size."""
 
     gains: Gains
@@ -219,13 +221,13 @@ class Given(NamedTuple):
 
 
 def functions(t: Trial, case: Case) -> Functions:
-    """Return every function of the observer, each of a `Given`."""
+    """Return every function of the observer, each of a `ObserverArguments`."""
     o, q = t.observer, case.problem.noise_std.shape[0]
 
-    def now(g: Given, decided: bool) -> Now:
+    def now(g: ObserverArguments, decided: bool) -> Now:
         return now_of(case.problem, g.inputs, decided)
 
-    def jump(g: Given) -> PyTree:
+    def jump(g: ObserverArguments) -> PyTree:
         arrival = Arrival(g.value, jnp.ones(q, bool), jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
         return o.jump(g.gains, g.memory, now(g, False), arrival)
 
@@ -238,7 +240,7 @@ def functions(t: Trial, case: Case) -> Functions:
     }
 
 
-def given(t: Trial, case: Case, gains: Gains | None = None) -> Given:
+def make_observer_arguments(t: Trial, case: Case, gains: Gains | None = None) -> ObserverArguments:
     """Return what the functions are asked with, with the gains of the case or others, and a memory as the observer makes it."""
     o, p = t.observer, case.problem
     n, q = p.x0.shape[0], p.noise_std.shape[0]
@@ -250,7 +252,7 @@ def given(t: Trial, case: Case, gains: Gains | None = None) -> Given:
         return memory, jnp.asarray(o.snapshot(gains, memory, now_of(p, u, False)))
 
     memory, snapshot = jax.jit(start)(gains, xhat0)
-    return Given(gains, memory, jnp.arange(1.0, q + 1), snapshot, xhat0, u)
+    return ObserverArguments(gains, memory, jnp.arange(1.0, q + 1), snapshot, xhat0, u)
 
 
 def now_of(p: GridPointParams, inputs: Array, decided: bool) -> Now:

@@ -17,15 +17,15 @@ from numpy.typing import ArrayLike
 
 from pcbench.checking import jaxpr_checks
 from pcbench.checking.jaxpr_checks import WIDTH, Functions
-from pcbench.checking.noise_free_runs import in_parts, planned, quiet, recorded
+from pcbench.checking.noise_free_runs import in_parts, plan_cell, quiet, record_run
 from pcbench.checking.observer_fixtures import NEAR
 from pcbench.checking.study import LINEAR, ROUNDING
-from pcbench.checking.targets import Finding, Noted, Skipped, ask
+from pcbench.checking.targets import CheckNote, Finding, SkipCheck, ask
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.dynamics.observability import decays, unobservable
-from pcbench.dynamics.observability import shown as shown_mode
-from pcbench.errors import UserError, raised, shown
+from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.errors import UserError, brief_repr, describe_exception
 from pcbench.observers import entry_of as observer_of
 from pcbench.plants import PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, states_of
 from pcbench.plants.nonlinear import REST
@@ -40,7 +40,7 @@ STEP, CLOSE, KINK = 1e-5, 1e-6, 1e-2  # of the spread; of the slopes; of those f
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
 
 
-class Given(NamedTuple):
+class PlantArguments(NamedTuple):
     """What a plant's functions take."""
 
     params: PyTree
@@ -128,11 +128,11 @@ def now_of(t: Trial, u: Array) -> Now:
 
 
 def functions(t: Trial) -> Functions:
-    """Return the plant's functions, each of a `Given`."""
+    """Return the plant's functions, each of a `PlantArguments`."""
     plant = t.entry.plant
     each = {"step": plant.step, "output": plant.output, "field": plant.field, "unknown": plant.unknown}
 
-    def of(f: Callable[..., Array]) -> Callable[[Given], Array]:
+    def of(f: Callable[..., Array]) -> Callable[[PlantArguments], Array]:
         return lambda g: f(g.params, now_of(t, g.u), g.x)
 
     return {name: of(f) for name, f in each.items() if f is not None}
@@ -143,18 +143,18 @@ def motion(t: Trial) -> str:
     return "step" if t.entry.plant.field is None or t.model.discrete else "field"
 
 
-def points(t: Trial) -> list[Given]:
+def points(t: Trial) -> list[PlantArguments]:
     """Return the operating point, and others around it."""
     r = np.random.default_rng(7).uniform(-1, 1, (POINTS, len(t.spread) + len(t.reach)))
     rows = np.vstack([np.zeros(r.shape[1]), r]) * np.concatenate([t.spread, t.reach])
     n = len(t.spread)
-    return [Given(t.params, jnp.asarray(row[:n]), jnp.asarray(row[n:])) for row in rows]
+    return [PlantArguments(t.params, jnp.asarray(row[:n]), jnp.asarray(row[n:])) for row in rows]
 
 
-def shown_at(t: Trial, g: Given) -> str:
+def shown_at(t: Trial, g: PlantArguments) -> str:
     """Return a point in words: state by state, and the input."""
     x = ", ".join(f"{name} {v:.3g}" for name, v in zip(t.states, np.asarray(g.x), strict=True))
-    return f"{x} and u = {shown(np.asarray(g.u).round(4).tolist())} from the operating point"
+    return f"{x} and u = {brief_repr(np.asarray(g.u).round(4).tolist())} from the operating point"
 
 
 def entries_of(t: Trial, name: str) -> list[str]:
@@ -172,7 +172,8 @@ def shapes(t: Trial) -> str:
             value = jax.eval_shape(lambda g, f=f: jnp.asarray(f(g)), points(t)[0])
         except Exception as error:
             raise UserError(
-                f"shapes: {name} cannot be traced ({raised(error)}), expected pure jax.numpy code for one run, with "
+                f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one "
+                "run, with "
                 "jnp.where in place of if; mend that line."
             ) from None
         if value.shape != want:
@@ -219,8 +220,8 @@ def slopes(t: Trial) -> str:
 def _compare(
     t: Trial,
     function: str,
-    f: Callable[[Given], Array],
-    g: Given,
+    f: Callable[[PlantArguments], Array],
+    g: PlantArguments,
     name: str,
     size: np.ndarray,
     said: np.ndarray,
@@ -249,7 +250,7 @@ def _compare(
 def axes(t: Trial) -> str:
     """Each number that a study may vary changes something."""
     if not t.axes:
-        raise Skipped("it has no numbers that a study may vary")
+        raise SkipCheck("it has no numbers that a study may vary")
     numbers, idle = numbers_of(t.scenario), []
     fs = [jax.jit(f) for name, f in functions(t).items() if name != "unknown"]
     for name in t.axes:
@@ -259,7 +260,7 @@ def axes(t: Trial) -> str:
         if all(np.array_equal(f(g), f(g._replace(params=params))) for f in fs for g in points(t)):
             idle.append(f"plant.{name}")
     if idle:
-        raise Noted(
+        raise CheckNote(
             f"around the operating point nothing changes with {', '.join(idle)}: a study that varies it there gets equal cells"
         )
     return "each of its numbers changes the plant"
@@ -273,7 +274,7 @@ def rest(t: Trial) -> str:
     bad = np.flatnonzero(np.abs(moving) > REST * (1 + np.abs(t.model.A).max()))
     if bad.size:
         rates = ", ".join(f"{t.states[i]} by {moving[i]:.4g}" for i in bad)
-        raise Noted(
+        raise CheckNote(
             f"no equilibrium: {rates} a {'tick' if motion(t) == 'step' else 'second'} at the operating point: observers that "
             "need a linear model refuse the plant there, ekf does not"
         )
@@ -283,12 +284,12 @@ def rest(t: Trial) -> str:
 def tick(t: Trial) -> str:
     """A tick of the plant is as exact as two of half its length."""
     if motion(t) == "step":
-        raise Skipped("it is given by its step: a tick is what that says")
+        raise SkipCheck("it is given by its step: a tick is what that says")
     dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
     own, by = jax.jit(functions(t)["step"]), stepping(t)
     off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:
-        fine = next((h for h in finer(dt) if together(t, by, h) <= EXACT), None)
+        fine = next((h for h in finer(dt) if integration_error(t, by, h) <= EXACT), None)
         advice = (
             f"write dt = {fine:g}, or less"
             if fine
@@ -301,25 +302,25 @@ def tick(t: Trial) -> str:
     return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.duration:g} s"
 
 
-def stepping(t: Trial) -> Callable[[Given, float], Given]:
+def stepping(t: Trial) -> Callable[[PlantArguments, float], PlantArguments]:
     """Return what moves a point by one Runge-Kutta step of the field, of so many seconds."""
     field = functions(t)["field"]
 
     @jax.jit
-    def step(g: Given, h: Array) -> Given:
+    def step(g: PlantArguments, h: Array) -> PlantArguments:
         start = now_of(t, g.u).t
         return g._replace(x=rk4(lambda s, x: field(g._replace(x=x)), start, g.x, h))
 
     return lambda g, h: step(g, jnp.asarray(h))
 
 
-def _off(t: Trial, g: Given, one: ArrayLike, two: ArrayLike) -> float:
+def _off(t: Trial, g: PlantArguments, one: ArrayLike, two: ArrayLike) -> float:
     """How far two results of a tick are apart, in parts of the state's spread; infinite where either is not finite."""
     off = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
     return float(off.max()) if np.isfinite(off).all() else np.inf
 
 
-def together(t: Trial, by: Callable[[Given, float], Given], dt: float) -> float:
+def integration_error(t: Trial, by: Callable[[PlantArguments, float], PlantArguments], dt: float) -> float:
     """Return what all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
     each = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
     return max(each) * t.scenario.duration / dt
@@ -331,17 +332,17 @@ def finer(dt: float) -> list[float]:
     return [h for p in range(7) for d in (5, 2, 1) if (h := float(f"{d}e{top - 1 - p}")) < dt * (1 - 1e-9)]
 
 
-def seen(t: Trial) -> str:
+def check_observability(t: Trial) -> str:
     """Every mode of the linear model shows in some output."""
     hidden = unobservable(t.model.A, t.model.C)
     lasting = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
     if lasting:
-        raise Noted(
+        raise CheckNote(
             f"no output shows the mode {' and '.join(lasting)}, which does not decay: no observer can find the state; measure "
             "another output"
         )
     if hidden:
-        raise Noted(
+        raise CheckNote(
             f"no output shows the mode {' and '.join(map(shown_mode, hidden))}, which decays: observers that place every pole "
             "refuse the plant, kf and ekf do not"
         )
@@ -351,7 +352,7 @@ def seen(t: Trial) -> str:
 def perfect_start(t: Trial) -> str:
     """Observers that know the plant have no error on it: true start, no noise."""
     if t.model.known is not None:
-        raise Skipped("its unknown input has a known part, which the linear model leaves out")
+        raise SkipCheck("its unknown input has a known part, which the linear model leaves out")
     away = t.entry.model is not None or t.entry.successor is not None
     still = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
     name, size = ("ekf", 1.0) if away and not still else ("model-only", NEAR if away else 1.0)
@@ -361,9 +362,9 @@ def perfect_start(t: Trial) -> str:
     )
     s = plain.having(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
     cell = cell_of(s)._replace(options={name: observer_of(name).options()})
-    (p,) = planned(quiet(cell))
+    (p,) = plan_cell(quiet(cell))
     u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)
-    e = in_parts(p, recorded(p, noise=False, inputs=u))[name]
+    e = in_parts(p, record_run(p, noise=False, inputs=u))[name]
     allowed = LINEAR if size == NEAR else ROUNDING
     for k, i in np.argwhere(~(e <= allowed)):
         raise UserError(
@@ -379,13 +380,13 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "float64": lambda t: jaxpr_checks.float64(functions(t), points(t)[1]),
     "finite": finite,
     "lanes": lambda t: jaxpr_checks.lanes(
-        functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda own: Given(t.params, *own)
+        functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda own: PlantArguments(t.params, *own)
     ),
     "axes": axes,
     "slopes": slopes,
     "rest": rest,
     "tick": tick,
-    "seen": seen,
+    "seen": check_observability,
     "perfect start": perfect_start,
 }
 BASIC = ("shapes",)

@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from pcbench import planning
-from pcbench.checking.noise_free_runs import errors, in_parts, planned, quiet, recorded, short
-from pcbench.checking.targets import Finding, Noted, Skipped, ask
-from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.checking.noise_free_runs import errors, in_parts, plan_cell, quiet, record_run, short
+from pcbench.checking.targets import CheckNote, Finding, SkipCheck, ask
+from pcbench.dynamics.observability import format_mode as shown_mode
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
@@ -70,7 +70,7 @@ def settles(grid: Grid) -> str:
     if sentences := parse.unstable(grid):
         raise UserError(sentences[0])
     if not known:
-        raise Skipped("no loop is closed by a controller whose linear law is known")
+        raise SkipCheck("no loop is closed by a controller whose linear law is known")
     return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in known.items())
 
 
@@ -86,8 +86,8 @@ def perfect_start(grid: Grid) -> str:
         claims = [label for label in cell.options if claims_it(cell, label)]
         if not claims:
             continue
-        for p in planned(quiet(short(cell))):  # all observers: the program is that of `runs`
-            out = recorded(p, noise=False)
+        for p in plan_cell(quiet(short(cell))):  # all observers: the program is that of `runs`
+            out = record_run(p, noise=False)
             if not np.isfinite(out.x).all():
                 grows.append(cell.scenario.name)
                 break
@@ -99,11 +99,11 @@ def perfect_start(grid: Grid) -> str:
         else:
             asked.append(f"{cell.scenario.name}: {', '.join(claims)}")
     if grows and not asked:
-        raise Skipped(f"the state of {', '.join(grows)} is not finite without noise; take a shorter tick")
+        raise SkipCheck(f"the state of {', '.join(grows)} is not finite without noise; take a shorter tick")
     if not asked:
-        raise Skipped("no observer here claims one, or an unknown input pushes the plant")
+        raise SkipCheck("no observer here claims one, or an unknown input pushes the plant")
     if inexact:
-        raise Noted(
+        raise CheckNote(
             f"without noise, from the true start, an error remains of {', '.join(inexact)}: these observers are pcbench's and "
             "approximate this plant, of fast modes or curved; take a shorter tick, or other observers"
         )
@@ -131,8 +131,8 @@ def runs(grid: Grid) -> str:
     lost: list[str] = []
     for cell in _first(grid):
         mine = short(cell)
-        for p in planned(mine, known=False):
-            outs = [recorded(p, seed) for seed in range(SEEDS)]
+        for p in plan_cell(mine, known=False):
+            outs = [record_run(p, seed) for seed in range(SEEDS)]
             n = len(states_of(cell.scenario))
             for k in (k for out in outs for k in np.flatnonzero(~np.isfinite(np.asarray(out.x)[:, :n]).all(1))):
                 raise UserError(
@@ -143,7 +143,7 @@ def runs(grid: Grid) -> str:
                 left = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]
                 lost += [f"{label} in {cell.scenario.name} ({sum(left)} of {SEEDS} runs)"] if any(left) else []
     if lost:
-        raise Noted(f"the error leaves the bound of {', '.join(lost)}")
+        raise CheckNote(f"the error leaves the bound of {', '.join(lost)}")
     return f"{SEEDS} of each scenario: all errors stay within their bounds"
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from pcbench.errors import UserError, raised, short, unknown
+from pcbench.errors import UserError, describe_exception, short, unknown
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES
 from pcbench.study.plugins import user_code
@@ -57,11 +57,11 @@ class Finding(NamedTuple):
     why: str  # what was asked, where it passes; what was found and what to do, where it fails; why it was not asked
 
 
-class Skipped(Exception):
+class SkipCheck(Exception):
     """A check that cannot be asked; the sentence says why."""
 
 
-class Noted(Exception):
+class CheckNote(Exception):
     """What is no mistake, but has consequences; the sentence says which."""
 
 
@@ -103,13 +103,15 @@ def ask(
 def _verdict(name: str, check: Callable[[], str]) -> Finding:
     try:
         return Finding(name, PASSES, check())
-    except Skipped as reason:
+    except SkipCheck as reason:
         return Finding(name, SKIPPED, str(reason))
-    except Noted as reason:
+    except CheckNote as reason:
         return Finding(name, NOTE, str(reason))
     except UserError as error:
         return Finding(name, FAILS, str(error))
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        return Finding(name, FAILS, f"{name}: got {raised(error)}, expected code that can be run; mend that line.")
+        return Finding(
+            name, FAILS, f"{name}: got {describe_exception(error)}, expected code that can be run; mend that line."
+        )

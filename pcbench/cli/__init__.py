@@ -6,8 +6,8 @@ import sys
 from threading import Event
 
 from pcbench.cli import interrupts
-from pcbench.cli.interrupts import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
-from pcbench.errors import UserError, missing, out_of_memory, printable, said
+from pcbench.cli.interrupts import STOPPED, exit_code, interrupt, is_interrupted, stop_if_asked, unraisable
+from pcbench.errors import UserError, first_sentence, missing, out_of_memory, printable
 from pcbench.runtime import ending, thread_pools
 
 __all__ = ["main"]
@@ -38,7 +38,7 @@ def main() -> None:
     except UserError as error:
         code = _complain(str(error))
     except KeyboardInterrupt:
-        code = _stopped()
+        code = _exit_interrupted()
     except BrokenPipeError:
         code = 141
     except ModuleNotFoundError as error:
@@ -46,11 +46,11 @@ def main() -> None:
             raise
         code = _complain(missing(str(error.name)))
     except Exception as error:
-        if asked():  # what a library makes of it
-            code = _stopped()
+        if is_interrupted():  # what a library makes of it
+            code = _exit_interrupted()
         elif out_of_memory(error):
             code = _complain(
-                f"memory ran out ({said(error)}), expected more; end other programs, or ask for less at a time."
+                f"memory ran out ({first_sentence(error)}), expected more; end other programs, or ask for less at a time."
             )
         elif hasattr(error, "format_message"):  # as the command line's own usage errors have
             code = _complain(_of_usage(error))
@@ -72,7 +72,7 @@ def _of_usage(error: Exception) -> str:
     return f"{text.rstrip('.?')}; see {context.command_path if context else 'pcbench'} --help."
 
 
-def _stopped() -> int:
+def _exit_interrupted() -> int:
     if not ending.begin():
         Event().wait()  # another thread says so, and ends the process
     return _complain(interrupts.SENTENCE, exit_code())

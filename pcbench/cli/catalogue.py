@@ -187,7 +187,7 @@ WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  #
 TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
 
 
-def found(kind: str, name: str | None = None) -> dict[str, Description]:
+def list_catalogue(kind: str, name: str | None = None) -> dict[str, Description]:
     """Return what there is of a kind, by name, or the one of that name; raise UserError for another word."""
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)

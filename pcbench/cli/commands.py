@@ -53,7 +53,7 @@ def _version(asked: bool) -> None:
 
 
 @app.callback()
-def whole(
+def main_callback(
     asked: Annotated[
         bool, option("say which release this is", "--version", "-V", callback=_version, is_eager=True)
     ] = False,

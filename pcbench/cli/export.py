@@ -42,7 +42,7 @@ def export(
         raise UserError(
             "--delay and --start are for recordings: got no --log, expected one; give it, or leave them out."
         )
-    found = files.exported(study, observer, seed, changes, log=log, delay=delay, start=start)
+    found = files.export_observer(study, observer, seed, changes, log=log, delay=delay, start=start)
     stop_if_asked()
     made = files.write(found, folder)
     if quiet:
@@ -53,9 +53,9 @@ def export(
     else:
         from pcbench.cli.render import recordings
 
-        double, single = (files.replayed(found, single=each) or "" for each in (False, True))
+        double, single = (files.run_compiled(found, single=each) or "" for each in (False, True))
         of = "a simulated run" if log is None else log
-        recordings.table(found, files.said(double), files.said(single), of, console())
+        recordings.table(found, files.parse_replay(double), files.parse_replay(single), of, console())
         print(double.splitlines()[-1] + ", in double precision")
     label = found.about.label
     print(f"{len(made)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")
@@ -101,7 +101,7 @@ def score(
 
     with working(quiet) as progress:
         result = score.score(folder, estimates, name, progress, say)
-    _shown(result, folder, metric, signal, quiet)
+    _print_export(result, folder, metric, signal, quiet)
 
 
 def run(
@@ -121,10 +121,10 @@ def run(
 
     with working(quiet) as progress:
         result = score.run(folder, reference, name, progress, say)
-    _shown(result, folder, metric, signal, quiet)
+    _print_export(result, folder, metric, signal, quiet)
 
 
-def _shown(result: "Result", folder: str, metric: str, signal: str | None, quiet: bool) -> None:
+def _print_export(result: "Result", folder: str, metric: str, signal: str | None, quiet: bool) -> None:
     if quiet:
         print(folder)
         return

@@ -77,7 +77,7 @@ def unraisable(found: Any) -> None:
         sys.__unraisablehook__(found)
 
 
-def asked() -> bool:
+def is_interrupted() -> bool:
     """Say whether Ctrl-C was pressed."""
     return bool(_ASKED)
 
@@ -89,7 +89,7 @@ def exit_code() -> int:
 
 def stop_if_asked() -> None:
     """Raise KeyboardInterrupt where Ctrl-C was pressed and a library has swallowed it."""
-    if asked():
+    if is_interrupted():
         raise KeyboardInterrupt
 
 

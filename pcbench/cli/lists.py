@@ -31,9 +31,9 @@ def list_(
 
     Example: pcbench list observers pccebo
     """
-    from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, found
+    from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, list_catalogue
 
-    kinds = {kind: found(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
+    kinds = {kind: list_catalogue(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
     if as_json:
         print(json.dumps(kinds, indent=2))
         return

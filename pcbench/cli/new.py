@@ -153,7 +153,7 @@ def check(
         said = {"kind": kind, kind: label} | ({"scenario": on} if on and kind != "scenario" else {})
         print(json.dumps(said | {"checks": [f._asdict() for f in found]}, indent=2))
     else:
-        gains.checked(f"{kind} {label}" + (f" on {on}" if on else ""), found, console())
+        gains.print_findings(f"{kind} {label}" + (f" on {on}" if on else ""), found, console())
     if any(f.verdict == FAILS for f in found):
         raise typer.Exit(1)
 

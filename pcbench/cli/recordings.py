@@ -75,4 +75,4 @@ def replay(
     if quiet:
         print(folder)
     else:
-        recordings.replayed(found, folder, console())
+        recordings.print_replay(found, folder, console())

@@ -178,7 +178,7 @@ def tune(
         summary |= {"judged": [history.plain(j) for j in found.judged]}
         print(json.dumps(summary | {"points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:
-        gains.tuned(found, observer, folder, console())
+        gains.print_tuning(found, observer, folder, console())
 
 
 def _seeds(text: str | None, where: str, default: Seeds) -> Seeds:

@@ -101,7 +101,7 @@ def now_at(params: Params, now: Now, estimate: Array, coming: Callable[[Array], 
     return law(params, row, estimate[:4], estimate[4:], params.path[row])
 
 
-def predicted(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
+def pd_command(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
     """Return the command of now, from the state predicted to the time at which it acts."""
     row, B = now.tick - params.first, estimate[4:]
     left = params.ahead[row]
@@ -121,7 +121,7 @@ def target(params: Params, tick: Array) -> Float[Leaf, "2"]:
 
 
 PD = Controller(target, partial(before, False), now_at)
-PREDICTIVE = Controller(target, partial(before, True), predicted)
+PREDICTIVE = Controller(target, partial(before, True), pd_command)
 
 
 def controller(options: Options) -> Controller:

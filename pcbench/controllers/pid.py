@@ -51,7 +51,7 @@ class Params(NamedTuple):
     limit: Leaf  # [m]
 
 
-class Kept(NamedTuple):
+class PidState(NamedTuple):
     """What the law keeps between decisions."""
 
     u: Float[Array, " m"]
@@ -117,15 +117,15 @@ def before(params: Params, tick: Array, estimate: Array) -> Float[Array, " m"]:
     return jnp.zeros(params.Kp.shape[0])
 
 
-def start(params: Params, estimate: Array) -> Kept:
+def start(params: Params, estimate: Array) -> PidState:
     """Return what the law keeps before tick 0."""
     m, (q, n) = params.Kp.shape[0], params.C.shape
-    return Kept(jnp.zeros(m), jnp.zeros(m), params.C @ estimate[:n], jnp.zeros(q))
+    return PidState(jnp.zeros(m), jnp.zeros(m), params.C @ estimate[:n], jnp.zeros(q))
 
 
 def command(
-    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: Kept
-) -> tuple[Float[Array, " m"], Kept]:
+    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: PidState
+) -> tuple[Float[Array, " m"], PidState]:
     """Return the command of now and what is kept."""
     y = params.C @ estimate[: params.C.shape[1]]
     e = params.C @ params.x_ref[now.tick] - y
@@ -133,8 +133,8 @@ def command(
     wanted = kept.integral + params.KiT @ e
     free = params.offset + params.Kp @ e + wanted - params.Kd @ slope
     u = jnp.clip(free, -params.limit, params.limit)
-    new, decides = Kept(u, jnp.where(u == free, wanted, kept.integral), y, slope), now.tick % params.every == 0
-    after = Kept(*(jnp.where(decides, a, b) for a, b in zip(new, kept, strict=True)))
+    new, decides = PidState(u, jnp.where(u == free, wanted, kept.integral), y, slope), now.tick % params.every == 0
+    after = PidState(*(jnp.where(decides, a, b) for a, b in zip(new, kept, strict=True)))
     return after.u, after
 
 

@@ -106,10 +106,10 @@ def now_at(
     params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
     """Return the command of now, twice: as it is, and as it is kept until the next decision."""
-    return decided(params, now, estimate[: params.K.shape[1]], now.tick, last)
+    return feedback_command(params, now, estimate[: params.K.shape[1]], now.tick, last)
 
 
-def predicted(
+def predictive_command(
     params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
     """Return the command of now, made from the state predicted to when it acts."""
@@ -118,10 +118,10 @@ def predicted(
         return params.Phi @ x + params.Gamma @ coming(i)
 
     x = lax.fori_loop(0, params.late, step, estimate[: params.K.shape[1]])
-    return decided(params, now, x, now.tick + params.late, last)
+    return feedback_command(params, now, x, now.tick + params.late, last)
 
 
-def decided(
+def feedback_command(
     params: Params, now: Now, x: Float[Array, " n"], row: Array, last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
     """Return the command made of x against the set point of a tick, or the last one between decisions; twice."""
@@ -131,7 +131,7 @@ def decided(
 
 
 PLAIN = Controller(target, before, now_at, start)
-PREDICTIVE = Controller(target, before, predicted, start)
+PREDICTIVE = Controller(target, before, predictive_command, start)
 
 
 def controller(options: Any) -> Controller:

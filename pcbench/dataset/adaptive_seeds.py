@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, storage
-from pcbench.dataset.manifest import Owned
+from pcbench.dataset.manifest import StudyClaim
 from pcbench.dataset.run_missing import SeedsOf
-from pcbench.dataset.seed_ranges import Seeds, counted
+from pcbench.dataset.seed_ranges import Seeds, seed_range
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
 
@@ -54,7 +54,7 @@ def parse(text: str | None, most: int | None) -> Precision | None:
     return Precision(metric, signal or None, value, most)
 
 
-def check(goal: Precision | None, owned: Owned) -> None:
+def check(goal: Precision | None, owned: StudyClaim) -> None:
     """Raise UserError where a goal is of a signal that no scenario has."""
     names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
     if goal is not None and goal.signal is not None and goal.signal not in names:
@@ -62,7 +62,7 @@ def check(goal: Precision | None, owned: Owned) -> None:
 
 
 def rounds(
-    goal: Precision | None, target: storage.Target, owned: Owned, say: Callable[[str], None]
+    goal: Precision | None, target: storage.Target, owned: StudyClaim, say: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
     """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
 
@@ -75,7 +75,7 @@ def rounds(
     most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in owned.cells}
     pending = list(owned.cells)
     while pending:
-        blocks = block_files.series(block_files.settled(block_files.present(target)))
+        blocks = block_files.series(block_files.drop_overlaps(block_files.present(target)))
         for cell in list(pending):
             has = size[cell.key]
             c = aggregate.of_cell(target, cell, blocks)
@@ -85,7 +85,7 @@ def rounds(
                 pending.remove(cell)
                 short += error > goal.value
         if pending:
-            yield lambda cell: counted(first, size[cell.key])
+            yield lambda cell: seed_range(first, size[cell.key])
     if short:
         say(
             f"--until-se: {short} of {len(owned.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."

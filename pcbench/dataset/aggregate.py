@@ -132,16 +132,16 @@ def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Itera
         while start < stop:
             chunk = start // statistics.CHUNK
             if parts and chunk != at:
-                yield _joined(parts)
+                yield _concat_results(parts)
                 parts = []
             at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
             parts.append({m: v[..., start - block.seeds.first : end - block.seeds.first] for m, v in results.items()})
             start = end
     if parts:
-        yield _joined(parts)
+        yield _concat_results(parts)
 
 
-def _joined(parts: list[statistics.Results]) -> statistics.Results:
+def _concat_results(parts: list[statistics.Results]) -> statistics.Results:
     return {m: np.concatenate([p[m] for p in parts], -1) for m in parts[0]} if len(parts) > 1 else parts[0]
 
 

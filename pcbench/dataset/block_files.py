@@ -80,7 +80,7 @@ def _table(target: storage.Target, block: Block) -> pa.Table | str:
     if content is None:
         return "it is gone"
     try:
-        return parquet_io.parsed(content)
+        return parquet_io.parse_table(content)
     except parquet_io.DAMAGE as error:
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
@@ -103,7 +103,7 @@ def _about(metadata: Mapping[bytes, bytes] | None) -> storage.Json:
         return {}
 
 
-def sealed(table: pa.Table, about: Mapping[str, object]) -> pa.Table:
+def seal_block(table: pa.Table, about: Mapping[str, object]) -> pa.Table:
     """Return rows with what they say of themselves and their digest as metadata."""
     text = {**about, "rows": len(table)}
     text["digest"] = digest(table, text)
@@ -143,7 +143,7 @@ def series(blocks: Iterable[Block]) -> Series:
     return out
 
 
-def settled(blocks: Iterable[Block]) -> list[Block]:
+def drop_overlaps(blocks: Iterable[Block]) -> list[Block]:
     """Return the blocks of all observers and cells without those that would double a row, sorted."""
     out: list[Block] = []
     for mine in series(sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop))).values():

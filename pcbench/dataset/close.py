@@ -17,9 +17,9 @@ import pyarrow as pa
 from pcbench import statistics
 from pcbench.dataset import aggregate, block_files, columns, moments_tables, parquet_io, storage
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.manifest import Owned
+from pcbench.dataset.manifest import StudyClaim
 from pcbench.dataset.parquet_io import GrowingTable
-from pcbench.dataset.seed_ranges import joined
+from pcbench.dataset.seed_ranges import merge_ranges
 from pcbench.runtime import provenance
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
@@ -42,7 +42,7 @@ class ClosingTables(NamedTuple):
     flow: dict[str, dict[str, str]]  # how observers went: lifted, stepped, or both
 
 
-def close(target: storage.Target, owned: Owned, tables: ClosingTables, about: Mapping[str, object]) -> None:
+def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
     """Write stats.parquet and pairs.parquet, and provenance.json with what is said `about` the run."""
     storage.put(target, "stats.parquet", tables.stats)
     storage.put(target, "pairs.parquet", tables.pairs)
@@ -61,11 +61,11 @@ def close(target: storage.Target, owned: Owned, tables: ClosingTables, about: Ma
     storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
 
-def closing_tables(target: storage.Target, owned: Owned, there: list[Block]) -> ClosingTables:
+def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]) -> ClosingTables:
     """Return the tables of all cells in the order of the study; where a file's parts end depends on the study alone."""
     mark = {FROM: made_from(target, there)}
     stats, pairs = GrowingTable(mark), GrowingTable(mark)
-    exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.settled(there))
+    exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(there))
     weakest: ByObserver = {}
     ways: dict[str, dict[str, str]] = {}
     for first in range(0, len(owned.cells), TOGETHER):
@@ -80,7 +80,7 @@ def closing_tables(target: storage.Target, owned: Owned, there: list[Block]) -> 
         for some_stats, some_pairs in _rows(owned.study.name, cells, exact):
             stats.add(some_stats)
             pairs.add(some_pairs)
-    return ClosingTables(len(there), stats.content(), adjusted(pairs.content(), mark), weakest, ways)
+    return ClosingTables(len(there), stats.content(), adjust_pairs(pairs.content(), mark), weakest, ways)
 
 
 def _rows(
@@ -134,12 +134,12 @@ def digest_of(content: pa.Buffer) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
+def adjust_pairs(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
     """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric.
 
     A whole table's are known only when its last row is.
     """
-    file, out = parquet_io.opened(content), GrowingTable(about)
+    file, out = parquet_io.open_parquet(content), GrowingTable(about)
     table = file.read(["scenario", "signal", "metric", "p_value"], use_threads=False)
     family = np.zeros(len(table), int)
     for name in ("scenario", "signal", "metric"):
@@ -165,14 +165,15 @@ def _strength(certificate: storage.Json) -> float:
 def made_from(target: storage.Target, there: list[Block]) -> bytes:
     """Return a digest of what closing tables are made of: which runs, however they are cut, and exact rows if there are any."""
     ranges = {
-        key: joined(b.seeds for b in mine) for key, mine in block_files.series(block_files.settled(there)).items()
+        key: merge_ranges(b.seeds for b in mine)
+        for key, mine in block_files.series(block_files.drop_overlaps(there)).items()
     }
     text = repr([(s, observer, cell, *seeds) for (s, cell, observer), each in ranges.items() for seeds in each])
     runs, exact = hashlib.sha256(text.encode()).hexdigest().encode(), storage.get(target, moments_tables.NAME)
     return runs if exact is None else runs + digest_of(exact).encode()
 
 
-def damaged(target: storage.Target) -> list[str]:
+def damaged_files(target: storage.Target) -> list[str]:
     """Return the closing files that are there, but not as they were written."""
     said = record(target)
     if said is None:
@@ -194,6 +195,6 @@ def table(target: storage.Target, name: str) -> pa.Table | None:
     if content is None or said is None or said["digests"].get(name) != digest_of(content):
         return None
     try:
-        return parquet_io.parsed(content)
+        return parquet_io.parse_table(content)
     except parquet_io.DAMAGE:
         return None

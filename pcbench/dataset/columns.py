@@ -139,7 +139,7 @@ def words(vocabulary: Sequence[str], which: ArrayLike) -> pa.Array:
     return pa.DictionaryArray.from_arrays(indices, pa.array(vocabulary)).cast(pa.string())
 
 
-def together(parts: Iterable[Mapping[str, list[object]]]) -> dict[str, list[object]]:
+def concat_columns(parts: Iterable[Mapping[str, list[object]]]) -> dict[str, list[object]]:
     """Return parts of a table, by column, as one."""
     out: dict[str, list[object]] = {}
     for part in parts:

@@ -22,8 +22,8 @@ from scipy.special import stdtr
 
 from pcbench.dataset import aggregate, block_files, close, manifest, storage
 from pcbench.dataset.block_files import Series
-from pcbench.dataset.manifest import Owned
-from pcbench.dataset.seed_ranges import Seeds, common, joined
+from pcbench.dataset.manifest import StudyClaim
+from pcbench.dataset.seed_ranges import Seeds, common, merge_ranges
 from pcbench.dataset.table_diff import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
@@ -42,7 +42,7 @@ Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
 class Comparison(NamedTuple):
     """What differs between two results, b less a."""
 
-    rows: pd.DataFrame  # matched, the most significantly changed first; columns of `judged`
+    rows: pd.DataFrame  # matched, the most significantly changed first; columns of `compare_rows`
     only: tuple[int, int]  # rows that stand in a alone, and in b alone
     made_by: list[str]  # what differs in versions and machines, a phrase each
 
@@ -68,35 +68,35 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     Of blocks only the footers are read: `verify` reads them whole.
     """
     targets = storage.target(a), storage.target(b)
-    holdings = manifest.opened(targets[0]), manifest.opened(targets[1])
-    if changed := manifest.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
+    holdings = manifest.load_manifest(targets[0]), manifest.load_manifest(targets[1])
+    if changed := manifest.differences(holdings[0], _with_root_seed(holdings[1], holdings[0].study)):
         raise UserError(
             f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
             "study; compare results of one study."
         )
     sides = [_side(target, owned) for target, owned in zip(targets, holdings, strict=True)]
-    shared = _shared(*sides)
+    shared = _common_seeds(*sides)
     left, right = (_stats(side, shared) for side in sides)
     both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
     only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
-    rows = judged(both[both._merge == "both"].drop(columns="_merge"))
+    rows = compare_rows(both[both._merge == "both"].drop(columns="_merge"))
     return Comparison(rows, only, made_by(*targets))
 
 
-def _rooted(owned: Owned, other: Study) -> Owned:
+def _with_root_seed(owned: StudyClaim, other: Study) -> StudyClaim:
     """A claim as it would be with the root seed of another study: that makes no other study here."""
     if other.root_seed == owned.study.root_seed:  # as it is: options of a user's observer may not be known here
         return owned
     study = owned.study.model_copy(update={"root_seed": other.root_seed})
     every = reseed(owned.cells, other.root_seed)
-    return Owned(study, every, to_toml(study, every))
+    return StudyClaim(study, every, to_toml(study, every))
 
 
 class Side(NamedTuple):
     """One of two results."""
 
     target: storage.Target
-    owned: Owned
+    owned: StudyClaim
     stats: pa.Table
     digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
     blocks: Series
@@ -106,11 +106,12 @@ class Side(NamedTuple):
         """Return the seeds that it holds, joined."""
         each = self.blocks.items()
         return {
-            (s, self.digests[s, cell], observer): joined(b.seeds for b in mine) for (s, cell, observer), mine in each
+            (s, self.digests[s, cell], observer): merge_ranges(b.seeds for b in mine)
+            for (s, cell, observer), mine in each
         }
 
 
-def _side(target: storage.Target, owned: Owned) -> Side:
+def _side(target: storage.Target, owned: StudyClaim) -> Side:
     """Return a result; raise UserError where it is not finished or not whole."""
     stats = close.table(target, "stats.parquet")
     if stats is None:
@@ -118,7 +119,7 @@ def _side(target: storage.Target, owned: Owned) -> Side:
             f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
         )
     digests = {c.key: identity(c, 0) for c in owned.cells}
-    there = block_files.settled(block_files.present(target))
+    there = block_files.drop_overlaps(block_files.present(target))
     for b in there:
         if (b.scenario, b.cell) not in digests:
             raise UserError(
@@ -137,7 +138,7 @@ def _side(target: storage.Target, owned: Owned) -> Side:
     return Side(target, owned, stats, digests, block_files.series(there))
 
 
-def _shared(a: Side, b: Side) -> dict[Name, Seeds]:
+def _common_seeds(a: Side, b: Side) -> dict[Name, Seeds]:
     """Return by cell and observer, where two sides hold different seeds, the longest range that both hold."""
     if a.owned.study.root_seed != b.owned.study.root_seed:
         return {}
@@ -176,7 +177,7 @@ def _over(side: Side, shared: dict[Name, Seeds]) -> pa.Table:
     return pa.concat_tables(parts) if parts else side.stats
 
 
-def judged(both: pd.DataFrame) -> pd.DataFrame:
+def compare_rows(both: pd.DataFrame) -> pd.DataFrame:
     """Return matched rows with what came of them: difference, p-value, Holm's, and whether they changed."""
     a, b = (both[f"mean_{side}"].to_numpy(float) for side in "ab")
     difference, size = b - a, np.fmax(np.abs(a), np.abs(b))

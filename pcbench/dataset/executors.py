@@ -55,7 +55,7 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
 
 
 @contextmanager
-def here(count: int | None = None) -> Iterator[Executor]:
+def local_executor(count: int | None = None) -> Iterator[Executor]:
     """Yield the executor of this process: `count` calls at a time, by default one a core or accelerator.
 
     There are twice as many tasks under way as devices to compute on: while one writes its files, another computes. After Ctrl-C

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pcbench import toml_text
 from pcbench.dataset import block_files, storage, stored_code
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.seed_ranges import Seeds, common, counted
+from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.study import Study, parse
@@ -28,7 +28,7 @@ WRITTEN = ("report.html", "fair.parquet", "examples/")  # what other commands wr
 SHOWN = 3  # differences that a refusal names
 
 
-class Owned(NamedTuple):
+class StudyClaim(NamedTuple):
     """A study and the cells it has in its folder."""
 
     study: Study
@@ -37,13 +37,13 @@ class Owned(NamedTuple):
     overwrite: bool = False  # what an older run left goes when this one begins
 
 
-def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> Owned:
+def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyClaim:
     """Return the study with its cells numbered as in a target; raise UserError where that holds another study. Writes nothing.
 
     With `overwrite` a study that stands there is to be removed.
     """
     text, blocks = storage.text(target, TEXT), block_files.present(target)
-    there = None if text is None else _parsed(text)
+    there = None if text is None else _parse_manifest(text)
     begun = None if overwrite or there is None else there.get("engine")
     if begun is None and blocks and not overwrite:  # its text is lost
         flow = block_files.about_block(target, blocks[0]).get("flow", "")
@@ -63,10 +63,13 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> Owned:
         cells = number_cells(cells, there["resolved"]["cells"])
         if blocks:  # seeds of a run that was stopped, which have no block, bind nobody
             standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
-            left = common(counted(there["first_seed"], there["seeds"]), standing)
+            left = common(seed_range(there["first_seed"], there["seeds"]), standing)
             there |= {"first_seed": left.first, "seeds": left.many}
         files = stored_code.files_in(target, there), stored_code.files_of(study)
-        changed = [*changes(there, toml_text.parse(to_toml(study, cells)), files), *_reshaped(target, there, study)]
+        changed = [
+            *changes(there, toml_text.parse(to_toml(study, cells)), files),
+            *_shape_changes(target, there, study),
+        ]
         if changed and blocks:
             more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
             raise UserError(
@@ -75,7 +78,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> Owned:
             )
         if changed:  # nothing was finished there
             cells = grid.cells
-    return Owned(study, cells, to_toml(study, cells), overwrite and bool(blocks or text is not None))
+    return StudyClaim(study, cells, to_toml(study, cells), overwrite and bool(blocks or text is not None))
 
 
 def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
@@ -119,7 +122,7 @@ def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
             )
 
 
-def opened(target: storage.Target, run: bool = False) -> Owned:
+def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
     """Return the study that stands in a target, with its cells; raise UserError where there is none.
 
     The code of a user's own observers is loaded from the dataset's copy where it is to be `run`, and else left alone.
@@ -130,16 +133,16 @@ def opened(target: storage.Target, run: bool = False) -> Owned:
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = read_text(target, text)
-    study, cells = parse.grid(_unresolved(there), f"{target.name}/{TEXT}", stored_code.gate(target, there, run))
-    return Owned(study, number_cells(cells, there["resolved"]["cells"]), text.decode())
+    study, cells = parse.grid(_drop_resolved(there), f"{target.name}/{TEXT}", stored_code.gate(target, there, run))
+    return StudyClaim(study, number_cells(cells, there["resolved"]["cells"]), text.decode())
 
 
-def digests(owned: Owned) -> dict[tuple[str, int], str]:
+def digests(owned: StudyClaim) -> dict[tuple[str, int], str]:
     """Return by key what tells each cell of a study from all others."""
     return {c.key: c.digest for c in owned.cells}
 
 
-def differences(a: Owned, b: Owned) -> list[str]:
+def differences(a: StudyClaim, b: StudyClaim) -> list[str]:
     """Return what differs between two studies besides their seeds, engine and the order of their cells, a phrase each."""
     old, new = (toml_text.parse(each.text) for each in (a, b))
     for each in (old, new):
@@ -149,7 +152,7 @@ def differences(a: Owned, b: Owned) -> list[str]:
     return list(dict.fromkeys([*changes(old, new), *mirrored]))
 
 
-def begin(target: storage.Target, owned: Owned) -> None:
+def begin(target: storage.Target, owned: StudyClaim) -> None:
     """Delete the closing tables of an earlier run (with `overwrite` its blocks too), then write study.toml."""
     storage.make(target)
     for name in CLOSING:
@@ -164,27 +167,27 @@ def begin(target: storage.Target, owned: Owned) -> None:
     stored_code.keep(target, owned.study)
 
 
-def renew(target: storage.Target, owned: Owned) -> None:
+def renew(target: storage.Target, owned: StudyClaim) -> None:
     """Write the study's text, unless it stands there already."""
     if storage.text(target, TEXT) != owned.text.encode():
         storage.put(target, TEXT, owned.text.encode())
 
 
-def _unresolved(there: TomlTable) -> TomlTable:
+def _drop_resolved(there: TomlTable) -> TomlTable:
     return {k: v for k, v in there.items() if k != "resolved"}
 
 
-def _reshaped(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
+def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
     where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
-    old = parse.build_study(_unresolved(there) | {"seeds": 1}, where, gate)
+    old = parse.build_study(_drop_resolved(there) | {"seeds": 1}, where, gate)
     for name in sorted(channels_apart(old) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 
 def read_text(target: storage.Target, text: bytes) -> TomlTable:
     """Return what a study's text says; raise UserError where it is damaged."""
-    if (there := _parsed(text)) is not None:
+    if (there := _parse_manifest(text)) is not None:
         return there
     many = len(block_files.present(target))
     anew = (
@@ -195,7 +198,7 @@ def read_text(target: storage.Target, text: bytes) -> TomlTable:
     raise UserError(f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; {anew}")
 
 
-def _parsed(text: bytes) -> TomlTable | None:
+def _parse_manifest(text: bytes) -> TomlTable | None:
     """What a study's text says; None where that is not of the kinds that are written."""
     try:
         there = toml_text.parse(text)

@@ -14,8 +14,8 @@ import pyarrow as pa
 
 from pcbench.dataset import block_files, close, manifest, moments_tables, parquet_io, run_missing, storage, stored_code
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.manifest import Owned
-from pcbench.dataset.seed_ranges import Seeds, common, counted, gaps
+from pcbench.dataset.manifest import StudyClaim
+from pcbench.dataset.seed_ranges import Seeds, common, gaps, seed_range
 from pcbench.dataset.table_diff import agree, difference, of_one_run
 from pcbench.errors import UserError
 from pcbench.runtime.progress import SILENT, Progress
@@ -37,7 +37,7 @@ class ExactFile(NamedTuple):
     """A file of exact numbers where it stands."""
 
     target: storage.Target
-    owned: Owned
+    owned: StudyClaim
     name: str
 
 
@@ -57,9 +57,9 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     if len(given) < 2:
         raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
     targets = [storage.target(each) for each in given]
-    holdings = [manifest.opened(target) for target in targets]
+    holdings = [manifest.load_manifest(target) for target in targets]
     for target, owned in zip(targets[1:], holdings[1:], strict=True):
-        if changed := [*manifest.differences(holdings[0], owned), *_evaluated(holdings[0], owned)]:
+        if changed := [*manifest.differences(holdings[0], owned), *_evaluation_differences(holdings[0], owned)]:
             raise UserError(
                 f"{target.name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
                 "study with other seeds; merge datasets of one study."
@@ -108,30 +108,30 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     return MergeReport(len(there), doubled, lacking)
 
 
-def _evaluated(a: Owned, b: Owned) -> Iterator[str]:
+def _evaluation_differences(a: StudyClaim, b: StudyClaim) -> Iterator[str]:
     """Yield what a study may change in its folder, but parts must share: how its numbers are found."""
     for name in ("evaluation", "schedules"):
         if (one := getattr(a.study, name)) != (other := getattr(b.study, name)):
             yield f"{name}: {one} there, {other} here"
 
 
-def _over_all_seeds(holdings: list[Owned]) -> Owned:
+def _over_all_seeds(holdings: list[StudyClaim]) -> StudyClaim:
     """The study over all seeds, with the cells as the first dataset numbers them."""
     study, cells = holdings[0].study, holdings[0].cells
-    each = [counted(owned.study.first_seed, owned.study.seeds) for owned in holdings]
+    each = [seed_range(owned.study.first_seed, owned.study.seeds) for owned in holdings]
     whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
     study = study.model_copy(update={"first_seed": whole.first, "seeds": whole.many})
-    return Owned(study, cells, to_toml(study, cells))
+    return StudyClaim(study, cells, to_toml(study, cells))
 
 
-def _numbers(owned: Owned, whole: Owned) -> dict[tuple[str, int], int]:
+def _numbers(owned: StudyClaim, whole: StudyClaim) -> dict[tuple[str, int], int]:
     """By scenario and number in a part, the cell's number in the merged dataset."""
     numbers = {(s, digest): number for (s, number), digest in manifest.digests(whole).items()}
     return {(s, n): numbers[s, digest] for (s, n), digest in manifest.digests(owned).items()}
 
 
 def _parts(
-    targets: list[storage.Target], holdings: list[Owned], whole: Owned
+    targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
 ) -> dict[tuple[str, int, str], list[Part]]:
     """Return the blocks of all datasets by scenario, cell and observer as the merged dataset numbers them."""
     out: dict[tuple[str, int, str], list[Part]] = {}
@@ -151,7 +151,7 @@ def _parts(
 def _content(part: Part, block: Block) -> pa.Buffer:
     """The bytes of a block of some seeds of a part; as they stand, if it is all of it."""
     if block != part.there:
-        return parquet_io.encoded(_cut(block_files.read(part.target, part.there), block))
+        return parquet_io.encode_table(_cut(block_files.read(part.target, part.there), block))
     content = storage.get(part.target, block.name)
     if content is None:
         raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
@@ -164,7 +164,7 @@ def _cut(table: pa.Table, block: Block) -> pa.Table:
     many = len(table) // (about["last"] - about["first"])
     rows = table.slice((block.seeds.first - about["first"]) * many, block.seeds.many * many)
     rows = parquet_io.with_column(rows, "cell", [block.cell] * len(rows))
-    return block_files.sealed(rows, about | {"first": block.seeds.first, "last": block.seeds.stop})
+    return block_files.seal_block(rows, about | {"first": block.seeds.first, "last": block.seeds.stop})
 
 
 def _require_equal(part: Part, other: Part) -> None:
@@ -185,7 +185,9 @@ def _require_equal(part: Part, other: Part) -> None:
         )
 
 
-def _exact_files(targets: list[storage.Target], holdings: list[Owned], whole: Owned) -> dict[str, list[ExactFile]]:
+def _exact_files(
+    targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
+) -> dict[str, list[ExactFile]]:
     """Return by name in the merged dataset the files of exact numbers."""
     out: dict[str, list[ExactFile]] = {}
     for target, owned in zip(targets, holdings, strict=True):
@@ -197,9 +199,9 @@ def _exact_files(targets: list[storage.Target], holdings: list[Owned], whole: Ow
     return dict(sorted(out.items()))
 
 
-def _exact_rows(file: ExactFile, whole: Owned) -> pa.Table:
+def _exact_rows(file: ExactFile, whole: StudyClaim) -> pa.Table:
     """Return the rows of a file as the merged dataset is to hold them."""
-    table = parquet_io.whole(storage.get(file.target, file.name))
+    table = parquet_io.unseal_table(storage.get(file.target, file.name))
     if table is None:
         raise UserError(
             f"{file.target.name}/{file.name}: is damaged, expected a whole file; run its study again first."
@@ -213,4 +215,4 @@ def _exact_rows(file: ExactFile, whole: Owned) -> pa.Table:
     mark = parquet_io.metadata(table).get(moments_tables.OF)
     if mark == moments_tables.of(file.owned):  # else the next run makes it anew
         mark = moments_tables.of(whole)
-    return parquet_io.sealed(parquet_io.with_metadata(rows, {moments_tables.OF: mark} if mark else {}))
+    return parquet_io.seal_table(parquet_io.with_metadata(rows, {moments_tables.OF: mark} if mark else {}))

@@ -45,7 +45,7 @@ class Exact:
         A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
         of them, n says how many, and se is of schedules alone.
         """
-        return pd.DataFrame(columns.together(self.rows(m) for m in self.solved(self.grid.cells)))
+        return pd.DataFrame(columns.concat_columns(self.rows(m) for m in self.solved(self.grid.cells)))
 
     def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
         """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
@@ -130,7 +130,7 @@ class Exact:
             rows |= {"signal": [signals[i][0] for i in rows["signal"]], "unit": units}
             rows |= {name: [value] * len(units) for name, value in about.items()}
             parts.append({name: rows[name] for name in order})
-        return columns.together(parts)
+        return columns.concat_columns(parts)
 
     def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
         scenarios = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))

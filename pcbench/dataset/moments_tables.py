@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pcbench.dataset import columns, manifest, parquet_io, storage
-from pcbench.dataset.manifest import Owned
+from pcbench.dataset.manifest import StudyClaim
 from pcbench.runtime import provenance, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.grid import Grid
@@ -33,10 +33,10 @@ WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to r
 SAID = 3  # refusals that are said
 
 
-def make(target: storage.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
+def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
     mark = of(owned)
-    there = whole(target)
+    there = load_exact_rows(target)
     if there is not None and not owned.overwrite and parquet_io.metadata(there).get(OF) == mark:
         return False
     manifest.begin(target, owned)
@@ -52,12 +52,12 @@ def make(target: storage.Target, owned: Owned, say: Callable[[str], None], progr
     with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are made while files wait for the disk
         waiting: deque[Future[None]] = deque()
         for name, table in _over_time(owned, exact, parts, progress):
-            waiting.append(threads.submit(storage.put_table, target, name, parquet_io.sealed(table)))
+            waiting.append(threads.submit(storage.put_table, target, name, parquet_io.seal_table(table)))
             if len(waiting) > 2 * WRITERS:
                 waiting.popleft().result()
         for each in waiting:
             each.result()
-    rows = columns.together(parts)
+    rows = columns.concat_columns(parts)
     reasons = zip(rows["metric"], rows["reason"], strict=True)
     refused = list(dict.fromkeys(str(reason) for metric, reason in reasons if metric == "mse" and reason))
     for sentence in refused[:SAID]:
@@ -65,12 +65,12 @@ def make(target: storage.Target, owned: Owned, say: Callable[[str], None], progr
     if refused[SAID:]:
         say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
     table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})
-    storage.put_table(target, NAME, parquet_io.sealed(table))
+    storage.put_table(target, NAME, parquet_io.seal_table(table))
     return True
 
 
 def _over_time(
-    owned: Owned, exact: "Exact", rows: list[dict[str, list[object]]], progress: Progress
+    owned: StudyClaim, exact: "Exact", rows: list[dict[str, list[object]]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
@@ -86,14 +86,14 @@ def _over_time(
         progress.step(1)
 
 
-def whole(target: storage.Target) -> pa.Table | None:
+def load_exact_rows(target: storage.Target) -> pa.Table | None:
     """Return the exact rows of a dataset; None where it has none, or not as they were written."""
-    return parquet_io.whole(storage.get(target, NAME))
+    return parquet_io.unseal_table(storage.get(target, NAME))
 
 
 def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
     """Return the exact rows of a dataset by cell, parts of one table."""
-    table = whole(target)
+    table = load_exact_rows(target)
     if table is None or not len(table):
         return {}
     every = {name: column.combine_chunks() for name, column in zip(table.column_names, table.columns, strict=True)}
@@ -107,13 +107,13 @@ def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
     return {(part["scenario"][0].as_py(), part["cell"][0].as_py()): part for part in parts}
 
 
-def simulated(target: storage.Target, owned: Owned) -> Owned:
+def select_simulations(target: storage.Target, owned: StudyClaim) -> StudyClaim:
     """Return the study with what is left of it to simulate: all of it, nothing, or what has no exact number."""
     if owned.study.evaluation == "runs":
         return owned
     if owned.study.evaluation == "exact":
         return owned._replace(cells=[])
-    there = whole(target)
+    there = load_exact_rows(target)
     rows = [] if there is None else there.select(["scenario", "cell", "observer", "method"]).to_pylist()
     exact = {(row["scenario"], row["cell"], row["observer"]) for row in rows if row["method"] == "exact"}
     left = [{o: given for o, given in c.options.items() if (*c.key, o) not in exact} for c in owned.cells]
@@ -147,7 +147,7 @@ def place(scenario: str, cell: int) -> str:
     return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
 
 
-def of(owned: Owned) -> bytes:
+def of(owned: StudyClaim) -> bytes:
     """Return the mark of a study and of these releases; it is the same for all seeds, as exact numbers are."""
     study = owned.study.model_copy(update={"first_seed": 0, "seeds": 1})
     return f"{digest(study, owned.cells)} {sorted(provenance.versions().items())}".encode()

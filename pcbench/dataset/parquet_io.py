@@ -17,7 +17,7 @@ RATIO = 1000  # or so many times its own bytes, if that is more: equal numbers t
 ROWS = 20_000  # that are gathered before they are written
 
 
-def encoded(table: pa.Table) -> pa.Buffer:
+def encode_table(table: pa.Table) -> pa.Buffer:
     """Return a table as the bytes of a Parquet file with a checksum on every page; equal tables give equal bytes."""
     sink = pa.BufferOutputStream()
     words = [field.name for field in table.schema if not pa.types.is_floating(field.type)]  # numbers hardly repeat
@@ -31,7 +31,7 @@ def encoded(table: pa.Table) -> pa.Buffer:
     return content
 
 
-def opened(content: pa.Buffer) -> pq.ParquetFile:
+def open_parquet(content: pa.Buffer) -> pq.ParquetFile:
     """Return a Parquet file in memory, to be read by the thread that asks, every page checked.
 
     A thread of pyarrow's own that lets go of one of Python's objects while the interpreter ends aborts the process
@@ -48,21 +48,21 @@ def opened(content: pa.Buffer) -> pq.ParquetFile:
     return file
 
 
-def parsed(content: pa.Buffer) -> pa.Table:
+def parse_table(content: pa.Buffer) -> pa.Table:
     """Return the rows of a Parquet file in memory; raise one of DAMAGE where it is damaged."""
-    with opened(content) as file:
+    with open_parquet(content) as file:
         return file.read(use_threads=False)
 
 
-def sealed(table: pa.Table) -> pa.Table:
-    """Return a table with the digest of its columns among its metadata, for `whole` to look at."""
+def seal_table(table: pa.Table) -> pa.Table:
+    """Return a table with the digest of its columns among its metadata, for `unseal_table` to look at."""
     return with_metadata(table, {SEAL: digest(table).encode()})
 
 
-def whole(content: pa.Buffer | None) -> pa.Table | None:
-    """Return the rows of a file that was `sealed`; None where there is none, or they are not those that were written."""
+def unseal_table(content: pa.Buffer | None) -> pa.Table | None:
+    """Return the rows of a file that was `seal_table`; None where there is none, or they are not those that were written."""
     try:
-        table = None if content is None else parsed(content)
+        table = None if content is None else parse_table(content)
     except DAMAGE:
         return None
     return table if table is not None and metadata(table).get(SEAL) == digest(table).encode() else None

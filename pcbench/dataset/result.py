@@ -10,7 +10,7 @@ import pyarrow as pa
 from pcbench.dataset import block_files, close, manifest, moments_tables, parquet_io, storage
 from pcbench.dataset.timing import Cost
 from pcbench.dataset.verify import FAIR
-from pcbench.errors import UserError, said
+from pcbench.errors import UserError, first_sentence
 from pcbench.statistics.number_format import UNPROVEN
 from pcbench.study import Study, observers_of
 from pcbench.synthesis.certificate import is_certified
@@ -33,24 +33,24 @@ def open_result(out: str | Path) -> "Result":
         UserError: there is no finished study, or a file is damaged.
     """
     target = storage.target(str(out))
-    owned = manifest.opened(target)
-    if not close.is_closed(target, block_files.settled(block_files.present(target))):
-        for name in close.damaged(target):
-            raise _damaged(target, name)
+    owned = manifest.load_manifest(target)
+    if not close.is_closed(target, block_files.drop_overlaps(block_files.present(target))):
+        for name in close.damaged_files(target):
+            raise _damage_error(target, name)
         raise UserError(
             f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
             f"{target.name}/study.toml --out {target.name}."
         )
     result = Result(owned.study, target, out, Cost())
     if (content := storage.get(target, FAIR)) is not None:
-        if (table := parquet_io.whole(content)) is None:
-            raise _damaged(target, FAIR)
+        if (table := parquet_io.unseal_table(content)) is None:
+            raise _damage_error(target, FAIR)
         fair = table.to_pandas()
         result.fair = fair if "certified" in fair else fair.assign(certified=None)
     return result
 
 
-def _damaged(target: storage.Target, name: str) -> UserError:
+def _damage_error(target: storage.Target, name: str) -> UserError:
     return UserError(
         f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to have it made anew."
     )
@@ -117,9 +117,9 @@ class Result:
 
         frames = []
         for name in names:
-            table = parquet_io.whole(storage.get(self._target, name))
+            table = parquet_io.unseal_table(storage.get(self._target, name))
             if table is None:
-                raise _damaged(self._target, name)
+                raise _damage_error(self._target, name)
             scenario, cell = (part.partition("=")[2] for part in name.removesuffix(".parquet").split("/")[-2:])
             frames.append(table.to_pandas().assign(scenario=scenario.replace("%2F", "/"), cell=int(cell)))
         first = ["scenario", "cell", *OVER_TIME]
@@ -189,7 +189,8 @@ class Result:
             for block in blocks:
                 block_files.read(target, block)
             raise UserError(
-                f"{target.name}/runs: cannot be read ({said(error)}), expected whole blocks; see pcbench verify {target.name}."
+                f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected whole blocks; see pcbench "
+                f"verify {target.name}."
             ) from None
 
     def _closing(self, name: str) -> "pd.DataFrame":

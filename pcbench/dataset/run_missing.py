@@ -20,9 +20,9 @@ from pcbench.dataset import block_files, manifest, moments_tables, storage, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.executors import Executor
-from pcbench.dataset.manifest import Owned
-from pcbench.dataset.seed_ranges import Seeds, counted, gaps
-from pcbench.dataset.timing import Cost, added
+from pcbench.dataset.manifest import StudyClaim
+from pcbench.dataset.seed_ranges import Seeds, gaps, seed_range
+from pcbench.dataset.timing import Cost, add_costs
 from pcbench.errors import UserError
 from pcbench.planning import memo, padding
 from pcbench.planning.padding import Plan
@@ -49,19 +49,19 @@ class Sizes(NamedTuple):
     memory: float = float("inf")  # bytes that results may take at a time
 
 
-def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
+def everything(owned: StudyClaim, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
     """Return the seeds that a study names and, of a cell, those that any observer has beyond them: all are to have the same.
 
     `more` says how many a cell, by its digest, is to have at least.
     """
-    named = counted(owned.study.first_seed, owned.study.seeds)
+    named = seed_range(owned.study.first_seed, owned.study.seeds)
     stops = {c.key: named.first + max(more[c.digest], named.many) for c in owned.cells if c.digest in more}
     for b in there:
         stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), named.stop), b.seeds.stop)
     return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
 
 
-def valid_blocks(target: storage.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
+def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
     observers = {(cell.scenario.name, observer) for cell in owned.cells for observer in cell.options}
     digests, there = manifest.digests(owned), block_files.present(target)
@@ -79,7 +79,7 @@ def valid_blocks(target: storage.Target, owned: Owned, say: Callable[[str], None
                 f"{target.name}/{b.name}: {damage}, expected version {SCHEMA}; give a new folder with --out, or start over "
                 "with --overwrite."
             )
-    kept = block_files.settled(b for b, damage in damages.items() if not damage)
+    kept = block_files.drop_overlaps(b for b, damage in damages.items() if not damage)
     stays = set(kept)
     for b, damage in damages.items():
         if damage:
@@ -95,7 +95,7 @@ def valid_blocks(target: storage.Target, owned: Owned, say: Callable[[str], None
     return kept
 
 
-def missing_seeds(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
+def missing_seeds(owned: StudyClaim, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
     """Return the ranges of seeds that no block holds."""
     have = block_files.series(there)
     out: Gaps = {}
@@ -106,11 +106,13 @@ def missing_seeds(owned: Owned, there: list[Block], wanted: SeedsOf, size: Calla
     return out
 
 
-def count_missing(target: storage.Target, owned: Owned) -> int:
+def count_missing(target: storage.Target, owned: StudyClaim) -> int:
     """Return how many runs of a study have no block."""
     there = block_files.present(target)
     return runs_in(
-        missing_seeds(moments_tables.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
+        missing_seeds(
+            moments_tables.select_simulations(target, owned), there, everything(owned, there), lambda cell: 2**40
+        )
     )
 
 
@@ -119,10 +121,10 @@ def runs_in(todo: Gaps) -> int:
     return sum(seeds.many for labels in todo.values() for ranges in labels.values() for seeds in ranges)
 
 
-class Planned(NamedTuple):
+class RunPlan(NamedTuple):
     """What is to be done: designed and checked. Cells whose drafts are not kept are laid out again as their tasks are drawn."""
 
-    owned: Owned
+    owned: StudyClaim
     todo: Gaps
     wanted: SeedsOf
     ask: memo.Once  # has the designs
@@ -189,12 +191,12 @@ def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.
     yield from waiting
 
 
-def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
+def plan_runs(owned: StudyClaim, todo: Gaps, wanted: SeedsOf) -> RunPlan:
     """Design what is to be done, and find the room that it takes; raise UserError where that cannot be.
 
     Drafts are kept, in the order of their cells, until they take DRAFTS bytes. What several have in common counts once.
     """
-    plan, room, left = Planned(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
+    plan, room, left = RunPlan(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
     kept: list[Plan] = []
     seen: set[int] = set()  # arrays, all alive in drafts that are kept
     for p in padding.check_drafts(plan.drafts()):
@@ -211,7 +213,7 @@ def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
 
 def run_blocks(
     target: storage.Target,
-    owned: Owned,
+    owned: StudyClaim,
     there: list[Block],
     execute: Executor,
     wanted: SeedsOf,
@@ -231,7 +233,7 @@ def run_blocks(
     _require_simulated(owned, todo)
     cost, took = Cost(), Stopwatch()
     with took("planning"):
-        plan = planned(owned, todo, wanted)
+        plan = plan_runs(owned, todo, wanted)
     manifest.begin(target, owned)
     progress.begin("runs", runs_in(todo))
     progress.note("compiling")
@@ -239,7 +241,7 @@ def run_blocks(
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
     for report in execute(work, took.each("planning", plan.tasks())):
         _require_versions(report)
-        cost = added(cost, report.cost)
+        cost = add_costs(cost, report.cost)
         if report.call:
             if report.call.seconds > LONG:
                 say(_announcement(report.cell[0], report.call, todo))
@@ -250,7 +252,7 @@ def run_blocks(
     return cost._replace(planning_seconds=took.seconds["planning"])
 
 
-def _require_simulated(owned: Owned, todo: Gaps) -> None:
+def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
     """Raise UserError where runs are missing whose estimates are made elsewhere."""
     for cell in owned.cells:
         for label, ranges in todo.get(cell.key, {}).items():
@@ -285,7 +287,7 @@ def _announcement(scenario: str, call: task.Call, todo: Gaps) -> str:
     )
 
 
-def _block_size(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
+def _block_size(owned: StudyClaim, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
     if sizes.block_size:
         return int(max(min(sizes.block_size, sizes.memory / task.bytes_of_a_block(cell, 1)), 1))

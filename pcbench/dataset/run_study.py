@@ -20,7 +20,7 @@ from pcbench.dataset import (
     storage,
 )
 from pcbench.dataset.result import Result
-from pcbench.dataset.timing import Cost, added
+from pcbench.dataset.timing import Cost, add_costs
 from pcbench.errors import UserError
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
@@ -66,20 +66,20 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         adaptive_seeds.check(goal, owned)
         sizes = run_missing.Sizes(how.block_size, executors.share(how.memory, how.dask, how.workers, how.devices))
         run_tasks = stack.enter_context(
-            executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
+            executors.dask(how.dask, how.workers) if how.dask else executors.local_executor(how.devices)
         )
         there = [] if owned.overwrite else run_missing.valid_blocks(target, owned, say)
         cost, exact_start = Cost(), perf_counter()
         if grid.study.evaluation != "runs" and moments_tables.make(target, owned, say, progress):
-            owned, there = owned._replace(overwrite=False), block_files.settled(block_files.present(target))
+            owned, there = owned._replace(overwrite=False), block_files.drop_overlaps(block_files.present(target))
             cost = Cost(exact_seconds=perf_counter() - exact_start)
-        left = moments_tables.simulated(target, owned)
+        left = moments_tables.select_simulations(target, owned)
         wanted = run_missing.everything(left, there, how.more)
-        cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
+        cost = add_costs(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
         for wanted in adaptive_seeds.rounds(goal, target, left, say):
-            there = block_files.settled(block_files.present(target))
-            cost = added(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
-        there = block_files.settled(block_files.present(target))
+            there = block_files.drop_overlaps(block_files.present(target))
+            cost = add_costs(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
+        there = block_files.drop_overlaps(block_files.present(target))
         if cost.runs or not close.is_closed(target, there):
             progress.note("statistics")
             closing = perf_counter()

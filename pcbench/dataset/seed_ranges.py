@@ -19,7 +19,7 @@ class Seeds(NamedTuple):
         return f"{self.first}:{self.stop}"
 
 
-def counted(first: int, many: int) -> Seeds:
+def seed_range(first: int, many: int) -> Seeds:
     """Return so many seeds from the first on."""
     return Seeds(first, first + many)
 
@@ -29,7 +29,7 @@ def common(a: Seeds, b: Seeds) -> Seeds:
     return Seeds(max(a.first, b.first), min(a.stop, b.stop))
 
 
-def joined(ranges: Iterable[Seeds]) -> list[Seeds]:
+def merge_ranges(ranges: Iterable[Seeds]) -> list[Seeds]:
     """Return ranges in order, those that follow right upon another made one."""
     out: list[Seeds] = []
     for seeds in ranges:

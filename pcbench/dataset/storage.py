@@ -147,7 +147,7 @@ def _require_no_link(target: Target, name: str) -> None:
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
     """Put one Parquet file, checked before it is seen: how many rows it has, and what it says of itself."""
-    put(target, name, parquet_io.encoded(table), lasting)
+    put(target, name, parquet_io.encode_table(table), lasting)
 
 
 def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
@@ -287,10 +287,10 @@ def clear(target: Target) -> None:
 
 def unfinished(target: Target) -> list[Path]:
     """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
-    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _abandoned(p)] if target.local else []
+    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _is_abandoned(p)] if target.local else []
 
 
-def _abandoned(path: Path) -> bool:
+def _is_abandoned(path: Path) -> bool:
     ours = UNFINISHED.fullmatch(path.name)
     if ours and ours[1] == socket.gethostname():
         try:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 
-from pcbench.dataset.seed_ranges import common, counted
+from pcbench.dataset.seed_ranges import common, seed_range
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.references import PluginReference, replace_references
 from pcbench.toml_text import TomlTable
@@ -18,13 +18,13 @@ def changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files] = ({},
 
     `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
     """
-    code = list(_recoded(there, here, files))
+    code = list(_code_changes(there, here, files))
     yield from code
-    old_texts, new_texts = (replace_references(study, _undated) for study in (there, here))
+    old_texts, new_texts = (replace_references(study, _strip_digest) for study in (there, here))
     for key in sorted((there.keys() | here.keys()) - GROWN):
         if old_texts.get(key) != new_texts.get(key):
             yield _phrase(key, old_texts.get(key), new_texts.get(key))
-    a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
+    a, b = (seed_range(study["first_seed"], study["seeds"]) for study in (there, here))
     if common(a, b) != a:
         yield f"seeds: {a.first} .. {a.stop - 1} there, {b.first} .. {b.stop - 1} here"
     old, new = there["resolved"], here["resolved"]
@@ -55,7 +55,7 @@ def _tuned_cells(study: TomlTable) -> dict[str, TomlTable]:
     return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
 
 
-def _recoded(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> Iterator[str]:
+def _code_changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> Iterator[str]:
     """Yield what has other code, with the files that have changed where they are known."""
     old, new = (study["resolved"].get("code", {}) for study in (there, here))
     for name, digest in old.items():
@@ -71,7 +71,7 @@ def _recoded(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> I
         yield f"the code of {name}: {where[0]} there, {where[1]} here"
 
 
-def _undated(each: PluginReference) -> str:
+def _strip_digest(each: PluginReference) -> str:
     """MODULE:NAME as it is whatever the content of its file."""
     return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
 

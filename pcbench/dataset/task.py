@@ -77,7 +77,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     with hold() as device:
         began = perf_counter()
-        p, results, program, call = simulated(work, task, device)
+        p, results, program, call = simulate_task(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), storage.target(work.out)
     blocks = {} if call else dict(files(work, task, p, results, program.ways))
@@ -92,7 +92,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     return Report(p.cell.key, cost, provenance.versions(), call)
 
 
-def simulated(
+def simulate_task(
     work: Work, task: Task, device: jax.Device | None = None
 ) -> tuple[Plan, run_local.Results, runner.Program, Call | None]:
     """Return what the runs of a task leave, or how long a call takes, estimated from calls that end early.
@@ -164,7 +164,7 @@ def block(
         common[many] = table_builder.common_columns(head, np.arange(*seeds), signals)
     table = table_builder.runs_table(common[many], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
-    return name, block_files.sealed(table, about)
+    return name, block_files.seal_block(table, about)
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:

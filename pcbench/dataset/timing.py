@@ -52,7 +52,7 @@ class Cost(NamedTuple):
         return sum(self.compiled.values())
 
 
-def added(a: Cost, b: Cost) -> Cost:
+def add_costs(a: Cost, b: Cost) -> Cost:
     """Return what two runs took together."""
     seconds = (x + y for x, y in zip(a[2:], b[2:], strict=True))
     return Cost(a.runs + b.runs, {**a.compiled, **b.compiled}, *seconds)

@@ -29,7 +29,7 @@ ZERO = 1e-11
 LOST = 1e-14  # of the peak
 
 
-class Checked(NamedTuple):
+class ExactValidation(NamedTuple):
     """What came of it."""
 
     rows: pd.DataFrame  # KEY, n, mean, se, exact, z (as normal), apart: relative, where runs do not vary
@@ -60,10 +60,10 @@ class Checked(NamedTuple):
         return said + f"{len(self.wrong):,} are farther off than chance allows (|z| < {self.limit:.2f})."
 
 
-def check(out: str | Path) -> Checked:
+def check(out: str | Path) -> ExactValidation:
     """Compare the simulated means of a dataset with their exact values; raise UserError where it has no runs enough."""
     target = storage.target(out)
-    owned = manifest.opened(target, run=True)
+    owned = manifest.load_manifest(target, run=True)
     if not block_files.present(target):
         raise UserError(
             f"{target.name}: has no runs to be compared with exact values; run the study with evaluation = 'runs'."
@@ -77,10 +77,10 @@ def check(out: str | Path) -> Checked:
     expected = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
     peaks = stats[stats.metric == "max_abs_error"][[*KEY[:-1], "mean"]].rename(columns={"mean": "max_abs_error"})
     both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(expected, on=KEY).merge(peaks, on=KEY[:-1], how="left")
-    return Checked(judged(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
+    return ExactValidation(compare_means(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
 
 
-def judged(both: pd.DataFrame) -> pd.DataFrame:
+def compare_means(both: pd.DataFrame) -> pd.DataFrame:
     """Return matched means with their z, and how far apart they are where runs do not vary."""
     apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
     error = np.hypot(both.se, both.exact_se)

@@ -27,7 +27,7 @@ from pcbench.dataset import (
     task,
 )
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.manifest import Owned
+from pcbench.dataset.manifest import StudyClaim
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.table_diff import ROUNDING, ZERO, agree, difference
 from pcbench.planning import padding
@@ -68,11 +68,11 @@ class Status(NamedTuple):
 def status(out: str | Path) -> Status:
     """Return what stands in a dataset, from the blocks' names and footers; raise UserError where there is no study."""
     target = storage.target(out)
-    owned = manifest.opened(target)
+    owned = manifest.load_manifest(target)
     there = block_files.present(target)
-    kept = block_files.settled(there)
+    kept = block_files.drop_overlaps(there)
     wanted = run_missing.everything(owned, there)
-    left = moments_tables.simulated(target, owned)
+    left = moments_tables.select_simulations(target, owned)
     todo = run_missing.missing_seeds(left, kept, wanted, lambda cell: 2**40)
     shares = []
     for scenario in owned.study.scenarios:
@@ -97,7 +97,7 @@ def status(out: str | Path) -> Status:
     return Status(
         study=owned.study.name,
         shares=shares,
-        damaged=[b.name for b in there if storage.footer(target, b.name) is None] + close.damaged(target),
+        damaged=[b.name for b in there if storage.footer(target, b.name) is None] + close.damaged_files(target),
         doubled=[b.name for b in sorted(set(there) - set(kept))],
         unfinished=[p.name for p in storage.unfinished(target)],
         bytes=sum(storage.sizes(target).values()),
@@ -122,7 +122,7 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
     Blocks are drawn with `seed`. The closing tables are made again and compared too, and exact numbers of as many cells.
     """
     target = storage.target(out)
-    owned = manifest.opened(target, run=sample != 0)
+    owned = manifest.load_manifest(target, run=sample != 0)
     digests = manifest.digests(owned)
     there, wrong, good = block_files.present(target), [], []
     progress.begin("checking", len(there))
@@ -132,39 +132,39 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
         else:
             good.append(b)
         progress.step(1)
-    kept = block_files.settled(good)
+    kept = block_files.drop_overlaps(good)
     wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
     wrong += _others(target, owned)
     wrong += [] if wrong else _closing_differs(target, owned, kept)
     elsewhere = {(*c.key, o) for c in owned.cells for o in c.options if c.entry(o).elsewhere}  # not to be computed here
-    chosen = _drawn([b for b in kept if (b.scenario, b.cell, b.observer) not in elsewhere], sample, seed)
+    chosen = _draw_sample([b for b in kept if (b.scenario, b.cell, b.observer) not in elsewhere], sample, seed)
     progress.begin("computing again", len(chosen))
     differing = list(_again(target, owned, chosen, progress))
-    cells = [] if moments_tables.whole(target) is None else _drawn(owned.cells, sample, seed)
+    cells = [] if moments_tables.load_exact_rows(target) is None else _draw_sample(owned.cells, sample, seed)
     unlike = list(_exact_again(target, owned, cells))
-    return Verdict(len(there), wrong, [b.name for b in chosen], differing, list(map(_called, cells)), unlike)
+    return Verdict(len(there), wrong, [b.name for b in chosen], differing, list(map(_cell_title, cells)), unlike)
 
 
-def _drawn(things: list[T], sample: int | None, seed: int) -> list[T]:
+def _draw_sample(things: list[T], sample: int | None, seed: int) -> list[T]:
     """So many of some things, in their order."""
     if sample is None or sample >= len(things):
         return things
     return [things[i] for i in sorted(np.random.default_rng(seed).choice(len(things), sample, replace=False))]
 
 
-def _others(target: storage.Target, owned: Owned) -> Iterator[str]:
+def _others(target: storage.Target, owned: StudyClaim) -> Iterator[str]:
     """Yield a sentence for every file beside the blocks that is not as it was written."""
-    for name in close.damaged(target):
+    for name in close.damaged_files(target):
         yield f"{name}: is not as it was written; run the study again to have it made anew."
     record = close.record(target)
     if record and record["study_sha256"] != digest(owned.study, owned.cells):
         yield f"{manifest.TEXT}: is not of the study that was run; run that again to have it written anew."
     for name in [n for n in storage.names(target) if n.startswith(BESIDE) or n in (FAIR, moments_tables.NAME)]:
-        if parquet_io.whole(storage.get(target, name)) is None:
+        if parquet_io.unseal_table(storage.get(target, name)) is None:
             yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
-def _closing_differs(target: storage.Target, owned: Owned, kept: list[Block]) -> Iterator[str]:
+def _closing_differs(target: storage.Target, owned: StudyClaim, kept: list[Block]) -> Iterator[str]:
     """Yield a sentence for every closing table that does not follow from the blocks."""
     if not close.is_closed(target, kept):
         yield "stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."
@@ -172,17 +172,17 @@ def _closing_differs(target: storage.Target, owned: Owned, kept: list[Block]) ->
     tables = close.closing_tables(target, owned, kept)
     for name, content in (("stats.parquet", tables.stats), ("pairs.parquet", tables.pairs)):
         there = close.table(target, name)
-        if there is None or not there.equals(parquet_io.parsed(content)):
+        if there is None or not there.equals(parquet_io.parse_table(content)):
             yield f"{name}: does not follow from the blocks; run the study again to have it made anew."
 
 
-def _again(target: storage.Target, owned: Owned, chosen: list[Block], progress: Progress) -> Iterator[str]:
+def _again(target: storage.Target, owned: StudyClaim, chosen: list[Block], progress: Progress) -> Iterator[str]:
     """Yield a sentence for every block that does not come out again."""
-    work = partial(_compared, target, task.Work("", owned.study.name, owned.study.root_seed))
+    work = partial(_verify_task, target, task.Work("", owned.study.name, owned.study.root_seed))
     by: dict[str, list[Block]] = {}
     for b in chosen:
         by.setdefault(_engine(block_files.about_block(target, b)["flow"], owned), []).append(b)
-    with executors.here() as execute:
+    with executors.local_executor() as execute:
         for engine, mine in by.items():
             cells = [cell._replace(engine=engine) for cell in owned.cells]
             for count, sentences in execute(work, _tasks(cells, mine)):
@@ -190,7 +190,7 @@ def _again(target: storage.Target, owned: Owned, chosen: list[Block], progress: 
                 yield from sentences
 
 
-def _engine(flow: str, owned: Owned) -> str:
+def _engine(flow: str, owned: StudyClaim) -> str:
     """The engine that has computed a block: that of its study, but for blocks of another that were merged or added."""
     engine = str(owned.study.engine)
     if engine == "definition" and flow != "defined":
@@ -214,10 +214,12 @@ def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
                 yield task.Task(padding.fit_to_capacity(draft, room), ((seeds, labels),))
 
 
-def _compared(target: storage.Target, work: task.Work, one: task.Task, hold: executors.Hold) -> tuple[int, list[str]]:
+def _verify_task(
+    target: storage.Target, work: task.Work, one: task.Task, hold: executors.Hold
+) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
-        p, results, program, _ = task.simulated(work, one, device)
+        p, results, program, _ = task.simulate_task(work, one, device)
     blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, one, p, results, program.ways)]
     return len(blocks), [s for b, now in blocks if b for s in _difference(b, block_files.read(target, b), now)]
 
@@ -242,19 +244,19 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     yield f"{b.name}: {made}numbers differ by {apart.of_largest:.1e} of the largest error of their signal ({kind})."
 
 
-def _exact_again(target: storage.Target, owned: Owned, cells: list[Cell]) -> Iterator[str]:
+def _exact_again(target: storage.Target, owned: StudyClaim, cells: list[Cell]) -> Iterator[str]:
     """Yield a sentence for each of some cells whose exact numbers do not come out again."""
     if not cells:
         return
     from pcbench.dataset.moments_frames import Exact  # with pandas
 
-    exact, there = Exact(Grid(owned.study, cells), owned.study.schedules), moments_tables.whole(target)
-    here = columns.with_intervals(columns.table(columns.together(exact.rows(m) for m in exact.solved(cells))))
+    exact, there = Exact(Grid(owned.study, cells), owned.study.schedules), moments_tables.load_exact_rows(target)
+    here = columns.with_intervals(columns.table(columns.concat_columns(exact.rows(m) for m in exact.solved(cells))))
     for cell in cells:
         mine = (pc.field("scenario") == cell.scenario.name) & (pc.field("cell") == cell.number)
         if there is None or not agree(there.filter(mine), here.filter(mine)):
-            yield f"{moments_tables.NAME}: {_called(cell)}: other numbers come out now."
+            yield f"{moments_tables.NAME}: {_cell_title(cell)}: other numbers come out now."
 
 
-def _called(cell: Cell) -> str:
+def _cell_title(cell: Cell) -> str:
     return f"{cell.scenario.name}, cell {cell.number}"

@@ -20,7 +20,7 @@ OPERATORS: dict[str, Callable[[complex, complex], complex]] = {
 Tree: TypeAlias = "float | str | tuple[str, Tree, Tree]"  # a number, a name, or an operator between two
 
 
-def parsed(text: str) -> Tree:
+def parse_formula(text: str) -> Tree:
     """Return a formula as a tree; raise ValueError, which says what is wrong, where it is none."""
     if len(text) > LONGEST:
         raise ValueError(f"a formula of at most {LONGEST} characters")
@@ -66,7 +66,7 @@ def _sum(tokens: list[str]) -> tuple[Tree, list[str]]:
 
 
 def _product(tokens: list[str]) -> tuple[Tree, list[str]]:
-    return _chain(tokens, "*/", _signed)
+    return _chain(tokens, "*/", _parse_signed)
 
 
 def _chain(
@@ -80,13 +80,13 @@ def _chain(
     return tree, rest
 
 
-def _signed(tokens: list[str]) -> tuple[Tree, list[str]]:
+def _parse_signed(tokens: list[str]) -> tuple[Tree, list[str]]:
     if tokens and tokens[0] in "+-":
-        tree, rest = _signed(tokens[1:])
+        tree, rest = _parse_signed(tokens[1:])
         return (tokens[0], 0.0, tree), rest
     base, rest = _atom(tokens)
     if rest and rest[0] == "^":
-        power, rest = _signed(rest[1:])
+        power, rest = _parse_signed(rest[1:])
         return ("^", base, power), rest
     return base, rest
 

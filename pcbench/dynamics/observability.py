@@ -100,7 +100,7 @@ def require_observable(model: Model, where: str) -> None:
     """Raise UserError naming a mode that no output shows."""
     for mode in unobservable(model.A, model.C):
         raise UserError(
-            f"{where}: got a plant whose mode {shown(mode)} is unobservable, expected an observable one; measure "
+            f"{where}: got a plant whose mode {format_mode(mode)} is unobservable, expected an observable one; measure "
             "another output, or take kf, which needs a detectable plant only."
         )
 
@@ -110,11 +110,12 @@ def require_detectable(model: Model, where: str) -> None:
     for mode in unobservable(model.A, model.C):
         if not decays(mode, model.discrete):
             raise UserError(
-                f"{where}: got a plant whose mode {shown(mode)} is undetectable (no output shows it and it does not decay), "
+                f"{where}: got a plant whose mode {format_mode(mode)} is undetectable (no output shows it and it does "
+                "not decay), "
                 "expected a detectable one; measure another output or leave that state out."
             )
 
 
-def shown(mode: complex) -> str:
+def format_mode(mode: complex) -> str:
     """A mode as a person writes it."""
     return f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"

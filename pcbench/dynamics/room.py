@@ -17,9 +17,9 @@ def within_room(x: Array, within: Array) -> Array:
     return same
 
 
-def _whole(x: Array, within: Array) -> Array:
+def _mark_room(x: Array, within: Array) -> Array:
     return jnp.where(within, x, x)
 
 
-_whole.__name__ = ROOM  # a user's own function may be called `within_room`
-_same = jax.jit(_whole)
+_mark_room.__name__ = ROOM  # a user's own function may be called `within_room`
+_same = jax.jit(_mark_room)

@@ -49,7 +49,9 @@ def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
         lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
         if moved.size
         else jnp.zeros(moved.shape, v.aval.dtype)  # nothing is left that could differ
-        for moved, v in zip(places(eqn.primitive, jaxpr_compat.said(eqn), tuple(shapes)), eqn.outvars, strict=True)
+        for moved, v in zip(
+            places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(shapes)), eqn.outvars, strict=True
+        )
     ]
 
 

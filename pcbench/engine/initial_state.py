@@ -17,7 +17,9 @@ from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, State
 
 
-def tick_sampler(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
+def tick_sampler(
+    layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
+) -> Callable[[Array], steps.TickNoise]:
     """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
     keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
     sent = command_network.command_sampler(p.network, root_seed, seeds) if layout.pending else lambda k: ()
@@ -25,7 +27,7 @@ def tick_sampler(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Ar
     def process(k: Array) -> PerLane:
         return lane_array.split(rng.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
-    return lambda k: steps.Drawn(process(k), jax.tree.map(lane_array.split, sent(k)))
+    return lambda k: steps.TickNoise(process(k), jax.tree.map(lane_array.split, sent(k)))
 
 
 def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:

@@ -26,7 +26,7 @@ from pcbench.engine.lane_array import (
     infer_batched,
     is_lanes,
     join,
-    joined,
+    join_table,
     lanes_of,
     match_form,
     split,
@@ -63,10 +63,10 @@ def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[Py
 
 def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     name, differs = eqn.primitive.name, any(map(is_lanes, args))
-    if differs and name in CALLS and jaxpr_compat.named(eqn.params) == TOGETHER:
-        return _together(eqn, args)
+    if differs and name in CALLS and jaxpr_compat.callee_name(eqn.params) == TOGETHER:
+        return _apply_vmap(eqn, args)
     if differs and name in CALLS:
-        closed = jaxpr_compat.called(eqn.params)
+        closed = jaxpr_compat.callee(eqn.params)
         return _evaluate(closed.jaxpr, closed.consts, args)
     if name in ROWS and differs and _one_row(eqn, args):
         return [ROWS[name](eqn, args)]
@@ -90,9 +90,9 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     return _fallback(jaxpr, eqn, args)
 
 
-def _together(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
+def _apply_vmap(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
-    closed = jaxpr_compat.called(eqn.params)
+    closed = jaxpr_compat.callee(eqn.params)
 
     def alone(*args: PyTree) -> list[PyTree]:
         return _evaluate(closed.jaxpr, closed.consts, list(args))
@@ -104,8 +104,8 @@ def _together(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
         return [_long(x) if d else same for x, same, d in zip(forms, shapes, differs, strict=True)]
     axes = [-1 if is_lanes(a) else None for a in args]
     apply = jax.vmap(jaxpr_as_fun(closed), axes, [-1 if d else None for d in differs])
-    found = apply(*(joined(a) if is_lanes(a) else a for a in args))
-    return [_parted(x) if d else x for x, d in zip(found, differs, strict=True)]
+    found = apply(*(join_table(a) if is_lanes(a) else a for a in args))
+    return [_split_table(x) if d else x for x, d in zip(found, differs, strict=True)]
 
 
 def _long(x: PyTree) -> PyTree:
@@ -116,7 +116,7 @@ def _long(x: PyTree) -> PyTree:
     return lanes_of(x.shape[1:], [np.zeros((rows, *jnp.shape(a)), a.dtype) for a in x.parts.reshape(rows, -1)[0]], rows)
 
 
-def _parted(x: jax.Array) -> PyTree:
+def _split_table(x: jax.Array) -> PyTree:
     """A LaneArray from an array [*shape, L], a table where it has many rows."""
     if x.ndim < 2 or x.shape[0] < MANY:
         return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)

@@ -60,13 +60,13 @@ class While(NamedTuple):
     body_consts: int
 
 
-def called(params: EqnParams) -> ClosedJaxpr:
+def callee(params: EqnParams) -> ClosedJaxpr:
     """Return the program that one of CALLS applies, closed."""
     found = params.get("jaxpr") or params["call_jaxpr"]
     return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
 
 
-def named(params: EqnParams) -> str:
+def callee_name(params: EqnParams) -> str:
     """Return the name of the function that one of CALLS applies; empty where it has none."""
     return str(params.get("name", ""))
 
@@ -146,7 +146,7 @@ def _types(x: Any) -> list[list[Any]]:
     return [[(v.aval.shape, v.aval.dtype) for v in vs] for vs in (x.invars, x.outvars)]
 
 
-def said(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
+def parameter_items(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
     """Return what an equation's parameters are, name by name."""
     return tuple(eqn.params.items())
 

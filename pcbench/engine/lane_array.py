@@ -72,7 +72,7 @@ def join(x: LaneArray) -> jax.Array:
     return jnp.stack(parts).reshape(*x.shape, *jnp.shape(parts[0]))
 
 
-def joined(x: LaneArray) -> jax.Array:
+def join_table(x: LaneArray) -> jax.Array:
     """The same, of a table without taking its rows apart."""
     if x.rows is None:
         return join(x)

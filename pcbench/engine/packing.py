@@ -18,7 +18,7 @@ from pcbench.engine import lane_array
 from pcbench.engine.lane_array import LaneArray
 
 
-class Kept(NamedTuple):
+class PackedMemory(NamedTuple):
     """The leaves of a memory: those that flow moves, as they are, and the others packed."""
 
     moving: list[PyTree]
@@ -40,22 +40,22 @@ class Packing(NamedTuple):
     tree: PyTree
     places: list[Place | None]
 
-    def whole(self, kept: Kept) -> PyTree:
+    def whole(self, kept: PackedMemory) -> PyTree:
         """Unpack: return the memories."""
         moving = iter(kept.moving)
-        leaves = [next(moving) if place is None else _taken(kept.still, place) for place in self.places]
+        leaves = [next(moving) if place is None else _unpack_leaf(kept.still, place) for place in self.places]
         return jax.tree.unflatten(self.tree, leaves)
 
-    def moved(self, memories: PyTree, kept: Kept) -> Kept:
+    def moved(self, memories: PyTree, kept: PackedMemory) -> PackedMemory:
         """Return what is packed, with the leaves that a flow has changed."""
         return kept._replace(moving=self._moving(self._leaves(memories)))
 
-    def pack(self, memories: PyTree) -> Kept:
+    def pack(self, memories: PyTree) -> PackedMemory:
         """Pack memories."""
         leaves = self._leaves(memories)
         packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
         rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]
-        return Kept(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
+        return PackedMemory(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
 
     def _leaves(self, memories: PyTree) -> list[PyTree]:
         return jax.tree.leaves(memories, is_leaf=lane_array.is_lanes)
@@ -88,18 +88,18 @@ def packing(flow: Callable[[PyTree], PyTree], memories: PyTree) -> Packing:
     return Packing(tree, places)
 
 
-def pick(kept: Kept, lane: Array) -> Kept:
+def pick(kept: PackedMemory, lane: Array) -> PackedMemory:
     """Take some lanes out; `lane` [K] holds their numbers."""
-    return Kept(lane_array.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
+    return PackedMemory(lane_array.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
 
 
-def put_back(kept: Kept, some: Kept, lane: Array) -> Kept:
+def put_back(kept: PackedMemory, some: PackedMemory, lane: Array) -> PackedMemory:
     """Put lanes taken out back in their places; a number beyond the last lane is of none."""
     still = kept.still.at[:, lane].set(some.still, mode="drop")
-    return Kept(lane_array.put_back(kept.moving, some.moving, lane), still)
+    return PackedMemory(lane_array.put_back(kept.moving, some.moving, lane), still)
 
 
-def _taken(still: Array, p: Place) -> LaneArray:
+def _unpack_leaf(still: Array, p: Place) -> LaneArray:
     each, size = math.prod(p.shape), p.rows or 1
     blocks = [still[p.first + i * size : p.first + (i + 1) * size].astype(p.kind) for i in range(each)]
     return lane_array.lanes_of(p.shape, blocks if p.rows else [block[0] for block in blocks], p.rows)

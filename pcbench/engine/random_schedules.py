@@ -122,10 +122,10 @@ def _take(events: Events, k: Array, state: State) -> State:
     def some(c: tuple[Flight, PyTree]) -> tuple[Flight, PyTree]:
         (flight, memories), done = c, c[0].done
         sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
-        values = _write(flight.values, sensed, _measured(events, k, state, sensed))
+        values = _write(flight.values, sensed, _measure_runs(events, k, state, sensed))
         notes = _write(flight.notes, noted, snapshot(events.layout, events.p, k, _taken_out(events, state, noted)))
         if telling:
-            memories = _notified(events, k, state._replace(memories=memories), sensed)
+            memories = _notify_observers(events, k, state._replace(memories=memories), sensed)
         done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
         return Flight(values, notes, done), memories
 
@@ -133,14 +133,14 @@ def _take(events: Events, k: Array, state: State) -> State:
     return state._replace(flight=flight, memories=memories if telling else state.memories)
 
 
-def _measured(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
+def _measure_runs(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
     number = _of_channels(events, events.agenda.number, c.row, c.lane)
     noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
     x, drawn = lane_array.pick((state.x, state.drawn), c.lane)
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lane_array.split(noise))
 
 
-def _notified(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
+def _notify_observers(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
     """The memories after the observers of some runs were notified of their samples."""
     mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
     after = notify_sampled(events.layout, events.p, k, mine, lane_array.split(number >= 0))
@@ -153,9 +153,9 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
-    def some(c: tuple[Array, packing.Kept]) -> tuple[Array, packing.Kept]:
+    def some(c: tuple[Array, packing.PackedMemory]) -> tuple[Array, packing.PackedMemory]:
         coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
-        return c[0] + coming.size, _jumped(events, k, state._replace(memories=c[1]), coming)
+        return c[0] + coming.size, _apply_arrivals(events, k, state._replace(memories=c[1]), coming)
 
     arrived, memories = lax.while_loop(
         lambda c: arrivals.when[c[0]] < last, some, (flight.done.arrived, state.memories)
@@ -163,7 +163,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
 
 
-def _jumped(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
+def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
     """The memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     which = _at(events.agenda.which, c.row, c.lane)

@@ -104,14 +104,14 @@ def program(layout: Layout, job: Job, device: jax.Device | None = None) -> Progr
         )
     leaves, tree = jax.tree.flatten(arguments(job, layout.width))
     made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
-    return _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
+    return _PROGRAMS.ask(made_for, lambda: _compile_program(*made_for))
 
 
 _PROGRAMS: program_cache.Programs[Program] = program_cache.Programs()
 _NUMBERS = itertools.count(1)
 
 
-def _compiled(layout: Layout, device: jax.Device, tree: PyTree, shapes: tuple[PyTree, ...]) -> Program:
+def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: tuple[PyTree, ...]) -> Program:
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()

@@ -33,7 +33,7 @@ from pcbench.simulation.types import (
 Happen = Callable[[Array, State], State]  # (tick, state) -> state after all that is sensed and delivered at the tick
 
 
-class Drawn(NamedTuple):
+class TickNoise(NamedTuple):
     """What every run draws at a tick, whatever happens."""
 
     process: PerLane  # [n] noise of the state before scaling; [0]: none
@@ -54,12 +54,12 @@ class Lane(NamedTuple):
         return Run(self.x, self.memories, Packet((), {}), {}, self.watches, self.commands)
 
 
-def seen(layout: Layout, state: State) -> Lane:
+def observer_view(layout: Layout, state: State) -> Lane:
     """Return what observers see of a state."""
     return Lane((), state.memories, state.commands, state.watches if layout.controller else {})
 
 
-def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Drawn) -> State:
+def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: TickNoise) -> State:
     """Return the state at tick k + 1, of one at tick k after its events: the order is that of `simulate_runs.tick`."""
     state = score(layout, p, k, state)  # 3. estimate
     state = control(layout, p, k, state, drawn.command)  # 4. control
@@ -90,7 +90,7 @@ def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, m
         after = simulate_runs.notify(layout, p, k, lane.run, mask)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    return vmap_entrywise(one_lane)(k, seen(layout, state), mask)
+    return vmap_entrywise(one_lane)(k, observer_view(layout, state), mask)
 
 
 def any_is_notified(layout: Layout) -> bool:
@@ -111,7 +111,7 @@ def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: Arriva
         after = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    return vmap_entrywise(one_lane)(k, seen(layout, state), row, packet)
+    return vmap_entrywise(one_lane)(k, observer_view(layout, state), row, packet)
 
 
 # 3. estimate
@@ -165,14 +165,14 @@ def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[
     def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, PyTree]:
         return simulate_runs.normalized_errors(layout, p, k, lane.run, e)
 
-    return vmap_entrywise(one_lane)(k, seen(layout, state), e)
+    return vmap_entrywise(one_lane)(k, observer_view(layout, state), e)
 
 
 # 4. control, 5. flow
 
 
 def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: PyTree = ()) -> State:
-    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`Drawn`)."""
+    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`TickNoise`)."""
     if layout.controller is None:
         return state
 
@@ -194,5 +194,5 @@ def flow(layout: Layout, p: GridPointParams, k: Array, state: State, w: PerLane)
         run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
         return run.x, run.memories
 
-    x, memories = vmap_entrywise(one_lane)(k, seen(layout, state)._replace(x=state.x), state.drawn, w)
+    x, memories = vmap_entrywise(one_lane)(k, observer_view(layout, state)._replace(x=state.x), state.drawn, w)
     return state._replace(x=x, memories=memories)

@@ -50,7 +50,7 @@ def _power(y: int, a: list[str]) -> str:
     return f"R(1.0) / ({text})" if y < 0 else text
 
 
-def _converted(kind: str, a: list[str], source: str) -> str:
+def _convert_number(kind: str, a: list[str], source: str) -> str:
     """A number as another kind: of a float as an integer the nearest that there is, 0 of NaN, as in jax."""
     if kind == "bool":
         return f"{a[0]} != 0"
@@ -72,14 +72,14 @@ def _chosen(a: list[str]) -> str:
     return "".join(f"{which} == {i} ? {case} : " for i, case in enumerate(cases[:-1])) + cases[-1]
 
 
-def _divided(kind: str, a: list[str], sign: str) -> str:
+def _divide(kind: str, a: list[str], sign: str) -> str:
     if kind == "real":
         return f"{a[0]} / {a[1]}" if sign == "/" else f"F(fmod)({a[0]}, {a[1]})"
     nothing = "(-1)" if sign == "/" else a[0]
     return f"{a[1]} != 0 ? {a[0]} {sign} {a[1]} : {nothing}"
 
 
-def _rounded(params: Mapping[str, object], a: list[str]) -> str:
+def _round_number(params: Mapping[str, object], a: list[str]) -> str:
     nearest_even = params["rounding_method"] == RoundingMethod.TO_NEAREST_EVEN
     return f"F({'nearbyint' if nearest_even else 'round'})({a[0]})"
 
@@ -87,11 +87,11 @@ def _rounded(params: Mapping[str, object], a: list[str]) -> str:
 OTHERS: dict[str, Callable[[EqnParams, str, list[str]], str]] = {
     "not": lambda params, kind, a: f"!{a[0]}" if kind == "bool" else f"~{a[0]}",
     "abs": lambda params, kind, a: f"F(fabs)({a[0]})" if kind == "real" else f"{a[0]} < 0 ? -{a[0]} : {a[0]}",
-    "div": lambda params, kind, a: _divided(kind, a, "/"),
-    "rem": lambda params, kind, a: _divided(kind, a, "%"),
+    "div": lambda params, kind, a: _divide(kind, a, "/"),
+    "rem": lambda params, kind, a: _divide(kind, a, "%"),
     "integer_pow": lambda params, kind, a: _power(int(params["y"]), a),
     "select_n": lambda params, kind, a: _chosen(a),
-    "round": lambda params, kind, a: _rounded(params, a),
+    "round": lambda params, kind, a: _round_number(params, a),
     "shift_right_logical": lambda params, kind, a: f"({kind})(({UNSIGNED.get(kind, kind)}){a[0]} >> {a[1]})",
 }
 ELEMENTWISE = TEXTS.keys() | OTHERS.keys() | SAME | {"convert_element_type"}
@@ -117,7 +117,7 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         else:
             texts = [written(x) for x in mine]
             if name == "convert_element_type":
-                text = _converted(kind, texts, kind_of(eqn.invars[0].aval.dtype))
+                text = _convert_number(kind, texts, kind_of(eqn.invars[0].aval.dtype))
             else:
                 text = TEXTS[name].format(*texts) if name in TEXTS else OTHERS[name](eqn.params, kind, texts)
             out[i] = w.let(kind, text, counted)
@@ -132,8 +132,8 @@ def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: En
         out[i] = (yes if which[i] else no)[i]
     open_ = which[there]
     same = all(x.text == open_[0].text for x in open_)
-    condition = open_[0].text if same else _indexed(w, "bool", open_)
-    either = [_indexed(w, kind, each[there]) for each in (yes, no)]
+    condition = open_[0].text if same else _index_entry(w, "bool", open_)
+    either = [_index_entry(w, kind, each[there]) for each in (yes, no)]
     made = w.room(kind, open_.shape)
     with w.block(f"for (int i = 0; i < {open_.size}; i++)"):
         w.say(f"{made[0].store}[i] = {condition} ? {either[0]} : {either[1]};")
@@ -142,7 +142,7 @@ def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: En
     return out
 
 
-def _indexed(w: Writer, kind: str, values: Entries) -> str:
+def _index_entry(w: Writer, kind: str, values: Entries) -> str:
     """Entry i of an array: where it stands in one of C, or of one that is written for it."""
     place = place_of(values) or place_of(w.array(kind, values))
     if place is None:
@@ -207,7 +207,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a product of matrices as sums of products, from the first on."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     aval = eqn.outvars[0].aval
-    a, b = _arranged(args[0], ba, ca), _arranged(args[1], bb, cb)
+    a, b = _arrange_axes(args[0], ba, ca), _arrange_axes(args[1], bb, cb)
     kind, out = kind_of(aval.dtype), np.empty(aval.size, object)
     for at, (k, i, j) in enumerate(np.ndindex(a.shape[0], a.shape[1], b.shape[1])):
         terms = [f"{written(x)} * {written(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
@@ -215,7 +215,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     return out.reshape(aval.shape)
 
 
-def _arranged(p: Entries, batch: Sequence[int], contract: Sequence[int]) -> Entries:
+def _arrange_axes(p: Entries, batch: Sequence[int], contract: Sequence[int]) -> Entries:
     """Batch, free and contracted axes, each as one: [batch, free, contracted]."""
     free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
     sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]

@@ -182,7 +182,7 @@ def header(about: About, s: Source) -> str:
         "",
         "#endif",
     ]
-    return _own("\n".join(lines) + "\n", label)
+    return _replace_real("\n".join(lines) + "\n", label)
 
 
 def _macro(about: About) -> str:
@@ -193,7 +193,7 @@ def _has(s: Source, name: str) -> bool:
     return any(f.name == name for f in s.functions)
 
 
-def _own(text: str, label: str) -> str:
+def _replace_real(text: str, label: str) -> str:
     """A text whose numbers are of the observer's own type."""
     return re.sub(r"\breal\b", f"{label}_real", text)
 

@@ -45,7 +45,7 @@ class Line(NamedTuple):
     error: float  # rms, from what is true
 
 
-class Exported(NamedTuple):
+class ExportedObserver(NamedTuple):
     """What an observer is exported as."""
 
     about: About
@@ -53,7 +53,7 @@ class Exported(NamedTuple):
     scale: np.ndarray  # [s] the largest that each signal is in the run
 
 
-def exported(
+def export_observer(
     study: Described,
     observer: str,
     seed: int = 0,
@@ -62,7 +62,7 @@ def exported(
     log: str | Path | None = None,
     delay: float | None = None,
     start: float | None = None,
-) -> Exported:
+) -> ExportedObserver:
     """Return an observer of a study of one cell as files; raise UserError where it cannot be written in C.
 
     With a `log` it has the room that this recording needs, and the run to test it by is the replay of the recording, with
@@ -84,26 +84,28 @@ def exported(
             (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
             ((name, _),), known = p.layout.observers, setting(p.cell)
             rows = _rows(cell, p.labels[0], known)
-            return _exported(p.cell, p.labels[0], name, p, known, rows, structs.vector(p, asked.root_seed, seed, rows))
-        return _recorded(log, study, observer, delay, start, overrides or [])
+            return _build_export(
+                p.cell, p.labels[0], name, p, known, rows, structs.vector(p, asked.root_seed, seed, rows)
+            )
+        return _export_recording(log, study, observer, delay, start, overrides or [])
 
 
-def _recorded(
+def _export_recording(
     log: str | Path, study: Described, observer: str, delay: float | None, start: float | None, overrides: list[str]
-) -> Exported:
+) -> ExportedObserver:
     a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
-    p, run = recording.recorded(a, a.cell.entry(label).observer.on_sample is not None)
+    p, run = recording.prepare_recording(a, a.cell.entry(label).observer.on_sample is not None)
     estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
     expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
     run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
-    return _exported(a.cell, label, label, p, p.setting, rows, run)
+    return _build_export(a.cell, label, label, p, p.setting, rows, run)
 
 
-def _exported(
+def _build_export(
     cell: Cell, label: str, name: str, p: padding.Plan | PlaybackSetup, known: DesignContext, rows: int, run: Vector
-) -> Exported:
+) -> ExportedObserver:
     """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by."""
     o = dict(p.layout.observers)[name]
     gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
@@ -130,7 +132,7 @@ def _exported(
         oldest=oldest,
         newer=known.overtaking,
     )
-    found = numbers.described(about, known, p.certificates[label], cell.options[label].model_dump(), gains)
+    found = numbers.describe_gains(about, known, p.certificates[label], cell.options[label].model_dump(), gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": c_files.header(about, s),
         f"{about.label}.c": c_files.code(about, s),
@@ -140,7 +142,7 @@ def _exported(
         "gains.json": numbers.as_json(found),
         "gains.mat": numbers.as_mat(found),
     }
-    return Exported(about, files, np.abs(run.expected).max(0))
+    return ExportedObserver(about, files, np.abs(run.expected).max(0))
 
 
 def _rows(cell: Cell, label: str, known: DesignContext) -> int:
@@ -163,7 +165,7 @@ def require_place(out: str | Path) -> None:
         )
 
 
-def write(found: Exported, out: str | Path) -> list[Path]:
+def write(found: ExportedObserver, out: str | Path) -> list[Path]:
     """Write the files into a folder, which may be there: all or none; raise UserError where that cannot be done."""
     target = storage.target(Path(out).expanduser())
     storage.make(target)
@@ -177,7 +179,9 @@ def compiler() -> str | None:
     return next((found for each in COMPILERS if (found := shutil.which(each))), None)
 
 
-def replayed(found: Exported, single: bool = False, arguments: tuple[str, ...] = (), count: bool = True) -> str | None:
+def run_compiled(
+    found: ExportedObserver, single: bool = False, arguments: tuple[str, ...] = (), count: bool = True
+) -> str | None:
     """Return what the compiled program prints, in double or in `single` precision; None where there is no compiler.
 
     Raises UserError with what the compiler says where it refuses.
@@ -203,6 +207,6 @@ def replayed(found: Exported, single: bool = False, arguments: tuple[str, ...] =
         return ran.stdout
 
 
-def said(printed: str) -> dict[str, Line]:
+def parse_replay(printed: str) -> dict[str, Line]:
     """Return what a replay has printed, by signal."""
     return {name: Line(float(a), float(b), float(c)) for name, a, b, c in SAID.findall(printed)}

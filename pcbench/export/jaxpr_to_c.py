@@ -42,7 +42,7 @@ RULES: dict[str, Rule] = dict.fromkeys(jaxpr_compat.FOLDS, arithmetic.fold) | {
 LONGEST = 60_000  # lines of a function
 
 
-class Hindered(UserError):
+class UnsupportedPrimitive(UserError):
     """A primitive that C has nothing for here."""
 
 
@@ -74,7 +74,7 @@ def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -
         try:
             made = _step(w, eqn, [*map(read, eqn.invars)])
         except (KeyError, AttributeError) as error:  # a parameter, or a type of number, that this file does not read
-            raise Hindered(f"{eqn.primitive.name} in a form that is not read here ({error})") from error
+            raise UnsupportedPrimitive(f"{eqn.primitive.name} in a form that is not read here ({error})") from error
         env.update(zip(eqn.outvars, made, strict=True))
     return [*map(read, jaxpr.outvars)]
 
@@ -82,12 +82,12 @@ def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -
 def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     name = eqn.primitive.name
     if len(w.lines) > LONGEST:
-        raise Hindered(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
-    if name in jaxpr_compat.CALLS and jaxpr_compat.named(eqn.params) == ROOM:
+        raise UnsupportedPrimitive(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
+    if name in jaxpr_compat.CALLS and jaxpr_compat.callee_name(eqn.params) == ROOM:
         w.check(args[1])
         return [np.broadcast_to(args[0], eqn.outvars[0].aval.shape)]
     if name in jaxpr_compat.CALLS:
-        return write(w, jaxpr_compat.called(eqn.params), args)
+        return write(w, jaxpr_compat.callee(eqn.params), args)
     if name in ("scan", "while", "cond"):
         return {"scan": _scan, "while": _while, "cond": _cond}[name](w, eqn, args)
     if name == "iota":
@@ -97,20 +97,20 @@ def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
             scalar(np.int32(next(i for i, p in enumerate(jaxpr_compat.param(eqn, "platforms")) if not p or "cpu" in p)))
         ]
     if name in MOVES:
-        return _moved(eqn, args)
+        return _move_entries(eqn, args)
     if name in arithmetic.ELEMENTWISE:
         return [arithmetic.elementwise(w, eqn, args)]
     if name in RULES:
         return [RULES[name](w, eqn, args)]
     if (expansion := jaxpr_compat.expansion(eqn)) is not None:
         return write(w, expansion, args)
-    raise Hindered(name)
+    raise UnsupportedPrimitive(name)
 
 
-def _moved(eqn: Eqn, args: list[Entries]) -> list[Entries]:
+def _move_entries(eqn: Eqn, args: list[Entries]) -> list[Entries]:
     """Entries at the places to which the primitive moves their numbers."""
     flat = np.concatenate([a.ravel() for a in args])
-    each = batching_rules.places(eqn.primitive, jaxpr_compat.said(eqn), tuple(a.shape for a in args))
+    each = batching_rules.places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args))
     return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
 
 
@@ -161,7 +161,7 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     if not length:
         return [*state, *made]
     tables = [
-        places.held(w, kind_of(v.aval.dtype), r) if r.size else None
+        places.as_c_array(w, kind_of(v.aval.dtype), r) if r.size else None
         for v, r in zip(body.jaxpr.invars[consts + carry :], rows, strict=True)
     ]
     i, n = w.name("i"), w.name("i")

@@ -14,7 +14,7 @@ from pcbench.export.c_files import About
 from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
-def described(
+def describe_gains(
     about: About, known: DesignContext, certificate: Certificate, options: Mapping[str, object], gains: PyTree
 ) -> dict[str, object]:
     """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
@@ -47,7 +47,7 @@ def as_mat(found: Mapping[str, object]) -> bytes:
     from scipy.io import savemat
 
     out = io.BytesIO()
-    content = {name: _whole(value) for name, value in found.items() if value is not None}
+    content = {name: _to_matlab(value) for name, value in found.items() if value is not None}
     savemat(cast(Any, out), content, long_field_names=True)  # scipy's types know no open file
     return out.getvalue()
 
@@ -62,11 +62,11 @@ def _plain(x: object) -> object:
     return x if not isinstance(x, float) or np.isfinite(x) else str(x)
 
 
-def _whole(x: object) -> object:
+def _to_matlab(x: object) -> object:
     """Nested dicts as MATLAB takes them: names of at most 63 letters, nothing that is None."""
     if isinstance(x, dict):
-        return {str(k)[:63]: _whole(v) for k, v in x.items() if v is not None}
+        return {str(k)[:63]: _to_matlab(v) for k, v in x.items() if v is not None}
     if isinstance(x, list | tuple):
-        each = [_whole(v) for v in x if v is not None]
+        each = [_to_matlab(v) for v in x if v is not None]
         return np.array(each, object) if any(isinstance(v, str | dict) for v in each) else np.array(each, float)
     return x

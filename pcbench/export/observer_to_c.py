@@ -72,16 +72,16 @@ def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided:
 def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes) -> Source:
     """Return an observer in C; raise UserError, naming the function and the primitive, where it cannot be written."""
     memory = jax.eval_shape(o.init, gains, xhat0)
-    now, arrival, flags = _given(shapes)
+    now, arrival, flags = _argument_shapes(shapes)
     there = {
         "g": structs.fields(gains, "gain"),
         "m": structs.fields(memory, "value"),
-        "now": _named(("t", "tick", "dt", "u", "past"), now),
+        "now": _make_fields(("t", "tick", "dt", "u", "past"), now),
         "a": structs.fields(arrival, "arrival"),
     }
-    vectors = {"xhat0": _named(("xhat0",), [xhat0]), "mask": _named(("mask",), [flags])}
+    vectors = {"xhat0": _make_fields(("xhat0",), [xhat0]), "mask": _make_fields(("mask",), [flags])}
     out = []
-    for name, (f, args, changes) in _asked(o, shapes.noted).items():
+    for name, (f, args, changes) in _observer_functions(o, shapes.noted).items():
         values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "mask": flags}
         closed = jax.make_jaxpr(f)(*(values[each] for each in args))
         entries = [
@@ -94,7 +94,7 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
         into = structs.entries("m", there["m"]) if changes == "m" else None
         try:
             lines = _lines(closed, entries, into, changes, name == "jump")
-        except jaxpr_to_c.Hindered as hindered:
+        except jaxpr_to_c.UnsupportedPrimitive as hindered:
             if name == "covariance":
                 continue
             raise UserError(
@@ -130,7 +130,7 @@ def _reading(name: str, functions: list[Function]) -> Reading:
     return "once" if found else "not"
 
 
-def _given(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
+def _argument_shapes(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
     """What functions are given besides gains and memory: of which kinds and shapes."""
 
     def kind(dtype: type, *shape: int) -> Any:
@@ -149,11 +149,11 @@ def _given(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeS
     return now, arrival, kind(bool, q)
 
 
-def _named(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]) -> list[Field]:
+def _make_fields(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]) -> list[Field]:
     return [Field(name, kind_of(a.dtype), tuple(a.shape)) for name, a in zip(names, kinds, strict=True)]
 
 
-def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]:
+def _observer_functions(o: Observer, noted: int) -> dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]:
     """The functions that an observer has: what each computes, of what, and what that changes; in the order of a tick."""
 
     def undecided(now: Iterable[Array]) -> Now:

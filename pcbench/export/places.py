@@ -33,7 +33,7 @@ def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         out = operand.copy()
         out[tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))] = update
         return out
-    name, first = _copied(w, eqn, operand), _offset(w, operand.shape, starts)
+    name, first = _copy_operand(w, eqn, operand), _offset(w, operand.shape, starts)
     for i in np.ndindex(update.shape):
         w.say(f"{array_entries(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
     return array_entries(name, operand.shape)
@@ -87,7 +87,7 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     sizes = [1] * operand.ndim
     for axis, own in zip(windowed, d.update_window_dims, strict=True):
         sizes[axis] = updates.shape[own]
-    name = _copied(w, eqn, operand)
+    name = _copy_operand(w, eqn, operand)
     for b in np.ndindex(indices.shape[:-1]):
         batching = zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True)
         starts = _starts(operand.ndim, indices, b, d.scatter_dims_to_operand_dims, batching)
@@ -106,7 +106,7 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     return array_entries(name, operand.shape)
 
 
-def held(w: Writer, kind: str, values: Entries) -> Term:
+def as_c_array(w: Writer, kind: str, values: Entries) -> Term:
     """Return the first entry of an array in C that holds these entries, which is written where there is none."""
     found: Term = place_of(values) or w.array(kind, values).flat[0]
     return found
@@ -121,14 +121,14 @@ def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window
         return out
     if not out.size:
         return out
-    here = held(w, kind_of(eqn.invars[0].aval.dtype), operand)
+    here = as_c_array(w, kind_of(eqn.invars[0].aval.dtype), operand)
     first = _offset(w, operand.shape, starts, here.base)
     for i in np.ndindex(out.shape):
         out[i] = array_entries(here.store, (1,), first, here.place + _flat(operand.shape, tuple(window[i])))[0]
     return out
 
 
-def _copied(w: Writer, eqn: Eqn, operand: Entries) -> str:
+def _copy_operand(w: Writer, eqn: Eqn, operand: Entries) -> str:
     """The name of an array of its own that holds what the operand does."""
     name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
     w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(written, operand.flat)) or '0'}}};")

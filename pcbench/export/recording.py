@@ -11,7 +11,7 @@ from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, r
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def recorded(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
+def prepare_recording(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
     """Return an observer prepared for a recording, and the recording as a run, still without what is expected of it.
 
     Raises UserError for a recording that is too long to become a table in C.

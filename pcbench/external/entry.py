@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict
 
-from pcbench.errors import UserError, raised, short
+from pcbench.errors import UserError, describe_exception, short
 from pcbench.observers import ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.study.plugins import user_code
@@ -160,7 +160,7 @@ def of_run(
         raise
     except Exception as error:
         raise UserError(
-            f"{where}: got {raised(error)}, expected step(t, u, arrivals) to return xhat; mend that line."
+            f"{where}: got {describe_exception(error)}, expected step(t, u, arrivals) to return xhat; mend that line."
         ) from None
     return np.array(out)
 

@@ -123,7 +123,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
             "starts": _concat_tables(starts),
             "inputs": _concat_tables([_inputs(p) for p in plans]),
         }
-        files = {f"{FOLDER}/{name}.parquet": parquet_io.encoded(table) for name, table in tables.items()}
+        files = {f"{FOLDER}/{name}.parquet": parquet_io.encode_table(table) for name, table in tables.items()}
         for name, table in tables.items():
             if csv:
                 files[f"{FOLDER}/{name}.csv"] = write_table.as_csv(table)

@@ -34,7 +34,7 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
         found = pa.Table.from_pandas(result.fair, preserve_index=False)
-        storage.put_table(storage.target(str(out)), FAIR, parquet_io.sealed(found))
+        storage.put_table(storage.target(str(out)), FAIR, parquet_io.seal_table(found))
     return result
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from pcbench import planning
 from pcbench.dataset import run_study, storage
 from pcbench.dataset.manifest import BESIDE, TEXT
-from pcbench.dataset.seed_ranges import Seeds, common, counted
+from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.errors import UserError
 from pcbench.gains import objective_eval, parameters, tune, validation
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
@@ -36,7 +36,7 @@ from pcbench.study.labels import entry_in
 from pcbench.study.parse import grid_of, one_cell
 from pcbench.toml_text import TomlTable
 
-VALIDATION = counted(tune.VALIDATION.first, 256)
+VALIDATION = seed_range(tune.VALIDATION.first, 256)
 Options = dict[str, TomlTable]  # by label or observer
 
 
@@ -195,7 +195,7 @@ def trained_on(study: Study) -> Study:
 
 def _require_other_seeds(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on; of an exact objective there are none."""
-    mine = counted(study.first_seed, study.seeds)
+    mine = seed_range(study.first_seed, study.seeds)
     for its in () if study.tune.exact_objective else (_training(study), VALIDATION):
         if common(mine, its).many:
             raise UserError(
@@ -205,7 +205,7 @@ def _require_other_seeds(study: Study) -> None:
 
 
 def _training(study: Study) -> Seeds:
-    return counted(tune.TRAINING.first, study.tune.training)
+    return seed_range(tune.TRAINING.first, study.tune.training)
 
 
 def _require_own_folder(study: Study, out: str | Path | None, overwrite: bool) -> None:

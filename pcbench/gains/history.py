@@ -12,7 +12,7 @@ import tomli_w
 
 from pcbench import toml_text
 from pcbench.dataset import parquet_io, storage, stored_code
-from pcbench.dataset.seed_ranges import Seeds, counted
+from pcbench.dataset.seed_ranges import Seeds, seed_range
 from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
@@ -115,7 +115,7 @@ def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> li
             )
         return []
     try:
-        table = parquet_io.parsed(content)
+        table = parquet_io.parse_table(content)
         metadata = table.schema.metadata or {}
         said, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
@@ -158,7 +158,7 @@ def load_finished(target: storage.Target, whole: str, about: str, basis: TomlTab
         judged = []
         for each in said.pop("judged"):
             first, many, (start, tuned) = each.pop("first"), each.pop("seeds"), each.pop("diverged")
-            judged.append(Judgement(seeds=counted(first, many), diverged=(start, tuned), **each))
+            judged.append(Judgement(seeds=seed_range(first, many), diverged=(start, tuned), **each))
         return said | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from pcbench.dataset.seed_ranges import counted
+from pcbench.dataset.seed_ranges import seed_range
 from pcbench.engine import runner
 from pcbench.errors import DigitsError, UserError
 from pcbench.gains import optimizers
@@ -159,4 +159,4 @@ def exact_evaluator(
 def exact_judgement(aim: Objective, start: float, tuned: float) -> Judgement:
     """Return start and tuned as their expected values: no seeds, no errors."""
     a, b = aim.mean(start), aim.mean(tuned)
-    return Judgement("exact", counted(0, 0), a, 0.0, b, 0.0, difference=b - a, difference_se=0.0, diverged=(0, 0))
+    return Judgement("exact", seed_range(0, 0), a, 0.0, b, 0.0, difference=b - a, difference_se=0.0, diverged=(0, 0))

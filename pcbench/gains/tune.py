@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from pcbench import planning
 from pcbench.dataset import storage
-from pcbench.dataset.seed_ranges import Seeds, common, counted
+from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.errors import UserError
 from pcbench.gains import history, objective_eval, optimizers, parameters
 from pcbench.gains.design import BACK, replace_options
@@ -33,8 +33,8 @@ from pcbench.synthesis.certificate import Design, DesignContext, is_certified
 from pcbench.toml_text import TomlTable
 
 BUDGET = 60
-TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
-VALIDATION = counted(3_500_000_000, 1024)
+TRAINING = seed_range(3_000_000_000, 256)  # no study of the usual seeds meets them
+VALIDATION = seed_range(3_500_000_000, 1024)
 
 
 class NoStart(UserError):

@@ -204,7 +204,7 @@ def stands(folder: str | Path, q: Question) -> list[float]:
     target = storage.target(str(folder))
     if storage.text(target, manifest.TEXT) is None:
         return []
-    return [q.axis.number(held) for held in manifest.opened(target).study.axes.get(q.axis.name, [])]
+    return [q.axis.number(held) for held in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 
 
 def looking(q: Question, folder: str | Path, how: How) -> Look:

@@ -25,7 +25,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from pcbench.errors import UserError, shown
+from pcbench.errors import UserError, brief_repr
 from pcbench.observers import ekf_iterated
 from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
 from pcbench.observers.parts.nonlinear_model import (
@@ -162,7 +162,7 @@ def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | 
     for name, none in (("lower", -np.inf), ("upper", np.inf)):
         given = getattr(options, name)
         if isinstance(given, list) and len(given) != n:
-            raise UserError(f"{where}: {name}: got {shown(given)}, expected a number, or {n}, one for each state.")
+            raise UserError(f"{where}: {name}: got {brief_repr(given)}, expected a number, or {n}, one for each state.")
         ends.append(np.broadcast_to(none if given is None else np.asarray(given, float), n))
     low, high = ends
     if not np.all(low < high):

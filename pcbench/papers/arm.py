@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from pcbench import api, planning
-from pcbench.dynamics.observability import shown
+from pcbench.dynamics.observability import format_mode
 from pcbench.observers import pio, smo
 from pcbench.papers.claim import FALSE, MISPRINT, REPRODUCED, Claim, report_finding, rounds_to, statement, unit
 from pcbench.planning import padding, run_local
@@ -312,7 +312,7 @@ def _constants() -> Iterator[Claim]:
     jump, step = falls.diff().abs().max(), SCENARIOS["arm/sawtooth"].dt
     model = arm.nominal(arm.Numbers())
     fixed = unmovable(split(model._replace(C=np.eye(4)[:2]), WHERE))
-    modes = ", ".join(map(shown, fixed))
+    modes = ", ".join(map(format_mode, fixed))
     yield statement("|f| <= delta without d", "0.1103", f"delta = {delta:.5f}, to 4 digits", rounds_to("0.1103", delta))
     yield statement("rho = 1 leaves eta = 0.89 (22)", "0.89", text, min(left.values()) > 0.885)
     yield statement("zeta = 1.8 bounds f' under d1 (38)", "1.8", f"at most {rate:.2f}", bool(rate <= 1.8))

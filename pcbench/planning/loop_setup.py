@@ -11,7 +11,7 @@ from pcbench import controllers
 from pcbench.controllers import ControllerContext
 from pcbench.controllers.parts.common import Options, matrix
 from pcbench.controllers.parts.set_points import reference
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError, describe_exception
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller, Params
 from pcbench.simulation import command_network, law_conformance, metrics
@@ -91,7 +91,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
             raise
         except Exception as error:
             raise UserError(
-                f"controller {name}: prepare: got {raised(error)}, expected a pytree of arrays; mend that line."
+                f"controller {name}: prepare: got {describe_exception(error)}, expected a pytree of arrays; mend that line."
             ) from error
         (n, m), signals = known.model.B.shape, len(s.scoring.settle_band)
         sizes = law_conformance.Sizes(n, signals - n, m)

@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
 
-from pcbench.errors import UserError, is_ours, line_of, raised
+from pcbench.errors import UserError, describe_exception, is_ours, line_of
 from pcbench.observers import ObserverSpec
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
@@ -62,7 +62,9 @@ def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: B
         if is_ours(entry.design):
             raise
         place = "" if line_of(error) else where
-        raise UserError(f"observer {label}: design got {raised(error)}{place}, {EXPECTED}; mend that line.") from error
+        raise UserError(
+            f"observer {label}: design got {describe_exception(error)}{place}, {EXPECTED}; mend that line."
+        ) from error
     if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
         raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; mend it.")
     return found

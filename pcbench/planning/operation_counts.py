@@ -127,7 +127,7 @@ def _walk_jaxpr(jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value]) ->
 def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
     if name in jaxpr_compat.CALLS:
-        program = jaxpr_compat.called(eqn.params)
+        program = jaxpr_compat.callee(eqn.params)
         return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], given)
     if name == "cond":
         program = jaxpr_compat.branches(eqn.params)[int(np.asarray(given[0]()))]

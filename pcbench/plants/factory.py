@@ -31,7 +31,7 @@ from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
 from pcbench.dynamics.linear import Model
-from pcbench.errors import UserError, raised, shown, unknown
+from pcbench.errors import UserError, brief_repr, describe_exception, unknown
 from pcbench.plants import nonlinear
 from pcbench.plants.nonlinear import Equations, PlantFunction
 from pcbench.protocols import Now, Params, Plant
@@ -198,11 +198,11 @@ def _point(given: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...
         x0, u0 = (tuple(float(v) for v in np.asarray(part, float).reshape(-1)) for part in given)
     except (TypeError, ValueError):
         raise UserError(
-            f"{WHERE}: operating_point: got {shown(given)}, expected a pair (x0 [n], u0 [m]) of lists of numbers."
+            f"{WHERE}: operating_point: got {brief_repr(given)}, expected a pair (x0 [n], u0 [m]) of lists of numbers."
         ) from None
     if not x0 or not u0 or not np.isfinite([*x0, *u0]).all():
         raise UserError(
-            f"{WHERE}: operating_point: got {shown(given)}, expected at least one state and one input, all finite."
+            f"{WHERE}: operating_point: got {brief_repr(given)}, expected at least one state and one input, all finite."
         )
     return x0, u0
 
@@ -217,7 +217,7 @@ def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, 
     names = getattr(numbers, "_fields", None)
     if names is None:
         raise UserError(
-            f"{WHERE}: numbers: got {shown(numbers)}, expected a NamedTuple of numbers; make one with defaults."
+            f"{WHERE}: numbers: got {brief_repr(numbers)}, expected a NamedTuple of numbers; make one with defaults."
         )
     for what, given in (("unknown_inputs", pushed), ("unknown_parameters", sought)):
         for name in given:
@@ -233,11 +233,11 @@ def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, 
             array = np.asarray(value, float)
         except (TypeError, ValueError):
             raise UserError(
-                f"{WHERE}: numbers.{name}: got {shown(value)}, expected a number or an array of them."
+                f"{WHERE}: numbers.{name}: got {brief_repr(value)}, expected a number or an array of them."
             ) from None
         if (name in pushed or name in sought) and array.ndim:
             raise UserError(
-                f"{WHERE}: numbers.{name}: got {shown(value)}, expected one number: it is unknown to observers."
+                f"{WHERE}: numbers.{name}: got {brief_repr(value)}, expected one number: it is unknown to observers."
             )
         if name not in pushed:
             kept[name] = float(array) if not array.ndim else tuples(array.tolist())
@@ -277,7 +277,7 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
                 raise
             except Exception as error:
                 raise UserError(
-                    f"{WHERE}: {name} cannot be computed at the operating point: {raised(error)}; mend that line."
+                    f"{WHERE}: {name} cannot be computed at the operating point: {describe_exception(error)}; mend that line."
                 ) from None
         if found[moves].shape != (n,):
             raise UserError(
@@ -298,7 +298,7 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
             linear = nonlinear.nominal(e._replace(y0=y0), numbers)
         except Exception as error:
             raise UserError(
-                f"{WHERE}: the slope of {moves} or output cannot be taken: {raised(error)}; write it in jax.numpy."
+                f"{WHERE}: the slope of {moves} or output cannot be taken: {describe_exception(error)}; write it in jax.numpy."
             ) from None
     for name, matrices in ((moves, (linear.A, linear.B, linear.E)), ("output", (linear.C, linear.D))):
         for matrix in matrices:
@@ -313,11 +313,11 @@ def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) ->
         same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
     except Exception as error:
         raise UserError(
-            f"{WHERE}: output_residual cannot be computed at the operating point: {raised(error)}; mend that line."
+            f"{WHERE}: output_residual cannot be computed at the operating point: {describe_exception(error)}; mend that line."
         ) from None
     if same.shape != y0.shape or np.any(same != 0):
         raise UserError(
-            f"{WHERE}: output_residual: got {shown(same.tolist())} of an output less itself, expected {len(y0)} "
+            f"{WHERE}: output_residual: got {brief_repr(same.tolist())} of an output less itself, expected {len(y0)} "
             f"zero{'s' if len(y0) > 1 else ''}: it takes (y, yhat) and returns y less yhat, a number for each output."
         )
 
@@ -328,11 +328,13 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: A
         same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
     except Exception as error:
         raise UserError(
-            f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: {raised(error)}; mend that line."
+            f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: "
+            f"{describe_exception(error)}; mend that line."
         ) from None
     if same.shape or same != 0:
         raise UserError(
-            f"{WHERE}: errors: number {i + 1} is {shown(same.tolist())} where x and xhat agree, expected 0: it takes (numbers, "
+            f"{WHERE}: errors: number {i + 1} is {brief_repr(same.tolist())} where x and xhat agree, expected 0: "
+            "it takes (numbers, "
             "now, x, xhat) and returns one number."
         )
 
@@ -340,6 +342,7 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: A
 def _require_finite(name: str, value: np.ndarray, e: Equations) -> None:
     if not np.isfinite(value).all():
         raise UserError(
-            f"{WHERE}: {name}: got {shown(np.asarray(value).tolist())} at the operating point x = {shown(list(e.x0))}, "
-            f"u = {shown(list(e.u0))}, expected finite numbers; take another point, or mend the function."
+            f"{WHERE}: {name}: got {brief_repr(np.asarray(value).tolist())} at the operating point x = "
+            f"{brief_repr(list(e.x0))}, "
+            f"u = {brief_repr(list(e.u0))}, expected finite numbers; take another point, or mend the function."
         )

@@ -71,7 +71,9 @@ def evaluate_rows(rows: Rows, own: Mapping[str, float]) -> Matrix:
     """Return rows of numbers and formulas as a matrix; raise ValueError where a formula has no finite value."""
     if not own:
         return np.array(rows, float)
-    each = [[expression.value(expression.parsed(v), own) if isinstance(v, str) else v for v in row] for row in rows]
+    each = [
+        [expression.value(expression.parse_formula(v), own) if isinstance(v, str) else v for v in row] for row in rows
+    ]
     return np.array(each, float)
 
 

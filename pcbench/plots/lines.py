@@ -15,7 +15,7 @@ from matplotlib.transforms import offset_copy
 from scipy.special import ndtri
 
 from pcbench.dataset.result import Result
-from pcbench.dataset.validate_exact import Checked
+from pcbench.dataset.validate_exact import ExactValidation
 from pcbench.errors import UserError, unknown
 from pcbench.plots import frames
 from pcbench.plots.labels import about, title_of, unit_of
@@ -137,7 +137,7 @@ def lines(names: Iterable[str]) -> dict[str, LineLook]:
     }
 
 
-def quantiles(found: Checked, *, paper: Paper = PAPER) -> Figure:
+def quantiles(found: ExactValidation, *, paper: Paper = PAPER) -> Figure:
     """Return the quantile plot of a comparison: points on the line are chance. Raises UserError where there is none to draw."""
     rows = found.rows[np.isfinite(found.rows.z)].sort_values("z", kind="stable")
     if rows.empty:

@@ -50,7 +50,7 @@ class Thing(NamedTuple):
 def load_table(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
     """Return a thing as it stands in `out`; None where it does not, or is of something else."""
     content = None if out is None else storage.get(storage.target(str(out)), thing.path)
-    there = None if content is None else parquet_io.whole(content)
+    there = None if content is None else parquet_io.unseal_table(content)
     return there.to_pandas() if there is not None and there.schema.metadata.get(KEY) == thing.key else None
 
 
@@ -59,7 +59,9 @@ def keep(out: str | Path | None, thing: Thing, made: pd.DataFrame) -> pd.DataFra
     if out is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
         said = {**(table.schema.metadata or {}), KEY: thing.key}
-        storage.put_table(storage.target(str(out)), thing.path, parquet_io.sealed(table.replace_schema_metadata(said)))
+        storage.put_table(
+            storage.target(str(out)), thing.path, parquet_io.seal_table(table.replace_schema_metadata(said))
+        )
     return made
 
 

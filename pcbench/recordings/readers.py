@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pcbench import toml_text
-from pcbench.errors import UserError, said
+from pcbench.errors import UserError, first_sentence
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
 from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table, table_of
 from pcbench.recordings.messages import RECEIVED
@@ -124,7 +124,9 @@ def _read(path: Path) -> Mapping:
     try:
         table = toml_text.parse(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise UserError(f"{path}: {said(error)}; expected TOML such as pcbench guide logs shows; mend it.") from None
+        raise UserError(
+            f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide logs shows; mend it."
+        ) from None
     try:
         toml = Mapping.model_validate(table)
     except ValidationError as error:

@@ -8,7 +8,7 @@ from platform import machine
 
 import jax
 
-from pcbench.errors import UserError, said, shown
+from pcbench.errors import UserError, brief_repr, first_sentence
 from pcbench.runtime import thread_pools
 from pcbench.runtime.cache import folder
 
@@ -54,8 +54,8 @@ def float64() -> Iterator[None]:
         if not str(error).startswith("Unable to initialize backend"):
             raise
         raise UserError(
-            f"JAX_PLATFORMS: got {shown(os.environ.get('JAX_PLATFORMS', ''))}, which jax cannot use here "
-            f"({said(str(error).partition(': ')[2])}), expected a platform that it has; write cpu, or leave it out."
+            f"JAX_PLATFORMS: got {brief_repr(os.environ.get('JAX_PLATFORMS', ''))}, which jax cannot use here "
+            f"({first_sentence(str(error).partition(': ')[2])}), expected a platform that it has; write cpu, or leave it out."
         ) from None
 
 

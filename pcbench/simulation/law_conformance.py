@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError, describe_exception
 from pcbench.protocols import Controller, Now, Params
 
 
@@ -36,7 +36,8 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
             return jax.eval_shape(f, params, *args)
         except Exception as error:
             raise UserError(
-                f"controller {label}: {name} cannot be traced with an estimate of {length} ({raised(error)}); expected pure "
+                f"controller {label}: {name} cannot be traced with an estimate of {length} "
+                f"({describe_exception(error)}); expected pure "
                 "jax.numpy code for one run, which takes the states from the front."
             ) from error
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError, describe_exception
 from pcbench.protocols import Arrival, Memory, Observer
 from pcbench.simulation.types import GridPointParams, present
 
@@ -33,7 +33,7 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
             return jax.eval_shape(f, p, *args)
         except Exception as error:
             raise UserError(
-                f"observer {label}: {name} cannot be traced ({raised(error)}); expected pure jax.numpy code "
+                f"observer {label}: {name} cannot be traced ({describe_exception(error)}); expected pure jax.numpy code "
                 "for one run, with jnp.where in place of if."
             ) from error
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from pcbench import fields
-from pcbench.errors import UserError, shown, unknown
+from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.scenarios.scenario import LOST
@@ -40,11 +40,13 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
     if name == "parameter_drift" and any(out) and not drifts(base):
         raise UserError(
-            f"{where}: got {shown(values)} for {base.name}, where it has no effect: nothing drifts; leave it out"
+            f"{where}: got {brief_repr(values)} for {base.name}, where it has no effect: nothing drifts; leave it out"
             + (", or say in [lti.plant] how the plant differs from its model." if base.plant == "lti" else ".")
         )
     if len({str(v) for v in out}) < len(out):
-        raise UserError(f"{where}: got a value twice in {shown(values)}, expected each once; remove the repeated one.")
+        raise UserError(
+            f"{where}: got a value twice in {brief_repr(values)}, expected each once; remove the repeated one."
+        )
     return out
 
 
@@ -72,11 +74,14 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
             raise UserError(
-                f"{where}: got {shown(value)}, expected no log among the values of an axis; write it as delay of a table, one "
+                f"{where}: got {brief_repr(value)}, expected no log among the values of an axis; write it as delay of "
+                "a table, one "
                 "[scenarios.NAME] for each log."
             )
         if value != INTERVAL:
-            raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
+            raise UserError(
+                f"{where}: got {brief_repr(value)}, expected seconds or '{INTERVAL}' (one sampling interval)."
+            )
         return (INTERVAL,) * many
     numbers = tuple(number(v, where, least=0.0) for v in each)
     for v in numbers if name in TIMES else ():
@@ -93,21 +98,23 @@ def _single(name: str, value: object, base: Scenario, where: str) -> float:
         _require_whole_ticks(name, n, base, where)
     plant, parameter = entry_of(base), name.removeprefix("plant.")
     if parameter in plant.positive and n <= 0:
-        raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
+        raise UserError(
+            f"{where}: got {brief_repr(value)}, expected a number greater than 0: it divides, or is a size."
+        )
     if parameter in plant.signs and abs(n) != 1:
-        raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
+        raise UserError(f"{where}: got {brief_repr(value)}, expected a sign; write 1 or -1.")
     if name in LIMITS and not LIMITS[name].holds(n):
-        raise UserError(f"{where}: got {shown(value)}, expected {LIMITS[name].expected}")
+        raise UserError(f"{where}: got {brief_repr(value)}, expected {LIMITS[name].expected}")
     return n
 
 
 def number(value: object, where: str, least: float | None) -> float:
     """Return a finite number of sensible size, not below `least`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == math.inf:
-        raise UserError(f"{where}: got {shown(value)}, expected a finite number; write a number in SI units.")
+        raise UserError(f"{where}: got {brief_repr(value)}, expected a finite number; write a number in SI units.")
     if abs(value) > LARGEST:
         raise UserError(
-            f"{where}: got {shown(value)}, expected a number of at most {LARGEST:g} in size; write SI units."
+            f"{where}: got {brief_repr(value)}, expected a number of at most {LARGEST:g} in size; write SI units."
         )
     if 0 < abs(value) < SMALLEST:
         raise UserError(f"{where}: got {value!r}, expected 0 or a number of at least {SMALLEST:g} in size; write 0.")
@@ -129,7 +136,7 @@ def _list(name: str, value: object, base: Scenario, where: str) -> str | tuple[f
         "delay_sequence": f"a list of seconds and '{LOST}', one for each sample in turn.",
     }
     if name in expected and (not isinstance(value, list | tuple) or (not value and name == "sampling_pattern")):
-        raise UserError(f"{where}: got {shown(value)}, expected {expected[name]}")
+        raise UserError(f"{where}: got {brief_repr(value)}, expected {expected[name]}")
     least = None if name == "sampling_pattern" else 0.0
     each = value if isinstance(value, list | tuple) else [value]
     out = tuple(v if v == LOST and name == "delay_sequence" else number(v, where, least) for v in each)

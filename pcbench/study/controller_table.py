@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict
 from pcbench.controllers import CONTROLLERS, ControllerContext
 from pcbench.controllers import entry_of as law_of
 from pcbench.controllers.parts.common import Sizes
-from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.dynamics.observability import format_mode as shown_mode
 from pcbench.errors import DesignError, UserError, unknown
 from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario

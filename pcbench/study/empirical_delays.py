@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import UserError, shown
+from pcbench.errors import UserError, brief_repr
 from pcbench.recordings import readers
 from pcbench.recordings.survey import survey
 from pcbench.scenarios import SCENARIOS
@@ -43,7 +43,7 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
     for key in (*TAKEN, *(INSTANTS if turns else ())):
         if table.get(key):
             raise UserError(
-                f"{where}.{key}: got {shown(table[key])} beside the delays of a log, expected one; leave it out."
+                f"{where}.{key}: got {brief_repr(table[key])} beside the delays of a log, expected one; leave it out."
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = readers.open_log(name if folder is None else folder / name)

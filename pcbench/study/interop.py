@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import UserError, said, unknown
+from pcbench.errors import UserError, first_sentence, unknown
 from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
@@ -101,7 +101,8 @@ def _state_space(system: object) -> TomlTable:
         form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
     except (NotImplementedError, ImportError, ValueError, ArithmeticError) as error:  # of the library that made it
         raise UserError(
-            f"pcbench.lti: got {type(system).__name__}, which its library cannot convert ('{said(error)}'), expected a "
+            f"pcbench.lti: got {type(system).__name__}, which its library cannot convert "
+            f"('{first_sentence(error)}'), expected a "
             "state-space system; give its A, B, C and D."
         ) from error
     if form is None:

@@ -14,7 +14,7 @@ What a study names: its scenarios, its observers, and the labels under which the
 import re
 from collections.abc import Callable
 
-from pcbench.errors import UserError, short, shown
+from pcbench.errors import UserError, brief_repr, short
 from pcbench.observers import LONGEST, OBSERVERS, ObserverSpec, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.controller_table import close_loop
@@ -96,12 +96,12 @@ def _options(given: TomlTable, options: object, use: dict[str, str], where: str)
         here = f"{where}: observers.{short(label)}"
         if not isinstance(table, dict):
             raise UserError(
-                f"{here}: got {shown(table)}, expected a table with `use` and options; write [observers.{label}]."
+                f"{here}: got {brief_repr(table)}, expected a table with `use` and options; write [observers.{label}]."
             )
         mine = dict(table)
         if (text := mine.pop("use", None)) is not None:
             if not isinstance(text, str):
-                raise UserError(f'{here}.use: got {shown(text)}, expected MODULE:NAME such as "mine.py:nudge".')
+                raise UserError(f'{here}.use: got {brief_repr(text)}, expected MODULE:NAME such as "mine.py:nudge".')
             if user_code.is_reference(text):
                 user_code.split(text, f"{here}.use")
                 _free(label, text, where)

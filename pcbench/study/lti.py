@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.dynamics.linear import noise_over_tick
-from pcbench.errors import UserError, shown
+from pcbench.errors import UserError, brief_repr
 from pcbench.plants.lti import MATRICES, Numbers
 from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.scenario import ProcessNoise
@@ -48,7 +48,9 @@ def process_noise(
             raise UserError(f"{where}.QN is missing beside G; write QN = ..., the intensity of the noise.")
         return ()
     if lti.G is not None and (len(lti.G) != n or len(widths := {len(row) for row in lti.G}) != 1 or 0 in widths):
-        raise UserError(f"{where}.G: got {shown(lti.G)}, expected {n} rows of the same length, one row for each state.")
+        raise UserError(
+            f"{where}.G: got {brief_repr(lti.G)}, expected {n} rows of the same length, one row for each state."
+        )
     G = np.eye(n) if lti.G is None else np.array(lti.G, float)
     QN = covariance(lti.QN, G.shape[1], f"{where}.QN")
     Q = G @ QN @ G.T if lti.dt else noise_over_tick(np.array(A, float), G @ QN @ G.T, tick)
@@ -67,14 +69,15 @@ def covariance(given: float | list[float] | list[list[float]], many: int, where:
     flat = not any(isinstance(row, list) for row in given)
     if len(given) != many or not (flat or all(isinstance(row, list) and len(row) == many for row in given)):
         raise UserError(
-            f"{where}: got {shown(given)}, expected a number, {many} numbers, or {many} x {many}: one noise for each column "
+            f"{where}: got {brief_repr(given)}, expected a number, {many} numbers, or {many} x {many}: one noise "
+            "for each column "
             "of G."
         )
     Q: NDArray[np.float64] = np.diag(np.array(given, float)) if flat else np.array(given, float)
     size = max(float(np.abs(Q).max()), 1e-300)
     if np.abs(Q - Q.T).max() > ROUNDING * size or np.linalg.eigvalsh(Q)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {shown(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
+            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
         )
     return Q
 
@@ -108,7 +111,7 @@ class Lti(Experiment, LtiTable):
         r = len(self.E[0]) if self.E else 0
         if self.unknown_input is not None and not r:
             raise UserError(
-                f"{where}.unknown_input: got {shown(self.unknown_input)} without E, expected E [n, r] beside it."
+                f"{where}.unknown_input: got {brief_repr(self.unknown_input)} without E, expected E [n, r] beside it."
             )
         given = {key: value for key, value in self.given().items() if key not in LtiTable.model_fields}
         tick, asked = self.dt or self.tick or 1e-3, given.pop("duration", Scenario._field_defaults["duration"])

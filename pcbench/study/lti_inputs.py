@@ -11,7 +11,7 @@ import csv
 from collections.abc import Iterable
 from pathlib import Path
 
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, brief_repr, short, unknown
 from pcbench.scenarios.sources import SHAPES, Sources, Table, Wave
 from pcbench.signal_names import unit
 from pcbench.study import axes
@@ -38,7 +38,7 @@ def inline_csv_files(table: TomlTable, where: str, folder: Path | None) -> TomlT
         try:
             out[key] = _read(path)
         except ValueError as error:
-            raise UserError(f"{where}.{key}: got {shown(str(path))}, expected {error}.") from None
+            raise UserError(f"{where}.{key}: got {brief_repr(str(path))}, expected {error}.") from None
     return out
 
 
@@ -77,7 +77,7 @@ def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, fl
         return (_wave(given, where),)
     if not isinstance(given, list) or not given:
         raise UserError(
-            f"{where}: got {shown(given)}, expected a signal's name, a table such as {{signal = 'sine', amplitude = 2.0, "
+            f"{where}: got {brief_repr(given)}, expected a signal's name, a table such as {{signal = 'sine', amplitude = 2.0, "
             "frequency = 0.5}, a value for each tick, rows [t, u], or a CSV file."
         )
     if all(isinstance(each, dict | str) for each in given):
@@ -104,7 +104,7 @@ def _wave(given: TomlTable, where: str) -> Wave:
         raise unknown(f"{where}.signal", "shape of a signal", str(shape), SHAPES)
     measured_in = given.get("unit", "")
     if not isinstance(measured_in, str):
-        raise UserError(f"{where}.unit: got {shown(measured_in)}, expected a text such as 'V'.")
+        raise UserError(f"{where}.unit: got {brief_repr(measured_in)}, expected a text such as 'V'.")
     numbers = {
         key: axes.number(given[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
         for key in ("amplitude", "frequency", "offset", "phase")
@@ -136,7 +136,8 @@ def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, 
     for i, row in enumerate(given):
         if not isinstance(row, list) or len(row) not in (2, many + 1) or len(row) != len(rows[0]):
             raise UserError(
-                f"{where}[{i}]: got {shown(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} numbers, the "
+                f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} "
+                "numbers, the "
                 f"same in each: one for all, or one for each of {many} {kind}."
             )
     numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(rows)]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from pcbench.dynamics import expression
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, brief_repr, short, unknown
 from pcbench.plants import numbers_of, replace_numbers
 from pcbench.plants.lti import MATRICES, Numbers, actual
 from pcbench.scenarios import Scenario
@@ -28,7 +28,7 @@ TAKEN = {*Numbers._fields, "own", "x0"}  # what no named number can be called
 
 def _formula(text: str) -> str:
     """A formula as it stands; raise ValueError, which says what is expected, where it is none."""
-    expression.parsed(text)
+    expression.parse_formula(text)
     return text
 
 
@@ -92,7 +92,7 @@ def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
         lengths = [len(row) for row in rows]
         widths = sorted(set(lengths)) or [0]
         if 0 in shape or len(rows) != shape[0] or widths != [shape[1]]:
-            got = f"{len(rows)} x {widths[0]}" if len(widths) == 1 else f"rows of lengths {shown(lengths)}"
+            got = f"{len(rows)} x {widths[0]}" if len(widths) == 1 else f"rows of lengths {brief_repr(lengths)}"
             raise UserError(
                 f"{where}.{name}: got {got}, expected {max(shape[0], 1)} x {max(shape[1], 1)} ({n} states, {m} inputs, "
                 f"{q} outputs" + (f", {r} unknown inputs)." if lti.E is not None else ").")
@@ -127,7 +127,7 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
     formulas = [(f"{where}.{letter}", text) for letter in MATRICES for text in _formulas(rows[letter])]
     formulas += [(f"{where}.plant.{letter}", text) for letter in MATRICES for text in _formulas(given.get(letter))]
     for place, (i, j, text) in formulas:
-        for name in sorted(expression.names(expression.parsed(text))):
+        for name in sorted(expression.names(expression.parse_formula(text))):
             if not own:
                 raise UserError(
                     f"{place}[{i}][{j}]: got '{short(text)}', expected a number, or a table [lti.parameters] with {name}."
@@ -145,7 +145,7 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
     for letter, numbers in values.items():
         for i, j, text in _formulas(rows[letter]):
             try:
-                numbers[i][j] = expression.value(expression.parsed(text), own)
+                numbers[i][j] = expression.value(expression.parse_formula(text), own)
             except ValueError:
                 raise UserError(
                     f"{where}.{letter}[{i}][{j}]: got '{short(text)}', expected a finite number at "

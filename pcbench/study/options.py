@@ -2,7 +2,7 @@
 
 from pydantic import BaseModel
 
-from pcbench.errors import UserError, shown, unknown
+from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
@@ -103,5 +103,6 @@ def _require_sensible_size(value: object, where: str) -> None:
         _require_sensible_size(each, where)
     if isinstance(value, int | float) and value == value and value and not LEAST <= abs(value) <= axes.LARGEST:
         raise UserError(
-            f"{where}: got {shown(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
+            f"{where}: got {brief_repr(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; "
+            "write SI units."
         )

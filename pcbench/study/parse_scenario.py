@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
-from pcbench.errors import UserError, shown, unknown
+from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.plants import PLANTS, PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.scenarios import INTERVAL, NOTHING, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
@@ -158,7 +158,9 @@ def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserP
             if type(usual) is float:
                 value = axes.point(f"plant.{name}", value, s, f"{where}.{table}.{name}")
             elif type(value) is not type(usual):
-                raise UserError(f"{where}.{table}.{name}: got {shown(value)}, expected a value such as {shown(usual)}.")
+                raise UserError(
+                    f"{where}.{table}.{name}: got {brief_repr(value)}, expected a value such as {brief_repr(usual)}."
+                )
             values[name] = value
         s = s.having(**{table: values}) if table in given else s
     for key, signals in (("signals", entry.signals), ("unknowns", entry.unknowns)):
@@ -208,7 +210,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
         if value := given.get(key):
             if key not in axes.axes_of(s):
                 raise UserError(
-                    f"{where}.{key}: got {shown(value)} where no controller for any plant gives commands, expected none; "
+                    f"{where}.{key}: got {brief_repr(value)} where no controller for any plant gives commands, expected none; "
                     "leave it out."
                 )
             s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
@@ -219,7 +221,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
         here = f"{where}.unknown_input"
         if "unknown_input" not in entry.numbers._fields:
             raise UserError(
-                f"{here}: got {shown(pushing)} for {s.plant}, expected none: it has no unknown input; leave it out."
+                f"{here}: got {brief_repr(pushing)} for {s.plant}, expected none: it has no unknown input; leave it out."
             )
         many = len(estimated_of(s)) - len(states_of(s))
         found = sources(pushing, many, SINGLE, horizon, "unknown inputs", here)

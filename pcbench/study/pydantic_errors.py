@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 from pydantic import ValidationError
 
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, brief_repr, short, unknown
 
 KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
 
@@ -30,7 +30,9 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
     near = [each for each in same if len(_place(each["loc"])) == deepest]
     expected = " or ".join(dict.fromkeys(_rephrase(each["msg"]) for each in near))
     place = _place(near[0]["loc"])
-    return UserError(f"{where}: {place + ': ' if place else ''}got {shown(near[0]['input'])}, expected {expected}.")
+    return UserError(
+        f"{where}: {place + ': ' if place else ''}got {brief_repr(near[0]['input'])}, expected {expected}."
+    )
 
 
 def _place(loc: tuple[int | str, ...]) -> str:

@@ -32,7 +32,7 @@ from scipy.linalg import matrix_balance, solve_discrete_are
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import rank
-from pcbench.errors import DesignError, said
+from pcbench.errors import DesignError, first_sentence
 from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.sampled_model import SampledPlant, by_poles, invertible, noise_over, power, require_seen
@@ -83,7 +83,7 @@ def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
         K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
         found = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
-        found = f"SciPy said '{said(error)}'"
+        found = f"SciPy said '{first_sentence(error)}'"
     if found != "F is stable":
         raise DesignError(
             f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({found}), expected process noise "

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.errors import DesignError, said
+from pcbench.errors import DesignError, first_sentence
 from pcbench.synthesis.certificate import Certificate
 
 
@@ -38,7 +38,8 @@ def gain(Phi: Matrix, Gamma: Matrix, Q1: Matrix, Q2: Matrix, where: str) -> Matr
         S = solve_discrete_are(Phi, Gamma, Q1, Q2)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{said(error)}'), expected a plant that its "
+            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{first_sentence(error)}'), "
+            "expected a plant that its "
             "inputs can stabilise and a Q1 that weighs every mode that does not decay; weigh another state or add an input."
         ) from error
     return np.asarray(np.linalg.solve(Q2 + Gamma.T @ S @ Gamma, Gamma.T @ S @ Phi), float)

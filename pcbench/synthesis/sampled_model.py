@@ -11,8 +11,8 @@ import numpy as np
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
-from pcbench.dynamics.observability import rank, shown
-from pcbench.errors import DesignError, UserError, said
+from pcbench.dynamics.observability import format_mode, rank
+from pcbench.errors import DesignError, UserError, first_sentence
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 
 power = np.linalg.matrix_power
@@ -121,7 +121,7 @@ def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
                 G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
-                f"{where}: the poles were not placed (SciPy said '{said(error)}'), expected another pole; change it."
+                f"{where}: the poles were not placed (SciPy said '{first_sentence(error)}'), expected another pole; change it."
             ) from error
     return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
 
@@ -141,7 +141,8 @@ def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, 
             along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
             kind = "a detectable" if least else "an observable"
             raise UserError(
-                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {shown(complex(mode))} of A^d (along "
+                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} "
+                "of A^d (along "
                 f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
             )
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.errors import DesignError, said
+from pcbench.errors import DesignError, first_sentence
 from pcbench.runtime.cache import folder, keep
 from pcbench.synthesis.certificate import Certificate, require_certified
 
@@ -69,7 +69,9 @@ def minimise(
         status = str(error)
     if status not in ANSWERED:
         kind = Impossible if status == "infeasible" else DesignError
-        raise kind(f"{where}: the LMI was not solved ({solver} said '{said(status)}'), expected a solution; {advice}.")
+        raise kind(
+            f"{where}: the LMI was not solved ({solver} said '{first_sentence(status)}'), expected a solution; {advice}."
+        )
     return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from pcbench.dynamics.linear import Matrix, Model
-from pcbench.dynamics.observability import product, rank, shown, unobservable
+from pcbench.dynamics.observability import format_mode, product, rank, unobservable
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import SHORT, Certificate, require_certified
 
@@ -90,7 +90,8 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
     if slowest >= -rate:
         other = f"ask for a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
-            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(shown, fixed))}, expected each left of "
+            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed))}, "
+            "expected each left of "
             f"{-rate:.4g} 1/s; {other}measure other outputs."
         )
 
@@ -145,7 +146,7 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
         got = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1
         raise UserError(
             f"{where}: Assumption 2, (C, A) observable, is not met: got rank {got} of [lam I - A; C] at the mode "
-            f"lam = {shown(mode)}, expected {n}; measure another output."
+            f"lam = {format_mode(mode)}, expected {n}; measure another output."
         )
     return E
 

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 import pcbench
 from pcbench.checking import plant
-from pcbench.checking.plant import CHECKS, findings, finer, stepping, together
-from pcbench.checking.targets import Noted
+from pcbench.checking.plant import CHECKS, findings, finer, integration_error, stepping
+from pcbench.checking.targets import CheckNote
 from pcbench.errors import UserError
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
@@ -151,7 +151,7 @@ NOTES = {
 @pytest.mark.parametrize("check", NOTES)
 def test_what_is_no_mistake_is_a_note(check):
     make, sentence = NOTES[check]
-    with pytest.raises(Noted, match=sentence):
+    with pytest.raises(CheckNote, match=sentence):
         asked(check, make())
 
 
@@ -168,7 +168,7 @@ def test_a_smooth_slope_between_two_is_a_kink():
 
 def test_a_mode_that_decays_unseen_is_named_too():
     own = swing(output=lambda p, now, x: x[:1], field=lambda p, now, x: jnp.stack([now.u[0] - x[0], -2.5 * x[1]]))
-    with pytest.raises(Noted, match=r"no output shows the mode -2\.5, which decays"):
+    with pytest.raises(CheckNote, match=r"no output shows the mode -2\.5, which decays"):
         asked("seen", own)
 
 
@@ -196,7 +196,7 @@ def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_wi
         k3 = np.array(rate(0, x + dt / 2 * k2))
         k4 = np.array(rate(0, x + dt * k3))
         worst = max(worst, (abs(x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4) - exact) / 0.1).max())
-    assert together(trial, stepping(trial), dt) == pytest.approx(worst * 10.0 / dt, rel=0.1)
+    assert integration_error(trial, stepping(trial), dt) == pytest.approx(worst * 10.0 / dt, rel=0.1)
     trial, _ = plant.trial("swing", alone(swing(field=stiff)))
     with pytest.raises(UserError, match="write dt = ") as said:
         CHECKS["tick"](trial)

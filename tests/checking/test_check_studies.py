@@ -10,7 +10,7 @@ from pcbench import checking
 from pcbench.checking import observer, targets
 from pcbench.checking import study as of_studies
 from pcbench.checking.observer_fixtures import Candidate
-from pcbench.checking.targets import Noted, Skipped
+from pcbench.checking.targets import CheckNote, SkipCheck
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
 from pcbench.study import parse
@@ -77,7 +77,7 @@ def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
 
 @pytest.mark.ci
 def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(folder):
-    with pytest.raises(Noted, match=r"the error leaves the bound of model-only in lti \(3 of 3 runs\)"):
+    with pytest.raises(CheckNote, match=r"the error leaves the bound of model-only in lti \(3 of 3 runs\)"):
         asked("runs", free(["model-only"], divergence_threshold=0.5))
     timing = {"dt": 0.001, "sampling_period": 0.01, "delay": 0.0, "noise_std": 0.1, "duration": 0.1}
     table = {"plant": "four.py:burst", "x0": [1.0], "observers": ["model-only"], "input": "zero"} | timing
@@ -186,7 +186,9 @@ def test_each_kind_is_asked_what_it_should_be(folder):
 @pytest.mark.ci
 def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(monkeypatch):
     monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
-    with pytest.raises(Noted, match=r"an error remains of kf in lti \(.* of the largest state\).*take a shorter tick"):
+    with pytest.raises(
+        CheckNote, match=r"an error remains of kf in lti \(.* of the largest state\).*take a shorter tick"
+    ):
         asked("perfect start", free(["kf"]))
 
 
@@ -215,5 +217,5 @@ def test_a_plant_that_is_not_finite_is_not_blamed_on_observers(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     scenario = {"plant": "stiff.py:stiff", "x0": [2.0, 3.0], "dt": 1e-3, "sampling_period": 0.1, "delay": 0.1}
     scenario |= {"noise_std": 0.1, "duration": 2.0}
-    with pytest.raises(Skipped, match="the state of st is not finite without noise"):
+    with pytest.raises(SkipCheck, match="the state of st is not finite without noise"):
         asked("perfect start", {"name": "st", "observers": ["ekf", "ukf"], "scenario": scenario})

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pcbench.cli import catalogue
-from pcbench.cli.catalogue import CATALOGUE, found
+from pcbench.cli.catalogue import CATALOGUE, list_catalogue
 from pcbench.controllers import CONTROLLERS
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
@@ -23,9 +23,9 @@ def test_everything_that_there_is_is_listed():
         ("studies", STUDIES),
         ("controllers", CONTROLLERS),
     ):
-        assert list(found(kind)) == list(known)
+        assert list(list_catalogue(kind)) == list(known)
     for kind in CATALOGUE:
-        assert all(said["summary"] for said in found(kind).values())
+        assert all(said["summary"] for said in list_catalogue(kind).values())
 
 
 def test_plants_have_their_signals_with_units_and_their_parameters_with_values():
@@ -48,7 +48,9 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
         SCENARIOS["csth/10s"].duration,
         SCENARIOS["csth/10s"].scoring.steady_start,
     )
-    assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
+    assert list_catalogue("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(
+        SCENARIOS["arm/sampled"].sampling.delay
+    )
     assert catalogue.scenario(SCENARIOS["cart/white"])["axes"][-4:] == [
         "plant.lam",
         "plant.b",
@@ -81,8 +83,11 @@ def test_an_option_says_its_type_and_range(schema, said):
 def test_what_is_a_users_own_is_said_by_its_code(tmp_path, monkeypatch):
     shutil.copy(Path(__file__).parents[1] / "support" / "own_loop.py", tmp_path / "mine.py")
     monkeypatch.chdir(tmp_path)
-    assert found("plants", "mine.py:pendulum")["mine.py:pendulum"]["parameters"] == {"length": 0.5, "friction": 0.4}
-    assert found("controllers", "mine.py:law")["mine.py:law"]["options"]["kp"]["default"] == 2.0
-    assert found("scenarios", "mine.py:late")["mine.py:late"]["plant"] == "pendulum"
+    assert list_catalogue("plants", "mine.py:pendulum")["mine.py:pendulum"]["parameters"] == {
+        "length": 0.5,
+        "friction": 0.4,
+    }
+    assert list_catalogue("controllers", "mine.py:law")["mine.py:law"]["options"]["kp"]["default"] == 2.0
+    assert list_catalogue("scenarios", "mine.py:late")["mine.py:late"]["plant"] == "pendulum"
     with pytest.raises(UserError, match=r"got a plant, expected a pcbench\.Observer"):
-        found("observers", "mine.py:pendulum")
+        list_catalogue("observers", "mine.py:pendulum")

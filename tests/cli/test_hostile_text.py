@@ -100,10 +100,10 @@ def test_a_table_for_a_terminal_has_no_codes_but_those_of_its_styles():
 
 
 def test_progress_says_labels_as_text():
-    from pcbench.cli.render.progress import drawn
+    from pcbench.cli.render.progress import draw_progress
 
     with Progress(TextColumn("{task.description}", markup=False), disable=True) as lines:
-        progress = drawn(lines)
+        progress = draw_progress(lines)
         progress.begin(UNPRINTABLE, 2)
         assert is_plain(lines.tasks[-1].description)
         progress.note(f"[/b] {UNPRINTABLE}")

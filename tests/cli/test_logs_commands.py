@@ -95,7 +95,7 @@ def test_what_cannot_be_written_is_one_sentence(here, words):
 @pytest.mark.parametrize("place", ["motor.toml", "motor.toml/c", "shut/c"])
 def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, monkeypatch):
     monkeypatch.chdir(here)
-    monkeypatch.setattr(files, "exported", lambda *words: pytest.fail("it is made first"))
+    monkeypatch.setattr(files, "export_observer", lambda *words: pytest.fail("it is made first"))
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "shut")  # root may write everywhere
     (here / "shut").mkdir()
     with pytest.raises(pcbench.UserError, match=r"^--out .*: got .*, expected a folder .*; give another\.$"):

@@ -16,7 +16,7 @@ from small_study import STUDY
 import pcbench
 from pcbench.cli import lists, shared
 from pcbench.cli.render import recordings, results
-from pcbench.cli.render.tables import Column, Screen, aligned
+from pcbench.cli.render.tables import Column, Screen, align_intervals
 from pcbench.controllers import CONTROLLERS
 from pcbench.export.files import Line
 from pcbench.observers import OBSERVERS
@@ -211,14 +211,18 @@ def test_what_an_interval_cannot_say_is_said_otherwise():
 
 @given(st.lists(st.sampled_from(["0.22 ± 0.01", "1.2600 ± 0.0068", "5", "", "never", "0.5 (0.1 .. 2)"]), min_size=1))
 def test_signs_stand_below_one_another(cells):
-    out = aligned(cells)
+    out = align_intervals(cells)
     places = {text.index("±") for text in out if "±" in text}
     assert len(places) <= 1
     assert [" ".join(text.split()) for text in out] == cells
 
 
 def test_what_stands_before_a_sign_ends_there_and_what_stands_behind_it_begins_there():
-    assert aligned(["0.22 ± 0.01", "11.26 ± 0.0068", "5"]) == [" 0.22 ± 0.01  ", "11.26 ± 0.0068", "    5         "]
+    assert align_intervals(["0.22 ± 0.01", "11.26 ± 0.0068", "5"]) == [
+        " 0.22 ± 0.01  ",
+        "11.26 ± 0.0068",
+        "    5         ",
+    ]
 
 
 @pytest.mark.parametrize(("width", "left_out"), [(90, []), (55, ["least"]), (40, ["less", "least"])])
@@ -253,9 +257,9 @@ def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
 
 @pytest.mark.parametrize("kind", ["observers", "scenarios", "plants", "studies", "axes", "metrics", "choices"])
 def test_everything_there_is_can_be_told_whole(kind):
-    from pcbench.cli.catalogue import found
+    from pcbench.cli.catalogue import list_catalogue
 
-    for name, said in found(kind).items():
+    for name, said in list_catalogue(kind).items():
         console = Screen(file=io.StringIO(), width=80)
         lists.print_in_full(name, said, console)
         text = console.file.getvalue()

@@ -26,7 +26,7 @@ def row(mean, low, high, **more):
     ("median", "text"), [(1.234, "1.23"), (9.999, "10"), (10.0, "never"), (12.0, "never"), (NAN, "-")]
 )
 def test_who_settles_at_the_horizon_never_settles(median, text):
-    assert results.settled({"p50": median}, 10.0) == text
+    assert results.format_settling_time({"p50": median}, 10.0) == text
 
 
 def printed(show_it, *given):
@@ -100,7 +100,7 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
         texts = [
             printed(gains.gains, Design(None, certificate)),
             printed(gains.trade_off, "mine in s", pd.DataFrame([option])),
-            printed(gains.tuned, found, "mine", None),
+            printed(gains.print_tuning, found, "mine", None),
             printed(gains.fair, pd.DataFrame([version])),
         ]
         assert [("Nothing proves" in text) for text in texts] == 4 * [certificate is not proven]

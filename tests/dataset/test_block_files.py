@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import pcbench
 from pcbench.dataset import block_files, parquet_io, storage
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.seed_ranges import Seeds, counted, gaps
+from pcbench.dataset.seed_ranges import Seeds, gaps, seed_range
 from pcbench.errors import UserError
 
 
@@ -24,7 +24,7 @@ def block(first, last, observer="o"):
 @pytest.mark.ci
 @given(st.text(min_size=1), st.text(min_size=1), st.integers(0, 10**6), st.integers(0, 10**9), st.integers(1, 10**6))
 def test_a_name_says_its_block(scenario, observer, cell, first, many):
-    made = Block(scenario, observer, cell, counted(first, many))
+    made = Block(scenario, observer, cell, seed_range(first, many))
     assert block_files.block_of(made.name) == made
     assert made.name.count("/") == 3
 
@@ -36,9 +36,9 @@ RANGES = st.lists(st.tuples(st.integers(0, 200), st.integers(1, 60)), max_size=8
 @given(RANGES, st.integers(0, 100), st.integers(1, 200), st.integers(1, 70))
 def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
     """Whatever stands, what is settled and the gaps between hold each wanted seed exactly once, in pieces of the grid."""
-    kept = block_files.settled(block(a, a + n) for a, n in ranges)
+    kept = block_files.drop_overlaps(block(a, a + n) for a, n in ranges)
     assert set(kept) <= {block(a, a + n) for a, n in ranges}
-    missing = gaps([k.seeds for k in kept], counted(first, many), size)
+    missing = gaps([k.seeds for k in kept], seed_range(first, many), size)
     count = np.zeros(600, int)
     for a, b in [*(k.seeds for k in kept), *missing]:
         count[a:b] += 1
@@ -54,13 +54,13 @@ def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
 @given(RANGES)
 def test_what_is_settled_depends_on_no_order(ranges):
     blocks = [block(a, a + n) for a, n in ranges]
-    assert block_files.settled(blocks) == block_files.settled(blocks[::-1])
+    assert block_files.drop_overlaps(blocks) == block_files.drop_overlaps(blocks[::-1])
 
 
 def test_blocks_that_follow_one_another_double_nothing():
     row = [block(0, 8), block(8, 12), block(12, 20), block(30, 31)]
-    assert block_files.settled(row) == row
-    assert block_files.settled([*row, block(19, 20)]) == row
+    assert block_files.drop_overlaps(row) == row
+    assert block_files.drop_overlaps([*row, block(19, 20)]) == row
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_no_flipped_bit_ends_the_process(dataset):
         changed = bytearray(content)
         changed[at // 8] ^= 1 << at % 8
         try:
-            parquet_io.parsed(pa.py_buffer(bytes(changed)))
+            parquet_io.parse_table(pa.py_buffer(bytes(changed)))
         except (pa.ArrowException, OSError, ValueError) as error:
             found.append(error)
     assert len(found) > 1000
@@ -129,7 +129,7 @@ def rewritten(change):
     def rewrite(content):
         table = pq.read_table(pa.BufferReader(content))
         said = block_files.about(table)
-        return parquet_io.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
+        return parquet_io.encode_table(block_files.seal_block(change(table, said), said)).to_pybytes()
 
     return rewrite
 
@@ -139,7 +139,7 @@ def unsealed(content):
     table = pq.read_table(pa.BufferReader(content))
     i, values = table.schema.get_field_index("mae"), table["mae"].to_numpy().copy()
     values[3] = np.nextafter(values[3], 1.0)
-    return parquet_io.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
+    return parquet_io.encode_table(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
 
 
 CHANGES = {
@@ -172,7 +172,7 @@ def test_a_column_of_lists_is_as_it_was_written(tmp_path):
     """Parquet names what is in a list as it likes: `item` is written, `element` may come back."""
     kind = pa.list_(pa.field("item", pa.float64()))
     table = pa.table({"seed": [0, 1], "noise_std": pa.array([[1e-3, 2e-3]] * 2, kind)})
-    written = block_files.sealed(table, {"cell": "a", "observer": "o", "first": 0, "last": 2})
+    written = block_files.seal_block(table, {"cell": "a", "observer": "o", "first": 0, "last": 2})
     read = written.cast(written.schema.set(1, pa.field("noise_std", pa.list_(pa.field("element", pa.float64())))))
     said = block_files.about(written)
     assert str(read.schema.field(1).type) != str(written.schema.field(1).type)
@@ -196,7 +196,7 @@ def test_a_study_with_noise_by_channel_has_nothing_left_to_do(tmp_path):
 def test_a_block_with_a_list_for_each_channel_is_whole_once_read():
     """Parquet has another name for what is in a list; a study over the delays of channels goes on where it stands."""
     column = pa.array([[20.0, 50.0], [20.0, 50.0]], pa.list_(pa.float64()))
-    made = block_files.sealed(pa.table({"delay": column, "mae": [0.1, 0.2]}), {})
-    read = pq.read_table(pa.BufferReader(parquet_io.encoded(made)))
+    made = block_files.seal_block(pa.table({"delay": column, "mae": [0.1, 0.2]}), {})
+    read = pq.read_table(pa.BufferReader(parquet_io.encode_table(made)))
     said = block_files.about(read)
     assert block_files.digest(read, said) == said["digest"]

@@ -16,7 +16,7 @@ def parts(out, cell=0, within=None):
     """The chunks of one cell, each observer's mean absolute errors of position with it."""
     place = storage.target(out)
     blocks = block_files.series(block_files.present(place))
-    return list(aggregate.chunks(aggregate.of_cell(place, manifest.opened(place).cells[cell], blocks), within))
+    return list(aggregate.chunks(aggregate.of_cell(place, manifest.load_manifest(place).cells[cell], blocks), within))
 
 
 @pytest.mark.ci
@@ -54,11 +54,11 @@ def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monke
     place = storage.target(tmp_path / "out")
     pcbench.run(study, seeds=20, out=tmp_path / "out")
     known = block_files.present(place)
-    there, owned = [b for b in known if (b.cell, b.seeds.first) != (4, 0)], manifest.opened(place)
+    there, owned = [b for b in known if (b.cell, b.seeds.first) != (4, 0)], manifest.load_manifest(place)
     tables = []
     for many in (1, 2, 32):
         monkeypatch.setattr(close, "TOGETHER", many)
-        tables.append([parquet_io.parsed(content) for content in close.closing_tables(place, owned, there)[1:3]])
+        tables.append([parquet_io.parse_table(content) for content in close.closing_tables(place, owned, there)[1:3]])
     stats = tables[0][0].to_pandas()
     assert set(stats[stats.diverged > 0].cell) == {2}
     assert stats.diverged.max() < 20

@@ -38,7 +38,7 @@ def stepwise(p):
 def change(out, column, factor, rows):
     """Multiply numbers of stats.parquet, as another release might."""
     place = storage.target(out)
-    table = parquet_io.parsed(storage.get(place, "stats.parquet"))
+    table = parquet_io.parse_table(storage.get(place, "stats.parquet"))
     frame = table.to_pandas()
     chosen = frame.eval(rows)
     assert chosen.any()
@@ -119,7 +119,7 @@ def frame(**columns):
 
 def test_numbers_without_spread_change_by_more_than_rounding_and_in_existing():
     nan = float("nan")
-    rows = compare.judged(
+    rows = compare.compare_rows(
         frame(
             mean_a=[1.0, 1.0, 1e-15, 1.0, nan],
             mean_b=[1.0 + 1e-12, 1.001, 4e-15, nan, nan],
@@ -138,7 +138,7 @@ def test_numbers_without_spread_change_by_more_than_rounding_and_in_existing():
 
 
 def test_one_run_each_on_other_draws_decides_nothing():
-    rows = compare.judged(
+    rows = compare.compare_rows(
         frame(
             mean_a=[1.0],
             mean_b=[2.0],
@@ -227,7 +227,7 @@ def test_releases_and_devices_that_differ_are_said(whole, copy):
 def test_an_exact_number_is_compared_with_runs_by_their_error_alone():
     """Nine runs of error 0.1 are three of them away from an exact value: Student's p for 8 degrees of freedom, 0.017."""
     known = {"n_a": [0, 0], "se_a": [0.0, 0.0], "method_a": ["exact", "none"]}
-    rows = compare.judged(
+    rows = compare.compare_rows(
         frame(mean_a=[1.0, float("nan")], mean_b=[1.3, 1.0], se_b=[0.1, 0.1], signal=["far", "runs only"], **known)
     ).set_index("signal")
     assert rows.p_value["far"] == pytest.approx(0.01707168, rel=1e-5)

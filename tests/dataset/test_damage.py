@@ -86,7 +86,10 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.open_result(copy).study
     made = one_run.of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
-    content, table = path.read_bytes(), parquet_io.parsed(storage.get(storage.target(copy), f"examples/{path.name}"))
+    content, table = (
+        path.read_bytes(),
+        parquet_io.parse_table(storage.get(storage.target(copy), f"examples/{path.name}")),
+    )
     values = table["value"].to_numpy().copy()
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
@@ -119,7 +122,7 @@ def test_a_block_that_takes_much_memory_is_one_sentence_before_it_takes_it(copy)
     pq.write_table(zeros, block)
     assert block.stat().st_size < 300_000
     with pytest.raises(pa.ArrowInvalid, match="320 MB in memory"):
-        parquet_io.parsed(pa.py_buffer(block.read_bytes()))
+        parquet_io.parse_table(pa.py_buffer(block.read_bytes()))
     done = call("verify", copy)
     assert done.returncode == 1
     assert "MB that take 320 MB in memory" in done.stdout

@@ -30,13 +30,13 @@ def by_definition(table):
 def test_a_digest_is_that_of_the_words_themselves_in_whatever_pieces_they_are(words, at):
     column = pa.chunked_array([pa.array(part, pa.string()) for part in (words[:at], words[at:])])
     table = pa.table({"signal": column, "mean": np.arange(len(words)) / 3, "certified": pa.array([True] * len(words))})
-    assert parquet_io.sealed(table).schema.metadata[parquet_io.SEAL] == by_definition(table)
+    assert parquet_io.seal_table(table).schema.metadata[parquet_io.SEAL] == by_definition(table)
 
 
 @pytest.mark.parametrize("change", [{"signal": ["b", "a"]}, {"signal": ["a", None]}, {"mean": [1.0, 2.5]}])
 def test_any_other_word_or_number_is_another_digest(change):
     columns = {"signal": ["a", "b"], "mean": [1.0, 2.0]}
     digests = {
-        parquet_io.sealed(pa.table(each)).schema.metadata[parquet_io.SEAL] for each in (columns, columns | change)
+        parquet_io.seal_table(pa.table(each)).schema.metadata[parquet_io.SEAL] for each in (columns, columns | change)
     }
     assert len(digests) == 2

@@ -112,13 +112,15 @@ def test_verify_status_and_compare_take_them(out, tmp_path):
 def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     """One mean is 1e-6 of itself off, in a file that is whole."""
     copy = shutil.copytree(out, tmp_path / "copy")
-    table = moments_tables.whole(storage.target(copy))
+    table = moments_tables.load_exact_rows(storage.target(copy))
     i, at = table.schema.get_field_index("mean"), table["metric"].to_pylist().index("mse")
     means = table["mean"].to_pylist()
     means[at] *= 1 + 1e-6
     column = pa.array(means, table.schema.field(i).type)
     storage.put_table(
-        storage.target(copy), moments_tables.NAME, parquet_io.sealed(table.set_column(i, table.schema.field(i), column))
+        storage.target(copy),
+        moments_tables.NAME,
+        parquet_io.seal_table(table.set_column(i, table.schema.field(i), column)),
     )
     found, said = verify.verify(copy, None, 0), io.StringIO()
     folder.verdict(found, "copy", Screen(file=said, width=200))
@@ -168,7 +170,7 @@ def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
-    assert moments_tables.whole(storage.target(tmp_path / "out")) is not None
+    assert moments_tables.load_exact_rows(storage.target(tmp_path / "out")) is not None
     said = results.sentence(result, "out")
     assert said.startswith("The tables in out are of its runs")
     assert "pcbench verify out --exact" in said
@@ -177,12 +179,14 @@ def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(
 def test_a_sealed_table_with_lists_is_known_again():
     """Parquet calls what is in a list by another name than Arrow does: an exact study with such an axis read as damaged."""
     table = columns.table({"process_std": [[0.1, 0.0], [0.2, 0.0]], "delay": [0.1, 0.2]})
-    back = parquet_io.whole(parquet_io.encoded(parquet_io.sealed(table)))
+    back = parquet_io.unseal_table(parquet_io.encode_table(parquet_io.seal_table(table)))
     assert back is not None
     assert back["process_std"].to_pylist() == [[0.1, 0.0], [0.2, 0.0]]
     spoilt = table.set_column(0, "process_std", pa.array([[0.1, 0.0], [0.3, 0.0]]))
     assert (
-        parquet_io.whole(parquet_io.encoded(spoilt.replace_schema_metadata(parquet_io.sealed(table).schema.metadata)))
+        parquet_io.unseal_table(
+            parquet_io.encode_table(spoilt.replace_schema_metadata(parquet_io.seal_table(table).schema.metadata))
+        )
         is None
     )
 

@@ -28,7 +28,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     made = merge.merge([b, a], tmp_path / "both")
     assert (made.missing, made.doubled) == (0, 2 * 2 * 9)
     same(tmp_path / "both", whole)
-    named = manifest.opened(storage.target(tmp_path / "both")).study
+    named = manifest.load_manifest(storage.target(tmp_path / "both")).study
     assert (named.first_seed, named.seeds) == (0, 40)
     again = pcbench.run(STUDY, out=tmp_path / "both")
     assert again.provenance["merged"]
@@ -64,7 +64,7 @@ def test_parts_that_disagree_are_not_merged(copy, whole, tmp_path):
     table = block_files.read(place, b)
     i = table.schema.get_field_index("mae")
     changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 1e-12)])
-    storage.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
+    storage.put_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))
     with pytest.raises(UserError, match=r"differ by 1.0e-12 of themselves"):
         merge.merge([whole, copy], tmp_path / "both")
     assert not (tmp_path / "both").exists()
@@ -102,7 +102,7 @@ def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
     assert before["exact.parquet"]
     assert len([name for name in before if name.startswith("moments/")]) == 2
     assert not verify.verify(tmp_path / "both", None, 0).wrong
-    owned = manifest.opened(storage.target(tmp_path / "both"))
+    owned = manifest.load_manifest(storage.target(tmp_path / "both"))
     assert not moments_tables.make(storage.target(tmp_path / "both"), owned, pytest.fail)
 
 
@@ -110,10 +110,10 @@ def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
 @pytest.mark.parametrize(("factor", "refused"), [(1 + 1e-12, False), (1 + 1e-6, True)])
 def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
     b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
-    table = moments_tables.whole(b)
+    table = moments_tables.load_exact_rows(b)
     i = table.schema.get_field_index("mean")
     column = pc.multiply(table["mean"], factor)
-    storage.put_table(b, "exact.parquet", parquet_io.sealed(table.set_column(i, table.schema.field(i), column)))
+    storage.put_table(b, "exact.parquet", parquet_io.seal_table(table.set_column(i, table.schema.field(i), column)))
     if refused:
         with pytest.raises(UserError, match=r"exact.parquet: differs from .*by more than rounding"):
             merge.merge([exact_parts[0], b.root], tmp_path / "both")
@@ -125,9 +125,9 @@ def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
 @pytest.mark.ci
 def test_a_reason_may_name_its_cell_by_another_number(exact_parts, tmp_path):
     b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
-    table = moments_tables.whole(b)
+    table = moments_tables.load_exact_rows(b)
     other = parquet_io.with_column(table, "reason", ["cart/slow, cell 7: is not affine"] * len(table))
-    storage.put_table(b, "exact.parquet", parquet_io.sealed(other))
+    storage.put_table(b, "exact.parquet", parquet_io.seal_table(other))
     assert merge.merge([exact_parts[0], b.root], tmp_path / "both").missing == 0
 
 

@@ -30,7 +30,7 @@ def planned(study, place):
     """What is planned of a study."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
     wanted = run_missing.everything(owned, [])
-    return run_missing.planned(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted)
+    return run_missing.plan_runs(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted)
 
 
 class Task(NamedTuple):

@@ -50,7 +50,7 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
         storage.put_table(each, "runs/scenario=x/part.parquet", TABLE)
         storage.put_json(each, "provenance.json", {"a": 1})
         assert storage.names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
-        assert parquet_io.parsed(storage.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
+        assert parquet_io.parse_table(storage.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
         assert storage.get(each, "nothing") is None
         storage.remove(each, "provenance.json")
         storage.remove(each, "provenance.json")
@@ -72,11 +72,11 @@ def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
 
 
 def test_equal_tables_give_equal_bytes():
-    assert parquet_io.encoded(TABLE).equals(parquet_io.encoded(TABLE.slice(0)))
+    assert parquet_io.encode_table(TABLE).equals(parquet_io.encode_table(TABLE.slice(0)))
 
 
 def test_a_page_that_was_touched_is_seen():
-    content = bytearray(parquet_io.encoded(TABLE))
+    content = bytearray(parquet_io.encode_table(TABLE))
     content[len(content) // 2] ^= 1
     with (
         pytest.raises(OSError, match=r"(?i)crc|checksum|corrupt|decompress"),
@@ -147,7 +147,7 @@ def test_what_a_killed_writer_left_is_cleared_and_a_living_ones_is_not(place):
 
 
 def test_two_writers_of_one_name_leave_one_whole_file(place):
-    content = parquet_io.encoded(TABLE).to_pybytes()
+    content = parquet_io.encode_table(TABLE).to_pybytes()
     threads = [threading.Thread(target=storage.put, args=(place, "runs/a.parquet", content)) for _ in range(8)]
     for t in threads:
         t.start()

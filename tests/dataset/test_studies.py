@@ -78,7 +78,7 @@ def test_any_number_of_calls_at_a_time_leaves_the_same_bytes(whole, tmp_path, co
 
 
 def test_tasks_done_twice_and_in_any_order_leave_each_row_once(whole, tmp_path, monkeypatch):
-    here = executors.here
+    here = executors.local_executor
 
     def twice_and_backwards(*args):
         from contextlib import contextmanager
@@ -90,7 +90,7 @@ def test_tasks_done_twice_and_in_any_order_leave_each_row_once(whole, tmp_path, 
 
         return made()
 
-    monkeypatch.setattr(executors, "here", twice_and_backwards)
+    monkeypatch.setattr(executors, "local_executor", twice_and_backwards)
     pcbench.run(STUDY, out=tmp_path / "out", block_size=16)
     assert tables(tmp_path / "out") == tables(whole)
 

@@ -24,7 +24,9 @@ def rows(**columns):
         "max_abs_error": 0.0,
     }
     many = len(columns["mean"])
-    return validate_exact.judged(pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(many)]))
+    return validate_exact.compare_means(
+        pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(many)])
+    )
 
 
 def test_a_distance_is_students_as_a_normal_number():
@@ -59,7 +61,7 @@ def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
 
 def checked(z):
     table = rows(mean=list(1 + 0.1 * np.asarray(z)), se=[0.1] * len(z), exact=[1.0] * len(z), n=[10**6] * len(z))
-    return validate_exact.Checked(table, [], 4.0)
+    return validate_exact.ExactValidation(table, [], 4.0)
 
 
 def test_the_verdict_names_what_chance_does_not_allow():

@@ -44,7 +44,7 @@ def test_late_lost_and_overtaking_samples_are_used_as_in_the_simulation(name):
 def test_a_published_scenario_is_replayed_to_rounding(name):
     found = exports.of(name)
     assert exports.off(found, exports.ran(found)) < DOUBLE
-    single = files.said(exports.ran(found, single=True))
+    single = files.parse_replay(exports.ran(found, single=True))
     assert all(np.isfinite(line.differs) and line.differs > 0 for line in single.values()), "float is not double"
 
 
@@ -106,7 +106,7 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
 )
 def test_what_cannot_be_exported_says_what_stands_in_the_way(study, observer, words):
     with pytest.raises(UserError) as error:
-        files.exported(study, observer)
+        files.export_observer(study, observer)
     assert all(word in str(error.value) for word in words)
 
 
@@ -149,7 +149,7 @@ _with_own_slope.defvjp(lambda x: (_with_own_slope(x), x), lambda x, g: (2 * x * 
 def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
     monkeypatch.setitem(jaxpr_to_c.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
     with pytest.raises(UserError, match=r"^kf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):
-        files.exported("cart/white", "kf")
+        files.export_observer("cart/white", "kf")
 
 
 def _compiled(f, *given):

@@ -72,7 +72,7 @@ def driven(found, folder, every, late, at, ticks, age):
 def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_path):
     """Before, one such measurement made every estimate NaN for good (the servo that was asked about, 0.3 s)."""
     plant = MOTOR | {"name": "fast", "lti": MOTOR["lti"] | {"delay": 0.05, "sampling_period": 0.05, "duration": 3.0}}
-    found = files.exported(plant, name)
+    found = files.export_observer(plant, name)
     oldest = found.about.oldest
     assert re.search(rf"_OLDEST_AGE {oldest} /\* ticks \*/", found.files[f"{found.about.label}.h"])
     assert f"_MAX_NEWER {found.about.newer} /* newer measurements */" in found.files[f"{found.about.label}.h"]
@@ -92,7 +92,7 @@ def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_
 @pytest.mark.ci
 def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
     """Measurements so old that they are in order at the age that the header names."""
-    found = files.exported(MOTOR, "kf")
+    found = files.export_observer(MOTOR, "kf")
     oldest = found.about.oldest
     assert driven(found, tmp_path, every=oldest + 1, late=oldest, at=2 * oldest, ticks=3 * oldest + 2, age=oldest)[
         :2
@@ -103,7 +103,7 @@ def test_jump_uses_measurement_of_oldest_admissible_age(tmp_path):
 def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
     """No sample overtakes another on this schedule, so there is no room: what was garbage is refused."""
     plant = MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0}}
-    found = files.exported(plant, "kf")
+    found = files.export_observer(plant, "kf")
     refused, code, same, xhat = driven(found, tmp_path, every=2, late=0, at=50, ticks=99, age=3)
     assert (refused, code, same) == (0, 1, 1)
     assert np.isfinite(xhat)
@@ -112,7 +112,7 @@ def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
 @pytest.mark.ci
 def test_jump_uses_measurement_after_as_many_newer_ones_as_the_header_names(tmp_path):
     """A measurement comes every 2 ticks, without delay; one of age 2 N - 1 arrives after N newer ones."""
-    found = files.exported(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "kf")
+    found = files.export_observer(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "kf")
     newer = found.about.newer
     assert newer > 1
     for age, code in ((2 * newer - 1, 0), (2 * newer + 1, 1)):
@@ -141,7 +141,7 @@ def _recording(folder):
 )
 def test_c_of_recording_equals_its_replay(name, tmp_path):
     log = _recording(tmp_path / "flight")
-    found = files.exported(MOTOR, name, log=log)
+    found = files.export_observer(MOTOR, name, log=log)
     assert exports.off(found, exports.ran(found)) < 1e-12
     assert "unknown" not in found.files["main.c"]
     assert found.about.oldest >= 70
@@ -151,7 +151,7 @@ def test_c_of_recording_equals_its_replay(name, tmp_path):
 def test_c_without_room_for_recording_is_not_silent(tmp_path):
     """The C of the plant file alone, run on the recording: it says how many measurements it refused, and is finite."""
     log = _recording(tmp_path / "flight")
-    narrow, wide = files.exported(MOTOR, "kf"), files.exported(MOTOR, "kf", log=log)
+    narrow, wide = files.export_observer(MOTOR, "kf"), files.export_observer(MOTOR, "kf", log=log)
     mixed = narrow._replace(files=narrow.files | {"vector.h": wide.files["vector.h"]})
     with pytest.raises(files.UserError, match=r"\d+ measurements are older than the room of kf"):
         exports.ran(mixed)

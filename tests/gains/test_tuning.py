@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from interruptions import stop_tuning_at
 
 import pcbench
-from pcbench.dataset.seed_ranges import counted
+from pcbench.dataset.seed_ranges import seed_range
 from pcbench.errors import UserError
 from pcbench.gains import optimizers, parameters, tune
 from pcbench.gains.history import Judgement
@@ -66,7 +66,7 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
 
 
 JUDGED = Judgement(
-    what="validation", seeds=counted(100, 64), start=2.0, start_se=0.1, tuned=1.0, tuned_se=0.1,
+    what="validation", seeds=seed_range(100, 64), start=2.0, start_se=0.1, tuned=1.0, tuned_se=0.1,
     difference=-1.0, difference_se=0.1, diverged=(0, 0),
 )  # fmt: skip
 

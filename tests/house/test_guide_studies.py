@@ -9,7 +9,7 @@ from documents import PAGES, blocks
 
 import pcbench
 from pcbench import checking
-from pcbench.dataset.seed_ranges import counted
+from pcbench.dataset.seed_ranges import seed_range
 from pcbench.gains import tune
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics import number_format
@@ -104,7 +104,7 @@ def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path)
         objective="steady_pooled_rmse",
         signal="speed",
         only=["R", "Q"],
-        training_seeds=counted(3_000_000_000, 128),
+        training_seeds=seed_range(3_000_000_000, 128),
     )
     found = np.array(made.found["R"]) / made.found["Q"][2]
     np.testing.assert_allclose(found, np.array([0.002, 0.5]) ** 2 / 0.05**2, rtol=0.1)

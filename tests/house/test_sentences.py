@@ -26,8 +26,8 @@ def test_what_is_too_long_loses_its_middle():
     text = "".join(chr(65 + i % 26) for i in range(300))
     assert errors.short(text) == text[:77] + "..." + text[-20:]
     assert errors.short(text[:100]) == text[:100]
-    assert len(errors.shown(list(range(10**4)))) < 100
-    assert errors.said("It failed. A second sentence\nand a line.") == "It failed"
+    assert len(errors.brief_repr(list(range(10**4)))) < 100
+    assert errors.first_sentence("It failed. A second sentence\nand a line.") == "It failed"
 
 
 def inner():
@@ -38,7 +38,7 @@ def test_the_line_that_is_quoted_is_the_one_that_raised():
     with pytest.raises(ZeroDivisionError) as caught:
         inner()
     line = inspect.getsourcelines(inner)[1] + 1
-    assert errors.raised(caught.value) == f"ZeroDivisionError: by nothing, test_sentences.py line {line}"
+    assert errors.describe_exception(caught.value) == f"ZeroDivisionError: by nothing, test_sentences.py line {line}"
 
 
 def test_lines_of_libraries_are_not_the_users():

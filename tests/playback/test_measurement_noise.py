@@ -15,7 +15,7 @@ from test_out_of_sequence import DT, P0, PLANT, TICKS, Q, R, walk
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.export.recording import recorded
+from pcbench.export.recording import prepare_recording
 from pcbench.observers import OBSERVERS
 from pcbench.playback import likelihood
 from pcbench.playback.setup import open_playback
@@ -287,4 +287,4 @@ def test_observers_that_have_one_variance_and_correlated_noise_are_refused(repla
 def test_c_of_a_recording_with_variances_is_refused(replayed):
     a = open_playback(replayed[0], PLANT, ["kf"])
     with pytest.raises(UserError, match="expected a recording without: the C has one variance for each channel"):
-        recorded(a, tells=False)
+        prepare_recording(a, tells=False)

@@ -8,7 +8,7 @@ from rich.console import Console
 
 import pcbench
 from pcbench.cli.interrupts import stoppable
-from pcbench.cli.render.progress import Rate, bar, drawn
+from pcbench.cli.render.progress import Rate, bar, draw_progress
 from pcbench.gains import tune
 from pcbench.runtime.progress import SILENT, Progress
 
@@ -54,7 +54,7 @@ def lines(clock=None):
 
 def test_more_of_the_same_work_lengthens_its_line_and_other_work_has_its_own():
     bars = lines()
-    progress = drawn(bars, "designing gains")
+    progress = draw_progress(bars, "designing gains")
     for many in (10, 5):
         progress.begin("runs", many)
         progress.note("simulating")
@@ -68,7 +68,7 @@ def test_more_of_the_same_work_lengthens_its_line_and_other_work_has_its_own():
 def test_a_rate_is_shown_of_runs_only():
     seconds = iter(range(1000))
     bars = lines(lambda: float(next(seconds)))
-    progress = drawn(bars)
+    progress = draw_progress(bars)
     for what in ("runs", "checking"):
         progress.begin(what, 100)
         progress.step(20)

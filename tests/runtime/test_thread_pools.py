@@ -80,7 +80,7 @@ def test_after_an_interrupt_a_study_waits_for_what_is_written_and_not_for_what_i
             list(running)
 
     def stopped():
-        with executors.here(2) as execute:
+        with executors.local_executor(2) as execute:
             Thread(target=drawn, args=[execute(work, ["slow", "quick"])]).start()
             assert writes.wait(10)
             Timer(0.2, write.set).start()

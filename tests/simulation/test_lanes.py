@@ -261,7 +261,7 @@ def test_a_function_of_a_user_called_together_is_one_like_any_other(monkeypatch)
         raise AssertionError
 
     x = lane_array.split(jnp.ones((3, L)))
-    monkeypatch.setattr(interpreter, "_together", refused)
+    monkeypatch.setattr(interpreter, "_apply_vmap", refused)
     np.testing.assert_array_equal(lane_array.join(vmap_entrywise(together)(x)), 2 * np.ones((3, L)))
     with pytest.raises(AssertionError):
         vmap_entrywise(protocols.vmap_as_unit(lambda x: x * 2.0))(x)

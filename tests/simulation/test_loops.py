@@ -10,7 +10,7 @@ from reference import loop
 
 import pcbench
 from pcbench.engine import lane_array, random_schedules
-from pcbench.engine.packing import Kept
+from pcbench.engine.packing import PackedMemory
 from pcbench.simulation.types import State
 
 T = TICK * np.arange(2 * N)
@@ -140,7 +140,13 @@ def test_runs_that_are_taken_out_bring_their_own_commands():
     """Three runs, two rows of one command: the second and the first are taken out, in this order."""
     commands = lane_array.table(lane_array.split(jnp.arange(6.0).reshape(2, 1, 3)))
     state = State(
-        x=(), drawn=(), memories=Kept([], jnp.zeros((0, 3))), flight=(), streams={}, watches={}, commands=commands
+        x=(),
+        drawn=(),
+        memories=PackedMemory([], jnp.zeros((0, 3))),
+        flight=(),
+        streams={},
+        watches={},
+        commands=commands,
     )
     events = SimpleNamespace(layout=SimpleNamespace(controller=True), form=SimpleNamespace(whole=lambda kept: kept))
     chunk = random_schedules.Chunk(jnp.array([1, 0]), jnp.zeros(2, int), jnp.asarray(2))

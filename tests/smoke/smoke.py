@@ -118,7 +118,7 @@ def worst_difference(lines):
     """The largest difference between the C and the simulation that the exported program prints, over all signals."""
     from pcbench.export import files
 
-    return max(line.most for line in files.said(lines).values())
+    return max(line.most for line in files.parse_replay(lines).values())
 
 
 STUDY = """

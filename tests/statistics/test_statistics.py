@@ -197,7 +197,7 @@ def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once
     table = parquet_io.GrowingTable({})
     for row in rows:
         table.add(columns.table({name: [value] for name, value in (row | {"p_holm": np.nan}).items()}))
-    done = pq.read_table(pa.BufferReader(close.adjusted(table.content(), {})))
+    done = pq.read_table(pa.BufferReader(close.adjust_pairs(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))

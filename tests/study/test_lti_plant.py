@@ -222,7 +222,7 @@ def test_a_formula_comes_to_what_python_makes_of_it(text):
         want = np.inf
     if not np.isfinite(want):
         with pytest.raises(ValueError, match="finite"):
-            expression.value(expression.parsed(text), numbers)
+            expression.value(expression.parse_formula(text), numbers)
         return
-    assert expression.value(expression.parsed(text), numbers) == pytest.approx(want, rel=1e-12)
-    assert expression.names(expression.parsed(text)) == {name for name in numbers if name in text}
+    assert expression.value(expression.parse_formula(text), numbers) == pytest.approx(want, rel=1e-12)
+    assert expression.names(expression.parse_formula(text)) == {name for name in numbers if name in text}

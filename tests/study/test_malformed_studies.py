@@ -6,7 +6,7 @@ from hanging import in_time
 
 from pcbench import planning
 from pcbench.dynamics import linear
-from pcbench.errors import LONGEST, UserError, said, shown
+from pcbench.errors import LONGEST, UserError, brief_repr, first_sentence
 from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import parse, times
@@ -177,9 +177,9 @@ def test_a_change_by_set_holds_one_value():
 
 def test_what_is_quoted_is_short_and_of_one_line():
     for value in ("x" * 1000, list(range(1000)), {i: [[[i]]] for i in range(100)}, 10**400, int(HEXADECIMAL, 16), "\n"):
-        assert len(shown(value)) <= LONGEST
-        assert str(UserError(f"got {shown(value)}.")).isprintable()
-    assert said(ValueError("Failed to converge. Try\nanother one.")) == "Failed to converge"
+        assert len(brief_repr(value)) <= LONGEST
+        assert str(UserError(f"got {brief_repr(value)}.")).isprintable()
+    assert first_sentence(ValueError("Failed to converge. Try\nanother one.")) == "Failed to converge"
 
 
 def planned(text, tmp_path):

@@ -119,7 +119,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
         ("controllers", "push"),
         ("scenarios", "swing/late"),
     ):
-        assert catalogue.found(kind)[name]["summary"] == "of the package swing-observers"
+        assert catalogue.list_catalogue(kind)[name]["summary"] == "of the package swing-observers"
     parse.grid_of(STUDY, {}, [])
     assert "swing_package" not in sys.modules, "nothing is imported that is not named"
     raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "kf"]}, "controller": {"use": "push"}}
@@ -127,7 +127,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
     assert found.entry("gentle").observer is sys.modules["swing_package.observer"].nudge
     assert entry_of(cell({"name": "s", "scenarios": ["swing/late"]}).scenario).signals[0] == ("angle", "rad")
-    assert catalogue.found("controllers", "push")["push"]["options"]["kp"]["default"] == 2.0
+    assert catalogue.list_catalogue("controllers", "push")["push"]["options"]["kp"]["default"] == 2.0
 
 
 def test_a_planned_cell_takes_plant_and_law_along(here):

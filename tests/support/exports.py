@@ -32,12 +32,12 @@ REGULAR = ("kfbo", "model-only", *HOMES)  # samples of one age, or at home elsew
 @cache
 def of(name, wild=False):
     """An exported observer, of its home or of the wild cart."""
-    return files.exported(dict(WILD) if wild else HOMES.get(name, "cart/white"), name)
+    return files.export_observer(dict(WILD) if wild else HOMES.get(name, "cart/white"), name)
 
 
 def ran(found, single=False, arguments=()):
     """What the compiled program prints; a test is skipped where nothing compiles."""
-    printed = files.replayed(found, single, arguments)
+    printed = files.run_compiled(found, single, arguments)
     if printed is None:
         pytest.skip("there is no C compiler here: install one, for this to be tested")
     return printed
@@ -45,7 +45,7 @@ def ran(found, single=False, arguments=()):
 
 def off(found, printed):
     """The largest difference from the simulation at any tick, as a part of the signal's largest value (of 1, if less)."""
-    each = files.said(printed)
+    each = files.parse_replay(printed)
     assert len(each) == len(found.scale)
     return max(line.most / max(scale, 1.0) for line, scale in zip(each.values(), found.scale, strict=True))
 

@@ -25,7 +25,7 @@ def fields(entry):
 
 @pytest.mark.parametrize("observer", [o for o in OBSERVERS if o not in WITHOUT])
 def test_every_observer_has_its_paper(observer):
-    (key,) = citing.known([citing.source_of(observer)])
+    (key,) = citing.find_citations([citing.source_of(observer)])
     author = fields(ENTRIES[key])["author"].split(",")[0]
     line = re.search(rf"^\| `{observer}` \|.*\| (.*) \|$", PAGE, re.M)[1]
     assert "the same paper" in line or author.replace("{\\'a}", "a") in line, "as the guide has it"
@@ -33,7 +33,7 @@ def test_every_observer_has_its_paper(observer):
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_scenario_has_its_paper(scenario):
-    assert len(citing.known([SCENARIOS[scenario].source])) == 1
+    assert len(citing.find_citations([SCENARIOS[scenario].source])) == 1
 
 
 @pytest.mark.parametrize("key", ENTRIES)

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from pcbench.cli.render.tables import Screen
 from pcbench.dataset.compare import Comparison
-from pcbench.dataset.validate_exact import KEY, Checked
+from pcbench.dataset.validate_exact import KEY, ExactValidation
 from pcbench.dataset.verify import Status, Verdict
 from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
 from pcbench.statistics.number_format import mark_uncertified
@@ -53,7 +53,7 @@ def verdict(found: Verdict, folder: str, screen: Screen) -> None:
         screen.print(f"{folder}: exact numbers of {equal} cells came out again, to rounding.")
 
 
-def against_exact(found: Checked, screen: Screen) -> None:
+def against_exact(found: ExactValidation, screen: Screen) -> None:
     """Print the verdict on simulated means, those that are off, and why others could not be compared."""
     worst = found.wrong.assign(size=found.wrong.z.abs()).sort_values("size", ascending=False)
     for row in worst.head(MOST).to_dict("records"):

@@ -55,7 +55,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
         screen.print(f"{option} = {row[option]}, a fallback: {row['fallback']}")
 
 
-def tuned(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
+def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
     """Print what a tuning found: start against tuned on training and validation seeds, and the options."""
     aim, judged, of_runs = found.objective, found.judged, not found.exact
     columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
@@ -139,7 +139,7 @@ def fair(table: pd.DataFrame, screen: Screen) -> None:
         screen.print(f"{label}: the start is kept: {note}.")
 
 
-def checked(title: str, findings: list[Finding], screen: Screen) -> None:
+def print_findings(title: str, findings: list[Finding], screen: Screen) -> None:
     """Print every check with its verdict and why."""
     colours = {"passes": "green", "fails": "red"}
     rows = [(f.check, Text(f.verdict, colours.get(f.verdict, "yellow")), f.why) for f in findings]

@@ -32,10 +32,10 @@ def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
         return
     columns = [rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
     with rich.Progress(*columns, rich.TimeRemainingColumn(), console=console, transient=True) as lines:
-        yield drawn(lines, first)
+        yield draw_progress(lines, first)
 
 
-def drawn(lines: rich.Progress, first: str = "") -> Progress:
+def draw_progress(lines: rich.Progress, first: str = "") -> Progress:
     """Return a Progress that draws lines."""
 
     def begin(what: str, many: int | None) -> None:

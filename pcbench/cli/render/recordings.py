@@ -71,7 +71,7 @@ def odd(row: Row) -> list[str]:
     return out
 
 
-def replayed(found: "ReplayResult", folder: str, screen: Screen) -> None:
+def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
     """Print what is known of observers on a log."""
     about = found.summary
     if len(found.innovations):
@@ -79,7 +79,7 @@ def replayed(found: "ReplayResult", folder: str, screen: Screen) -> None:
         columns = [
             Column("observer", [row["observer"] for row in rows], left=True),
             _count("samples", rows),
-            *_judged(rows),
+            *_innovation_columns(rows),
             Column("log-likelihood\nof a number", [_plain(row["log_likelihood"]) for row in rows]),
             Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
         ]
@@ -88,7 +88,8 @@ def replayed(found: "ReplayResult", folder: str, screen: Screen) -> None:
         rows = found.channels.to_dict("records")
         columns = [Column(name, [row[name] for row in rows], left=True) for name in ("observer", "channel")]
         screen.fit(
-            "the same by channel", [*columns, _count("samples", rows), _count("not_judged", rows), *_judged(rows)]
+            "the same by channel",
+            [*columns, _count("samples", rows), _count("not_judged", rows), *_innovation_columns(rows)],
         )
     if len(found.metrics):
         _by_signal(found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against truth", screen)
@@ -101,7 +102,7 @@ def replayed(found: "ReplayResult", folder: str, screen: Screen) -> None:
     )
 
 
-def _judged(rows: Rows) -> list[Column]:
+def _innovation_columns(rows: Rows) -> list[Column]:
     """The columns of what innovations say."""
     bands = [f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" if row["samples"] else "-" for row in rows]
     return [

@@ -144,7 +144,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
             row["observer"] = mark_uncertified(observer, [wide.loc[(observer, metric), "certified"]])
             row[metric] = interval(wide.loc[observer, metric])
             row[LESS] = "" if best else difference(met, observer, found.order[0])
-            row |= {name: _beside(wide, observer, name, view.scenario.duration) for name in beside}
+            row |= {name: _format_metric(wide, observer, name, view.scenario.duration) for name in beside}
             row["divergence_rate"] = fraction(wide.loc[observer, "divergence_rate"])
             if costs is not None:
                 counts = costs[(costs.cell == number) & (costs.observer == observer)]
@@ -169,16 +169,16 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     ]
 
 
-def _beside(wide: pd.DataFrame, observer: str, metric: str, horizon: float) -> str:
+def _format_metric(wide: pd.DataFrame, observer: str, metric: str, horizon: float) -> str:
     if (observer, metric) not in wide.index:
         return ""
     if metric == SQUARE:
         return _judgement(wide, observer, metric)
     row = wide.loc[observer, metric]
-    return settled(row, horizon) if metric == "settling_time" else interval(row)
+    return format_settling_time(row, horizon) if metric == "settling_time" else interval(row)
 
 
-def settled(row: Any, horizon: float) -> str:
+def format_settling_time(row: Any, horizon: float) -> str:
     """Return the median settling time; 'never' where most runs were outside their band at the end."""
     return "never" if row["p50"] >= horizon else plain(row["p50"], ".3g")
 

@@ -109,7 +109,7 @@ def _table(columns: list[Column], sections: list[int] | None) -> Table:
     table, cells = Table(box=SIMPLE_HEAD, pad_edge=False), []
     for c in columns:
         table.add_column(c.head, justify="left" if c.left else "right", overflow="fold", no_wrap=True)
-        texts = c.cells if c.left else aligned(c.cells)
+        texts = c.cells if c.left else align_intervals(c.cells)
         cells.append([Text(printable(text), "bold") if i in c.bold else text for i, text in enumerate(texts)])
     rows = list(zip(*cells, strict=True))
     for many in sections or [len(rows)]:
@@ -120,7 +120,7 @@ def _table(columns: list[Column], sections: list[int] | None) -> Table:
     return table
 
 
-def aligned(cells: Sequence[str], at: str = " ± ") -> list[str]:
+def align_intervals(cells: Sequence[str], at: str = " ± ") -> list[str]:
     """Return numbers with their intervals aligned at the sign, so that both can be read down."""
     parts = [cell.partition(at) for cell in cells]
     left = max((len(a) for a, sign, _ in parts if sign), default=0)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.controllers.parts.set_points import Number, Positive, SetPoints
 from pcbench.dynamics.linear import Matrix, Model, one_tick
-from pcbench.errors import UserError, shown, unknown
+from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.protocols import Delay
 
 Rows = list[list[Number]]
@@ -110,7 +110,8 @@ def weight(given: Weight, many: int, name: str, sizes: Sizes, definite: bool = F
     least, kind = np.linalg.eigvalsh((Q + Q.T) / 2)[0], "positive definite" if definite else "positive semidefinite"
     if not np.allclose(Q, Q.T, rtol=1e-9, atol=0) or (least <= 0 if definite else least < -1e-12 * abs(Q).max()):
         raise UserError(
-            f"{sizes.where}.{name}: got {shown(given)}, whose least eigenvalue is {least:.3g}, expected a symmetric, {kind} "
+            f"{sizes.where}.{name}: got {brief_repr(given)}, whose least eigenvalue is {least:.3g}, expected a "
+            f"symmetric, {kind} "
             "matrix; write larger numbers on its diagonal."
         )
     return Q

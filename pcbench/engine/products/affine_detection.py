@@ -46,14 +46,14 @@ def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
         return NONE if isinstance(v, Literal) else known.get(v, NONE)
 
     for eqn in jaxpr.eqns:
-        known.update(zip(eqn.outvars, _applied(eqn, [of(v) for v in eqn.invars]), strict=True))
+        known.update(zip(eqn.outvars, _apply_equation(eqn, [of(v) for v in eqn.invars]), strict=True))
     return [of(v) for v in jaxpr.outvars]
 
 
-def _applied(eqn: Eqn, args: list[Found]) -> list[Found]:
+def _apply_equation(eqn: Eqn, args: list[Found]) -> list[Found]:
     name = eqn.primitive.name
     if name in CALLS:
-        return _through(jaxpr_compat.called(eqn.params).jaxpr, args)
+        return _through(jaxpr_compat.callee(eqn.params).jaxpr, args)
     if name == "cond":
         each = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
         return [args[0].union(*found) for found in zip(*each, strict=True)]

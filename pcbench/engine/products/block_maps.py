@@ -65,7 +65,7 @@ def maps(layout: Layout, p: GridPointParams, state: State, form: Form, each: Chu
 
     parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1), C), np.cumsum(sizes)[:-1])
     start = {i: lane_array.split(a.reshape(*shapes[i].shape, a.shape[-1])) for i, a in zip(order, parts, strict=True)}
-    e, z = _carried(column, form.signals, start, each, jnp.arange(1 + F) == 0)
+    e, z = _propagate_columns(column, form.signals, start, each, jnp.arange(1 + F) == 0)
     errors = jnp.moveaxis(e.reshape(-1, C, 1 + F), 1, 0)
     after = jnp.concatenate([lane_array.join(z[i]).reshape(-1, C, 1 + F) for i in order])
     after = jnp.moveaxis(after, 1, 0)
@@ -80,7 +80,7 @@ def maps(layout: Layout, p: GridPointParams, state: State, form: Form, each: Chu
     )
 
 
-def _carried(column: PyTree, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:
+def _propagate_columns(column: PyTree, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:
     """Carry columns of every chunk through its ticks: e [TICKS, n, C columns], 0 beyond a chunk's end, and z behind it.
 
     The `first` [columns] are of z = 0, the others are directions.

@@ -27,12 +27,12 @@ def sizes(e: list[Array], before: Array) -> Array:
     One array, for an array is computed in one loop: of two, each would go through all errors again.
     """
     each = [jnp.abs(tick) for tick in e]
-    return lax.complex(before.real + _folded(jnp.add, each), _larger(before.imag, _folded(_larger, each)))
+    return lax.complex(before.real + _fold_pairwise(jnp.add, each), _larger(before.imag, _fold_pairwise(_larger, each)))
 
 
 def squares(e: list[Array], before: Array) -> Array:
     """Take errors into the sum of e^2, [n, L]."""
-    return before + _folded(jnp.add, [tick * tick for tick in e])
+    return before + _fold_pairwise(jnp.add, [tick * tick for tick in e])
 
 
 def stays(p: GridPointParams, stream: ErrorSums, watch: SettlingState) -> Array:
@@ -49,7 +49,7 @@ def first_bad(p: GridPointParams, k: Array, left: Array, e: list[Array], bad: Ar
     return bad
 
 
-def looked(p: GridPointParams, k: Array, e: list[Array], watch: SettlingState) -> SettlingState:
+def update_settling(p: GridPointParams, k: Array, e: list[Array], watch: SettlingState) -> SettlingState:
     """Note the ticks after exits from the band, and how long after a jump of the unknown input."""
     band, unsettled, recovery = limits(p.band, e[0]), watch.unsettled, watch.recovery
     for t, tick in enumerate(e):
@@ -73,7 +73,7 @@ def _larger(a: Array, b: Array) -> Array:
     return lax.bitcast_convert_type(jnp.maximum(*bits), a.dtype)
 
 
-def _folded(way: Callable[[Array, Array], Array], parts: list[Array]) -> Array:
+def _fold_pairwise(way: Callable[[Array, Array], Array], parts: list[Array]) -> Array:
     """Fold arrays two by two."""
     while len(parts) > 1:
         parts = [way(*parts[i : i + 2]) for i in range(0, len(parts), 2)]
@@ -83,16 +83,16 @@ def _folded(way: Callable[[Array, Array], Array], parts: list[Array]) -> Array:
 Sums = tuple[Any, Any]  # (Stream, Watch), arrays [n, L]; where all lanes have them in common, L = 1
 
 
-def taken(form: Form, state: State) -> Moving:
+def extract_moving(form: Form, state: State) -> Moving:
     """Return what a form moves of a state."""
     each = leaves_of(state, form.label)
-    own = [lane_array.join(each[i]) for i in _mine(form, form.own)]
-    shared = [jnp.ravel(each[i]) for i in _mine(form, form.shared)]
+    own = [lane_array.join(each[i]) for i in _form_leaves(form, form.own)]
+    shared = [jnp.ravel(each[i]) for i in _form_leaves(form, form.shared)]
     rows = [a.reshape(-1, a.shape[-1]) for a in own]
     return Moving(jnp.concatenate(rows) if rows else jnp.zeros((0, 1)), jnp.concatenate([jnp.zeros(0), *shared]))
 
 
-def together(plant: Moving, memory: Moving) -> Moving:
+def concat_moving(plant: Moving, memory: Moving) -> Moving:
     """Return x and an observer's numbers as one."""
     rows = [part for part in (plant.own, memory.own) if part.size]
     own = jnp.concatenate(rows) if rows else memory.own
@@ -104,7 +104,7 @@ def put(form: Form, state: State, z: Moving) -> State:
     each = leaves_of(state, form.label)
     for numbers, which in ((z.own, form.own), (z.shared, form.shared)):
         at = 0
-        for i in _mine(form, which):
+        for i in _form_leaves(form, which):
             size = math.prod(each[i].shape)
             each[i] = _like(numbers[at : at + size].reshape(*each[i].shape, *numbers.shape[1:]), each[i])
             at += size
@@ -128,7 +128,7 @@ def keep(label: str, state: State, sums: Sums) -> State:
     return state._replace(streams=state.streams | {label: stream}, watches=watches)
 
 
-def _mine(form: Form, which: tuple[int, ...]) -> list[int]:
+def _form_leaves(form: Form, which: tuple[int, ...]) -> list[int]:
     """Leaves that a form moves: x is the plant's alone."""
     return [i for i in which if i or form.label == PLANT]
 

@@ -45,11 +45,11 @@ def flow(
 
     def lifted(start: Array, stop: Array, state: State) -> State:
         over = partial(_over_chunks, every, (each.before[start], each.before[stop]))
-        z = {form.label: block_metrics.taken(form, state) for form in found}
+        z = {form.label: block_metrics.extract_moving(form, state) for form in found}
         kept = {label: block_metrics.sums_of(label, state) for label in quick}
-        after, kept = over(partial(_scored, p, every, each), z, kept)
-        kept = _bounded(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
-        out = _beside(slow, stepped, start, stop, _counted(layout, p, found, start, stop, state))
+        after, kept = over(partial(_accumulate_errors, p, every, each), z, kept)
+        kept = _find_divergence(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
+        out = _step_remaining(slow, stepped, start, stop, _step_counters(layout, p, found, start, stop, state))
         for form in found:
             out = block_metrics.put(form, out, after[form.label])
         for label in quick:
@@ -59,9 +59,9 @@ def flow(
     return lifted
 
 
-def _together(z: All) -> All:
+def _joint_states(z: All) -> All:
     """By label, what an observer's errors depend on: its own numbers and the plant's."""
-    return {label: block_metrics.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
+    return {label: block_metrics.concat_moving(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
 
 
 def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, kept: All) -> tuple[All, All]:
@@ -69,21 +69,23 @@ def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, ke
 
     def chunk(c: Array, carried: tuple[All, All]) -> tuple[All, All]:
         z, kept = carried
-        both = _together(z)
+        both = _joint_states(z)
         kept = {label: visit(label, c, both[label], mine) for label, mine in kept.items()}
-        return {label: _ahead(every[label], c, mine) for label, mine in both.items()}, kept
+        return {label: _advance(every[label], c, mine) for label, mine in both.items()}, kept
 
     end: tuple[All, All] = lax.fori_loop(*span, chunk, (z, kept))
     return end
 
 
-def _scored(p: GridPointParams, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: PyTree) -> PyTree:
+def _accumulate_errors(
+    p: GridPointParams, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: PyTree
+) -> PyTree:
     """Take the errors of a chunk into streams and watch."""
     stream, watch = kept
 
     def take(k: Array, left: Array, e: list[Array], kept: PyTree) -> PyTree:
         sizes, square, watch = kept
-        looked = block_metrics.looked(p, k, e, watch) if watch else watch
+        looked = block_metrics.update_settling(p, k, e, watch) if watch else watch
         return block_metrics.sizes(e, sizes), block_metrics.squares(e, square), looked
 
     kept = lax.complex(stream.absolute, stream.peak), stream.square, watch
@@ -109,14 +111,14 @@ def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Movin
     return lax.fori_loop(0, -(-each.length[c] // ticks), block, kept)
 
 
-def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
+def _advance(m: Maps, c: Array, z: Moving) -> Moving:
     """Return what is moved, behind a chunk."""
     shared, fixed = matmul.same(m.shared_after[c], z.shared), matmul.same(m.common_after[c], z.shared)
     own = matmul.of_lanes(m.own_after[c], fixed, z.own) if m.own_after.shape[1] else jnp.zeros((0, 1))
     return Moving(own, shared)
 
 
-def _bounded(
+def _find_divergence(
     p: GridPointParams, over: Callable[..., tuple[All, All]], blocks: Callable[..., PyTree], z: All, kept: All
 ) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
@@ -127,7 +129,7 @@ def _bounded(
     return {o: (stream, watch._replace(first_bad=found[o])) for o, (stream, watch) in kept.items()}
 
 
-def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: State) -> State:
+def _step_remaining(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: State) -> State:
     """The state with those observers stepped that do not go by products; x is not yet moved."""
     if not slow.observers:
         return state
@@ -144,7 +146,7 @@ def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: St
     )
 
 
-def _counted(
+def _step_counters(
     layout: Layout, p: GridPointParams, found: tuple[Form, ...], start: Array, stop: Array, state: State
 ) -> State:
     """The state with what observers count, which no error depends on, moved on tick by tick."""

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.errors import UserError, shown
+from pcbench.errors import UserError, brief_repr
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.synthesis.certificate import DesignContext
 
@@ -42,7 +42,8 @@ def covariance(given: Variances | Sizes | None, many: int, where: str, each: str
     found = np.asarray(given, float) if _regular(given) else np.zeros(0)
     if found.shape not in ((), (many,), (many, many)):
         raise UserError(
-            f"{where}: got {shown(given)}, expected {many} number{'s' if many > 1 else ''}, one for each {each}, or a matrix "
+            f"{where}: got {brief_repr(given)}, expected {many} number{'s' if many > 1 else ''}, one for each "
+            f"{each}, or a matrix "
             f"of {many} x {many}."
         )
     if found.ndim < 2:
@@ -50,7 +51,7 @@ def covariance(given: Variances | Sizes | None, many: int, where: str, each: str
     size = max(float(np.abs(found).max()), 1e-300)
     if np.abs(found - found.T).max() > ROUNDING * size or np.linalg.eigvalsh(found)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {shown(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
+            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
         )
     return found
 
@@ -81,7 +82,8 @@ def independent(
         L = np.linalg.cholesky(R)
     except np.linalg.LinAlgError:
         raise UserError(
-            f"{where}: R: got {shown(given)}, expected every eigenvalue above 0: an output without noise would be divided by 0."
+            f"{where}: R: got {brief_repr(given)}, expected every eigenvalue above 0: an output without noise "
+            "would be divided by 0."
         ) from None
     if setting.sensors > 1 or len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(
@@ -103,7 +105,7 @@ def through(given: Variances | Sizes | None, inputs: int, default: float, where:
     if not isinstance(given, list):
         return default if given is None else given
     if len(given) != inputs:
-        raise UserError(f"{where}: q: got {shown(given)}, expected a number, or {inputs}, one for each input.")
+        raise UserError(f"{where}: q: got {brief_repr(given)}, expected a number, or {inputs}, one for each input.")
     return np.array(given, float)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, NoReturn
 
-from pcbench.errors import UserError, raised, short
+from pcbench.errors import UserError, describe_exception, short
 
 DIGITS = 12  # of a digest, in names
 FOLDER = "code"  # of a dataset, with a folder for each digest in it
@@ -132,7 +132,9 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
             raise UserError(
                 f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
             ) from None
-        raise UserError(f"{where}: {short(module)} cannot be imported: {raised(error)}; mend that line.") from None
+        raise UserError(
+            f"{where}: {short(module)} cannot be imported: {describe_exception(error)}; mend that line."
+        ) from None
 
 
 def digest_of(code: Code, module: ModuleType) -> str:

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, create_model
 
 from pcbench.controllers import ControllerSpec
 from pcbench.controllers.parts.common import ControllerContext, Sizes
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError, describe_exception
 from pcbench.protocols import Controller, Now, Params
 from pcbench.runtime import config
 from pcbench.study.plugins import user_code
@@ -72,7 +72,7 @@ def linearize_law(
             params = jax.tree.map(jnp.asarray, prepare(options, told))
             law_at_rest = _slopes(law, params, told, asked)
     except Exception as error:  # whatever the user's functions raise
-        _LOG.info("a controller is not linearised: %s", raised(error))
+        _LOG.info("a controller is not linearised: %s", describe_exception(error))
         return None
     return law_at_rest if not asked and law_at_rest.D.shape == told.model.B.T.shape else None
 

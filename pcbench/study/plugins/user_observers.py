@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
-from pcbench.errors import UserError, is_ours, raised, shown
+from pcbench.errors import UserError, brief_repr, describe_exception, is_ours
 from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.study.plugins import user_code
@@ -71,7 +71,7 @@ def require_model(options: object, module: ModuleType, where: str) -> None:
     """Raise UserError where the options of what a module holds are no pydantic model."""
     if isinstance(options, type) and issubclass(options, BaseModel):
         return
-    kind = "another class" if isinstance(options, type) else shown(options)
+    kind = "another class" if isinstance(options, type) else brief_repr(options)
     file, name = Path(str(module.__file__)), getattr(options, "__name__", "Options")
     place = file.name
     for node in ast.parse(file.read_bytes()).body:
@@ -94,5 +94,6 @@ def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
         if is_ours(model):
             raise
         raise UserError(
-            f"{where}: its {model.__name__} raised {raised(error)}, expected options or a ValueError; mend that line."
+            f"{where}: its {model.__name__} raised {describe_exception(error)}, expected options or a ValueError; "
+            "mend that line."
         ) from error

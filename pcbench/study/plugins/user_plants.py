@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.dynamics.linear import Model
-from pcbench.errors import UserError, short, shown
+from pcbench.errors import UserError, brief_repr, short
 from pcbench.plants import PlantSpec
 from pcbench.plants.factory import tuples
 from pcbench.protocols import Plant
@@ -109,7 +109,7 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
             names.append(name)
             continue
         if not isinstance(table, dict):
-            raise UserError(f"{here}: got {shown(table)}, expected a table; write [scenarios.{name}].")
+            raise UserError(f"{here}: got {brief_repr(table)}, expected a table; write [scenarios.{name}].")
         if isinstance(name, str):
             if isinstance(use := table.get("use"), str):
                 table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
