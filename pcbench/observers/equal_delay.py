@@ -25,7 +25,8 @@ from pcbench.observers.parts.sample_rate import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled_model import ROWS, by_poles, delayed_radius, power, sample_plant
+from pcbench.synthesis.pole_placement import by_poles
+from pcbench.synthesis.sampled_model import ROWS, delayed_radius, power, sample_plant
 
 OBSERVER = assumed_age.OBSERVER
 

@@ -35,7 +35,8 @@ from pcbench.dynamics.observability import rank
 from pcbench.errors import DesignError, first_sentence
 from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.sampled_model import SampledPlant, by_poles, invertible, noise_over, power, require_seen
+from pcbench.synthesis.pole_placement import by_poles
+from pcbench.synthesis.sampled_model import SampledPlant, invertible, noise_over, power, require_seen
 
 LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
 

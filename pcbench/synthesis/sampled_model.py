@@ -1,10 +1,9 @@
-"""A plant from sample to sample, for observers that work on whole samples: its map, noise, gains by poles, late corrections.
+"""A plant from sample to sample, for observers that work on whole samples: its map, its noise, and which modes C shows.
 
 x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples, all channels are sampled together every
 `period` ticks, and channel j arrives a whole number tau_j of samples later.
 """
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import format_mode, rank
-from pcbench.errors import DesignError, UserError, first_sentence
+from pcbench.errors import UserError
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 
 power = np.linalg.matrix_power
@@ -90,40 +89,6 @@ def noise_over(plant: SampledPlant, d: int) -> Matrix:
 def invertible(C: Matrix) -> bool:
     """Say whether the outputs give the state at once, without one to spare."""
     return C.shape[0] == C.shape[1] and rank(C) == len(C)
-
-
-def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
-    """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
-
-    With n > 9 states they are closer together. Outputs that repeat each other share a gain.
-    """
-    Ad, n = power(plant.A, d), len(plant.A)
-    if invertible(plant.C):
-        return np.asarray((Ad - pole * np.eye(n)) @ np.linalg.inv(plant.C))
-    A, C = Ad / plant.scale[:, None] * plant.scale, plant.C / plant.sizes[:, None] * plant.scale
-    _, s, V = np.linalg.svd(C, full_matrices=False)
-    M = V[s > 1e-9 * max(s[0], 1e-300)]  # independent outputs: C = C pinv(M) M
-    if len(M) == n:
-        G = (A - pole * np.eye(n)) @ np.linalg.inv(M)
-    else:
-        require_seen(plant, d, where, least=0.0, why="placing poles")
-        if pole == 0:
-            raise UserError(
-                f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
-                "are placed there; write a small one, such as 1e-4."
-            )
-        from scipy.signal import place_poles  # takes a second to import
-
-        wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
-                G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
-        except ValueError as error:
-            raise DesignError(
-                f"{where}: the poles were not placed (SciPy said '{first_sentence(error)}'), expected another pole; change it."
-            ) from error
-    return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
 
 
 def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:

@@ -1,0 +1,49 @@
+"""Pole placement: the gain K [n, q] that gives A^d - K C, the error's map over d samples, its poles.
+
+    all poles are p                       if the outputs give the state at once: A^d - K C = p I
+    distinct poles p (1, 0.9, 0.8, ...)   otherwise, by `scipy.signal.place_poles`
+
+The observers `chain`, `equal-delay` and `no-delay` are designed with it.
+"""
+
+import warnings
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError, UserError, first_sentence
+from pcbench.synthesis.sampled_model import SampledPlant, invertible, power, require_seen
+
+
+def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
+    """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
+
+    With n > 9 states they are closer together. Outputs that repeat each other share a gain.
+    """
+    Ad, n = power(plant.A, d), len(plant.A)
+    if invertible(plant.C):
+        return np.asarray((Ad - pole * np.eye(n)) @ np.linalg.inv(plant.C))
+    A, C = Ad / plant.scale[:, None] * plant.scale, plant.C / plant.sizes[:, None] * plant.scale
+    _, s, V = np.linalg.svd(C, full_matrices=False)
+    M = V[s > 1e-9 * max(s[0], 1e-300)]  # independent outputs: C = C pinv(M) M
+    if len(M) == n:
+        G = (A - pole * np.eye(n)) @ np.linalg.inv(M)
+    else:
+        require_seen(plant, d, where, least=0.0, why="placing poles")
+        if pole == 0:
+            raise UserError(
+                f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
+                "are placed there; write a small one, such as 1e-4."
+            )
+        from scipy.signal import place_poles  # takes a second to import
+
+        wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
+        except ValueError as error:
+            raise DesignError(
+                f"{where}: the poles were not placed (SciPy said '{first_sentence(error)}'), expected another pole; change it."
+            ) from error
+    return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
