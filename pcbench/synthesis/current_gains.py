@@ -1,7 +1,7 @@
 """The ways to a current estimator's gain L [n, q], each with its certificate.
 
     given     L itself
-    lmi       LMI (23) of Mohammed et al., sharp: `current_estimator`
+    lmi       LMI (23) of Mohammed et al., sharp: `current_lmi`
     riccati   a stationary Kalman filter's
     decay     the fastest rate of decay that one P proves over a range (up to e^-5 a sample), or a rate that is asked for
     h2        the least covariance, and
@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, riccati, robust_lmi, solvers
+from pcbench.synthesis import common_lyapunov, current_lmi, error_bounds, riccati, robust_lmi, solvers
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.parameter_ranges import Maps
@@ -80,24 +80,24 @@ def at_the_mean(
 ) -> tuple[Matrix, Certificate]:
     """Return L and its certificate at the mean period, by one of the first three ways."""
 
-    def certify(found: current_estimator.CurrentGain) -> Certificate:
+    def certify(found: current_lmi.CurrentGain) -> Certificate:
         sharp = sharpened(found)
-        return current_estimator.certify(sharp, Phi, C, float(seconds[0]))
+        return current_lmi.certify(sharp, Phi, C, float(seconds[0]))
 
-    def sharpened(found: current_estimator.CurrentGain) -> current_estimator.CurrentGain:
-        return current_estimator.sharpen(found, Phi, C) if given is None and method == "lmi" else found
+    def sharpened(found: current_lmi.CurrentGain) -> current_lmi.CurrentGain:
+        return current_lmi.sharpen(found, Phi, C) if given is None and method == "lmi" else found
 
-    def ask(solver: str) -> current_estimator.CurrentGain:
+    def ask(solver: str) -> current_lmi.CurrentGain:
         name = f"lmi23-{solver.lower()}"
         return solvers.solve_or_load(
-            current_estimator.CurrentGain, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
+            current_lmi.CurrentGain, name, (Phi, C), lambda: current_lmi.solve(Phi, C, where, solver)
         )
 
     if given is None and method == "lmi":
         found, certificate = solvers.proven(ask, certify, where)
     else:
         L = riccati.current_gain(Phi, C, Q, R, where) if given is None else given
-        found = current_estimator.lyapunov(Phi, C, L)
+        found = current_lmi.lyapunov(Phi, C, L)
         certificate = require_certified(certify(found), where)
     return np.asarray(sharpened(found).L, float), certificate
 

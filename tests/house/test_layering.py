@@ -9,7 +9,7 @@ import pcbench
 
 ROOT = Path(pcbench.__file__).parent
 NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.pole_placement", "synthesis.sampled_model",
-          "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
+          "synthesis.riccati", "synthesis.current_lmi", "synthesis.certificate", "synthesis.unknown_input",
           "synthesis.sliding_mode", "synthesis.pi_lmi", "dynamics.linear", "dynamics.observability", "statistics",
           "dataset.columns", "dataset.storage", "dataset.block_files", "scenarios", "simulation.schedule.common_times",
           "runtime.cache", "runtime.memory"]  # fmt: skip

@@ -6,7 +6,7 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.synthesis import current_estimator, error_bounds
+from pcbench.synthesis import current_lmi, error_bounds
 from pcbench.synthesis.reduced_order import jacobian
 
 A, B = np.array([[0.0, 1.0], [-2.0, -1.0]]), np.array([[0.0], [1.0]])
@@ -49,8 +49,8 @@ def test_outputs_that_repeat_or_show_nothing_leave_gains_or_one_sentence(observe
 
 def test_two_equal_sensors_share_the_gain_of_one():
     Phi, one = np.array([[0.9, 0.1], [-0.2, 0.7]]), np.array([[1.0, 0.0]])
-    L = current_estimator.closed_form(Phi, one)
-    np.testing.assert_allclose(current_estimator.closed_form(Phi, one[[0, 0]]), L[:, [0, 0]] / 2, rtol=1e-12)
+    L = current_lmi.closed_form(Phi, one)
+    np.testing.assert_allclose(current_lmi.closed_form(Phi, one[[0, 0]]), L[:, [0, 0]] / 2, rtol=1e-12)
 
 
 @pytest.mark.ci

@@ -9,8 +9,8 @@ from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
 from pcbench.synthesis import (
     common_lyapunov,
-    current_estimator,
     current_gains,
+    current_lmi,
     error_bounds,
     parameter_ranges,
     robust_lmi,
@@ -278,7 +278,7 @@ def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
 def test_a_promise_of_the_papers_gain_is_its_own():
     """(23) at the closed form's P = I: the norm of (I - L C) Phi, as a rate."""
     Phi = expm(CART.A * 0.2)
-    L = current_estimator.closed_form(Phi, CART.C)
+    L = current_lmi.closed_form(Phi, CART.C)
     _, certificate = current_gains.find(known("cart"), "lmi", None, 0.002, None, None, "test")
     size = np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2)
     assert certificate.rate == pytest.approx(-np.log(size) / 0.2, rel=1e-9)

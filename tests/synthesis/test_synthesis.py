@@ -13,7 +13,7 @@ from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
 from pcbench.runtime import cache
-from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, riccati, solvers
+from pcbench.synthesis import common_lyapunov, current_gains, current_lmi, error_bounds, riccati, solvers
 from pcbench.synthesis.certificate import Certificate, require_certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -28,28 +28,28 @@ def phi(model, te):
 def test_two_solvers_find_the_closed_forms_optimum(te, solver):
     """t = 1 - ||(I - L C) Phi||; L itself has ties of size e^{-122 te} in that norm, so it is compared to that only."""
     Phi = phi(CART, te)
-    found = current_estimator.solve(Phi, CART.C, "test", solver)
-    L = current_estimator.closed_form(Phi, CART.C)
+    found = current_lmi.solve(Phi, CART.C, "test", solver)
+    L = current_lmi.closed_form(Phi, CART.C)
     loose = 1e-6 if solver == "CLARABEL" else 1e-3
     assert found.t == pytest.approx(1 - np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2), abs=loose)
     np.testing.assert_allclose(found.L, L, atol=loose + 2 * 122 * np.exp(-122 * te))
-    sharp = current_estimator.sharpen(found, Phi, CART.C)
+    sharp = current_lmi.sharpen(found, Phi, CART.C)
     np.testing.assert_array_equal(sharp.L, L if solver == "CLARABEL" else sharp.L)
 
 
 def test_where_the_closed_form_is_not_optimal_the_lmi_still_finds_a_gain():
     """A growing plant: no L makes the norm less than 1, so P = I proves nothing, yet the LMI finds and certifies a gain."""
     Phi, C = np.array([[1.2, 5.0], [0.0, 0.9]]), np.array([[1.0, 0.0]])
-    assert np.linalg.norm((np.eye(2) - current_estimator.closed_form(Phi, C) @ C) @ Phi, 2) < 1  # one output sees it
+    assert np.linalg.norm((np.eye(2) - current_lmi.closed_form(Phi, C) @ C) @ Phi, 2) < 1  # one output sees it
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
-    L = current_estimator.closed_form(slow, C)
+    L = current_lmi.closed_form(slow, C)
     assert np.linalg.norm((np.eye(3) - L @ C) @ slow, 2) > 1
-    found = current_estimator.solve(slow, C, "test")
-    sharp = current_estimator.sharpen(found, slow, C)
+    found = current_lmi.solve(slow, C, "test")
+    sharp = current_lmi.sharpen(found, slow, C)
     np.testing.assert_allclose(sharp.P, found.P, rtol=1e-12)
-    assert current_estimator.lmi_margin(sharp, slow, C) > found.t - 1e-9
-    assert current_estimator.certify(sharp, slow, C, 1.0).margin > 0
+    assert current_lmi.lmi_margin(sharp, slow, C) > found.t - 1e-9
+    assert current_lmi.certify(sharp, slow, C, 1.0).margin > 0
 
 
 GROWING = [  # (A, C), sampled every 0.1 s: two solvers' own gains differ by up to 8
@@ -63,10 +63,8 @@ GROWING = [  # (A, C), sampled every 0.1 s: two solvers' own gains differ by up 
 def test_the_gain_depends_neither_on_the_solver_nor_on_rounding(A, C):
     Phi, C = expm(0.1 * np.array(A)), np.array(C)
     rounded = Phi * (1 + 1e-15 * np.random.default_rng(0).standard_normal(Phi.shape))
-    answers = [
-        current_estimator.solve(F, C, "test", s) for F, s in ((Phi, "CLARABEL"), (rounded, "CLARABEL"), (Phi, "SCS"))
-    ]
-    gains = [current_estimator.sharpen(found, Phi, C).L for found in answers]
+    answers = [current_lmi.solve(F, C, "test", s) for F, s in ((Phi, "CLARABEL"), (rounded, "CLARABEL"), (Phi, "SCS"))]
+    gains = [current_lmi.sharpen(found, Phi, C).L for found in answers]
     for L in gains[1:]:
         np.testing.assert_allclose(L, gains[0], atol=1e-4)
     np.testing.assert_allclose(C @ gains[0], np.eye(len(C)), atol=1e-9)  # the measured outputs are taken as they are
@@ -75,8 +73,8 @@ def test_the_gain_depends_neither_on_the_solver_nor_on_rounding(A, C):
 def test_of_all_gains_that_attain_the_optimum_it_is_the_least():
     """Brute force: gains beside it that attain t with the same P have a larger norm of D^-1/2 P (I - L C) Phi D^-1/2."""
     Phi, C = expm(0.1 * np.array(GROWING[1][0])), np.array(GROWING[1][1])
-    found = current_estimator.sharpen(current_estimator.solve(Phi, C, "test"), Phi, C)
-    t = current_estimator.lmi_margin(found, Phi, C)
+    found = current_lmi.sharpen(current_lmi.solve(Phi, C, "test"), Phi, C)
+    t = current_lmi.lmi_margin(found, Phi, C)
     size, V = np.linalg.eigh(found.P - t * np.eye(2))
     root = V @ np.diag(1 / np.sqrt(size)) @ V.T
 
@@ -86,7 +84,7 @@ def test_of_all_gains_that_attain_the_optimum_it_is_the_least():
     rng, tried = np.random.default_rng(1), 0
     for _ in range(400):
         L = found.L + 10.0 ** rng.uniform(-4, 0) * rng.standard_normal((2, 1))
-        if current_estimator.lmi_margin(found._replace(L=L), Phi, C) > t - 1e-6:
+        if current_lmi.lmi_margin(found._replace(L=L), Phi, C) > t - 1e-6:
             tried += 1
             assert norm(L) > norm(found.L)
     assert tried > 5
@@ -95,7 +93,7 @@ def test_of_all_gains_that_attain_the_optimum_it_is_the_least():
 def test_the_closed_form_is_the_least_norm():
     """Brute force around it, on a plant with two outputs, in the Frobenius norm (the spectral one has ties)."""
     Phi = phi(ODD, 0.3)
-    L = current_estimator.closed_form(Phi, ODD.C)
+    L = current_lmi.closed_form(Phi, ODD.C)
 
     def size(L):
         return np.linalg.norm((np.eye(3) - L @ ODD.C) @ Phi)
@@ -114,8 +112,8 @@ def test_the_gain_is_deadbeat_and_equals_the_reference(te):
 
 def test_a_gain_outside_the_lmi_is_refused_with_margin_and_status():
     Phi = phi(CART, 0.2)
-    wrong = current_estimator.CurrentGain(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
-    certificate = current_estimator.certify(wrong, Phi, CART.C, 0.2)
+    wrong = current_lmi.CurrentGain(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
+    certificate = current_lmi.certify(wrong, Phi, CART.C, 0.2)
     assert certificate.margin < 0
     with pytest.raises(DesignError, match=r"margin -.*CLARABEL said 'optimal'"):
         require_certified(certificate, "pccebo in test")
@@ -151,9 +149,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        solvers.solve_or_load(
-            current_estimator.CurrentGain, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
-        ).L
+        solvers.solve_or_load(current_lmi.CurrentGain, "lmi23", (Phi, C), partial(current_lmi.solve, Phi, C, "test")).L
         for Phi in (slow, 0.9 * slow, slow)
     ]
     assert not np.allclose(kept[0], kept[1])
@@ -163,7 +159,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
 
 def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_path, monkeypatch):
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
-    kind, shapes = current_estimator.CurrentGain, [(2, 3), (3, 2), (1, 6)]
+    kind, shapes = current_lmi.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
         found = solvers.solve_or_load(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
