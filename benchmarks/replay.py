@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import pcbench
-from pcbench.dataset import write_table
+from pcbench.dataset import single_table
 from pcbench.recordings import tables
 from pcbench.recordings.log import Batch
 
@@ -42,7 +42,7 @@ def made(folder: Path, many: int) -> None:
     y = np.sin(t) + NOISE * rng.normal(size=many)
     batch = Batch(np.zeros(many, int), t, t + LATE * DT, y, np.arange(1, many + 1))
     for name, table in tables.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
-        write_table.put(folder / f"{name}.parquet", table)
+        single_table.put(folder / f"{name}.parquet", table)
 
 
 def plain(many: int) -> np.ndarray:

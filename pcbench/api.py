@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pcbench.dataset import run_study, write_table
+from pcbench.dataset import run_study, single_table
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
@@ -226,7 +226,7 @@ def simulate(
     if log is not None:
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals, p.cell.times.error)
         for name, table in tables.items():
-            write_table.put(Path(log) / f"{name}.parquet", table)
+            single_table.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):

@@ -247,15 +247,15 @@ def simulate(
     """
     setup()
     from pcbench import api
-    from pcbench.dataset import write_table
+    from pcbench.dataset import single_table
     from pcbench.planning import all_observers
     from pcbench.plants import signals_of
     from pcbench.study import parse
 
-    write_table.kind_of(file)
+    single_table.kind_of(file)
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     say(*all_observers.sentences(frame.attrs["excluded"]))
-    write_table.put(file, write_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
+    single_table.put(file, single_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
 
 

@@ -36,17 +36,17 @@ def design(
 
     from pcbench.cli.render import gains
     from pcbench.cli.render.tables import readable
-    from pcbench.dataset import storage, write_table
+    from pcbench.dataset import single_table, storage
     from pcbench.gains import design
     from pcbench.runtime import config
     from pcbench.synthesis.certificate import is_certified
 
     if sweep is not None:
         if file is not None:
-            write_table.kind_of(file)
+            single_table.kind_of(file)
         table = design.trade_off(scenario, observer, *_values(sweep), gain=gain, overrides=changes)
         if file is not None:
-            write_table.put(file, pa.Table.from_pandas(table, preserve_index=False))
+            single_table.put(file, pa.Table.from_pandas(table, preserve_index=False))
         if as_json:
             print(readable(table.to_dict("records")))
         else:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import manifest, parquet_io, storage, write_table
+from pcbench.dataset import manifest, parquet_io, single_table, storage
 from pcbench.dynamics import linear
 from pcbench.external import runs
 from pcbench.planning import setting
@@ -126,7 +126,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         files = {f"{FOLDER}/{name}.parquet": parquet_io.encode_table(table) for name, table in tables.items()}
         for name, table in tables.items():
             if csv:
-                files[f"{FOLDER}/{name}.csv"] = write_table.as_csv(table)
+                files[f"{FOLDER}/{name}.csv"] = single_table.as_csv(table)
             else:
                 storage.remove(target, f"{FOLDER}/{name}.csv")
         files[f"{FOLDER}/cells.json"] = (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode()

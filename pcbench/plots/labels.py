@@ -13,7 +13,7 @@ import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pcbench.dataset import write_table
+from pcbench.dataset import single_table
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
@@ -95,7 +95,7 @@ def save(figure: Figure, file: str | Path) -> None:
     kind = Path(file).suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; give one.")
-    write_table.put_content(file, render_figure(figure, kind))
+    single_table.put_content(file, render_figure(figure, kind))
 
 
 def inline(figure: Figure, name: str) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from pcbench.dataset import write_table
+from pcbench.dataset import single_table
 from pcbench.recordings import tables
 from pcbench.recordings.log import Batch, Log
 
@@ -39,7 +39,7 @@ def rows(folder, measured, inputs=None, kind="csv"):
 def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
     """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
     for name, table in tables.as_tables(batch, channels, inputs, truth).items():
-        write_table.put(folder / f"{name}{kind}", table)
+        single_table.put(folder / f"{name}{kind}", table)
 
 
 def plain(many=40, every=0.05, late=0.1):

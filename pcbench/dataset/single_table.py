@@ -1,4 +1,7 @@
-"""One table as a file of the kind that its name says: Parquet, which keeps units and meanings, or CSV, which keeps numbers."""
+"""One table as a file of the kind that its name says: Parquet, which keeps units and meanings, or CSV, which keeps numbers.
+
+The blocks of a study are written by `task.compute`.
+"""
 
 import io
 from pathlib import Path
