@@ -1,7 +1,7 @@
-"""Events on one schedule for all runs: at a tick every lane senses, or jumps, together.
+"""Applies samples and arrivals where all runs share one schedule: at a tick every lane senses, or jumps, together.
 
-Whole-number data (a `Schedule`) say where the events are; they are traced, so one compiled program serves every period
-and delay. Packets in flight are kept in rings by packet number.
+Which measurement arrives when is decided in `simulation.schedule`. Its whole-number data (a `Schedule`) are traced, so one
+compiled program serves every period and delay. Packets in flight are kept in rings by packet number.
 """
 
 from functools import partial

@@ -1,7 +1,8 @@
-"""Events on schedules of their own: at a tick a few lanes sense or jump, the others do not.
+"""Applies samples and arrivals where each run has its own schedule: at a tick a few lanes sense or jump, the others do not.
 
-With random sampling some lane has an event at nearly every tick. So the events of a block of runs are sorted by time; at each
-tick the lanes that have one are taken out, at most `CHUNK` at a time, and put back. A run has the numbers it has alone.
+Which measurement arrives when is decided in `simulation.schedule`. With random sampling some lane has an event at nearly every
+tick. So the events of a block of runs are sorted by time (`event_table`); at each tick the lanes that have one are taken out,
+at most `CHUNK` at a time, and put back. A run has the numbers it has alone.
 """
 
 import math

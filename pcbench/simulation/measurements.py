@@ -1,6 +1,7 @@
-"""What every run measures, whoever watches: the plant's states, and each channel at each tick, its noise by sample.
+"""The values of measurements and their noise, not when they arrive, which is decided in `simulation.schedule`.
 
-In an open loop no observer has a part in it: runs are simulated without any, and a sample is
+A run has the plant's states, the clean output of each channel at each tick, and its noise by sample. In an open loop no
+observer has a part in it: runs are simulated without any, and a sample is
 
     y_j of sample i, taken at tick k  =  output(x_k)_j + noise_std_j v_j(i)
 
