@@ -1,4 +1,4 @@
-"""The axes of a study: what each may hold, in seconds and SI units, and what does not fit together.
+"""Checks the values of a study's axes, in seconds and SI units; an axis itself is declared in `pcbench.fields`.
 
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
