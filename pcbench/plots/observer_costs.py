@@ -1,6 +1,6 @@
-"""What the observers of one cell cost, kept beside its run in time.
+"""Data for the figure of operation counts, per observer of one cell; the figure is `lines.cost`.
 
-What pictures need besides the tables: made once, kept in the folder `examples` beside these, and found again there.
+What figures need in addition to the tables is computed once and kept in the folder `examples` beside them.
 """
 
 import hashlib

@@ -1,8 +1,9 @@
-"""Runs of one cell in time, thinned for the eye: one of them, and how far the errors of several reach.
+"""Data for the figures of one run over time; the figures are `time_series.time` and `time_series.nees`.
 
-The run shown is the study's first seed, or any other; beside it run the seeds after it, so that the picture can say what of an
-error is luck. They are simulated anew by the functions that made the tables, and kept in the folder `examples` beside these,
-where they are found again: one file for each scenario, of the cell and seed that were looked at last.
+Runs of one cell, thinned to few ticks: one of them, and how far the errors of several reach. The run shown is the study's first
+seed, or any other; the seeds after it are run too, so that the figure can show what of an error is luck. They are simulated
+again by the functions that made the tables. The folder `examples` beside these keeps one file for each scenario, of the cell
+and seed that were looked at last.
 """
 
 import warnings
