@@ -1,4 +1,7 @@
-"""Gains by design: one design with its certificate, the same as a study that can be run, and trade-offs."""
+"""`pcbench design`: one design with its certificate, the same as a study that can be run, and trade-offs.
+
+The theorems by which gains are found are in `synthesis`; an observer's `design` calls them.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, get_args
