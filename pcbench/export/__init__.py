@@ -2,5 +2,5 @@
 
 - `files`: what is written (`pcbench.export`); `c_files`: header and source; `numbers`: gains as JSON and MAT
 - `observer_to_c`: an observer's functions; `jaxpr_to_c`: a traced function; `terms`, `arithmetic`, `places`: its expressions
-- `replay`, `recording`, `structs`: the run that the C is tested by
+- `c_replay`, `recording`, `structs`: the run that the C is tested by
 """

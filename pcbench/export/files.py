@@ -15,8 +15,7 @@ import pandas as pd
 
 from pcbench.dataset import storage
 from pcbench.errors import UserError
-from pcbench.export import c_files, numbers, observer_to_c, recording, structs
-from pcbench.export import replay as replaying
+from pcbench.export import c_files, c_replay, numbers, observer_to_c, recording, structs
 from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
 from pcbench.planning import alone, draft, loop_setup, padding, setting
@@ -137,8 +136,8 @@ def _build_export(
         f"{about.label}.h": c_files.header(about, s),
         f"{about.label}.c": c_files.code(about, s),
         f"{about.label}_gains.h": c_files.gains(about, s, gains),
-        "vector.h": replaying.header(about, run, noted, p.layout.ring),
-        "main.c": replaying.main(about, s, noted),
+        "vector.h": c_replay.header(about, run, noted, p.layout.ring),
+        "main.c": c_replay.main(about, s, noted),
         "gains.json": numbers.as_json(found),
         "gains.mat": numbers.as_mat(found),
     }
