@@ -90,7 +90,7 @@ def open_log(name: str | Path, delay: float | None = None) -> Log:
     if not path.exists():
         raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide logs.")
     if path.suffix.lower() == ".toml":
-        return opened_toml(path, delay)
+        return open_toml(path, delay)
     if path.is_dir() or path.suffix.lower() in tables.KINDS:
         return tables.open_tables(path, delay)
     raise UserError(
@@ -99,7 +99,7 @@ def open_log(name: str | Path, delay: float | None = None) -> Log:
     )
 
 
-def opened_toml(path: Path, delay: float | None = None) -> Log:
+def open_toml(path: Path, delay: float | None = None) -> Log:
     """Return the log that a TOML describes; raise UserError naming the key that is wrong."""
     toml = _read(path)
     file = path.parent / toml.log
