@@ -68,6 +68,11 @@ def test_how_a_study_is_run_is_checked_before_any_work(how, sentence):
         run_study.How(**how).checked()
 
 
+def test_every_metric_of_runs_has_a_meaning():
+    """Without one, its column would be described as a parameter of the plant."""
+    assert {*RUN_METRICS} <= set(columns.MEANING)
+
+
 def test_every_axis_has_a_unit_and_a_meaning():
     """An axis without one would have no column in stats and pairs."""
     assert set(columns.AXIS_UNITS) == {*AXES, *COMMANDS}
