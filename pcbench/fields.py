@@ -1,8 +1,9 @@
 """The fields of a scenario that a study may vary: one record each, from which axes, columns, units and pages are derived.
 
-A new axis is a record here, a field of the scenario (`scenarios.scenario`), and the code that gives it its effect: on times
-in `study.times` and `simulation.schedule`, on noise in `simulation.measurements`, on the plant in `planning.build`. What does
-not go with it is refused in `study.fits`.
+A new axis is a record here, a field of the scenario (`scenarios.scenario`), and the code that gives it its effect. For a time
+that is `study.times` and `simulation.schedule`. Any other number is put into `GridPointParams` by `planning.build`, where the
+simulation reads it; measurement noise is made from it by `simulation.measurements`. What does not go with it is refused in
+`study.fits`.
 """
 
 from collections.abc import Callable

@@ -1,5 +1,6 @@
 """What CONTRIBUTING.md says is there is there: files, layers, commands, words; and the reference builds without a warning."""
 
+import importlib
 import importlib.util
 import re
 import subprocess
@@ -30,6 +31,30 @@ def test_every_file_that_is_named_exists(path):
 
 def test_files_are_named_at_all():
     assert len(PATHS) > 25
+
+
+def test_the_table_of_what_is_looked_for_names_existing_files_and_functions():
+    """A file is named from the package or, after another, from that one's folder; a function follows its file."""
+    (table,) = re.findall(r"^\| looking for \|.*\n\|.*\n((?:\|.*\n)+)", TEXT, re.M)
+    rows = [re.findall(r"`([\w./]+)`", line) for line in table.splitlines()]
+    assert len(rows) > 12
+    for row in rows:
+        path = Path(pcbench.__file__)
+        for name in row:
+            if name.endswith(".py"):
+                path = next(p for p in (ROOT / "pcbench" / name, path.parent / name) if p.exists() or "NAME" in name)
+            elif not (ROOT / "pcbench" / name).is_dir():
+                module = path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").replace("NAME", "kf")
+                assert callable(getattr(importlib.import_module(module), name, None)), (row, name)
+
+
+def test_the_names_in_how_to_add_are_defined_in_the_package():
+    code = "\n".join(p.read_text() for p in (ROOT / "pcbench").rglob("*.py"))
+    defined = set(re.findall(r"^(?: *(?:class|def) |(?=\w+(?:: .*)? = )| {4}(?=\w+: ))(\w+)", code, re.M))
+    section = TEXT.split("## How to add")[1].split("\n## ")[0]
+    names = set(re.findall(r"`(?:pcbench\.)?(\w+)(?:\([^`]*)?`", section))
+    assert len(names) > 40
+    assert names <= defined
 
 
 def test_every_command_that_is_quoted_exists():
