@@ -38,12 +38,18 @@ class DesignError(UserError):
     """A gain that could not be found or certified: the sentence names the margin and the solver's status."""
 
 
+def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.4) -> str:
+    """Return the valid name that is most like `got`, whatever their case; empty if none has a likeness of `cutoff` (0 to 1)."""
+    lower = {name.lower(): name for name in valid}
+    near = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=cutoff)
+    return lower[near[0]] if near else ""
+
+
 def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     """Say that `got` is no `kind`, with the nearest valid name and all of them."""
     names = sorted(valid)
-    lower = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=0.4)
-    hint = f"did you mean '{lower[near[0]]}'? " if near else ""
+    near = nearest_name(got, names)
+    hint = f"did you mean '{near}'? " if near else ""
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names) or 'none'}.")
 
 

@@ -7,7 +7,6 @@ comes back as one sentence.
 """
 
 import ast
-import difflib
 import hashlib
 import importlib
 import pkgutil
@@ -20,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, NoReturn
 
-from pcbench.errors import UserError, describe_exception, short
+from pcbench.errors import UserError, describe_exception, nearest_name, short
 
 DIGITS = 12  # of a digest, in names
 FOLDER = "code"  # of a dataset, with a folder for each digest in it
@@ -88,8 +87,8 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
         return Code(module, name, (), "")
     path = (folder or Path()) / module
     if not path.is_file():
-        near = difflib.get_close_matches(path.name, [each.name for each in path.parent.glob("*.py")], n=1, cutoff=0.4)
-        hint = f"did you mean '{Path(module).parent / near[0]}'? " if near else ""
+        near = nearest_name(path.name, (each.name for each in path.parent.glob("*.py")))
+        hint = f"did you mean '{Path(module).parent / near}'? " if near else ""
         raise UserError(
             f"{where}: '{short(module)}' is no file; {hint}give the path of a .py file, or a module's name."
         )
@@ -127,8 +126,8 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
             package, _, _ = missing.rpartition(".")  # by their full names, the modules beside the missing one
             folders = list(getattr(sys.modules.get(package), "__path__", [])) if package else None
             names = [f"{package}.{m.name}".lstrip(".") for m in pkgutil.iter_modules(folders)]
-            near = difflib.get_close_matches(missing, names, n=1, cutoff=0.6)
-            hint = f"did you mean '{near[0]}'? " if near else ""
+            near = nearest_name(missing, names, cutoff=0.6)
+            hint = f"did you mean '{near}'? " if near else ""
             raise UserError(
                 f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
             ) from None
