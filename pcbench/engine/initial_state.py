@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
-from pcbench.engine import lane_array, steps
+from pcbench.engine import lane_array, lane_forms, steps
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import table
 from pcbench.simulation import command_network, metrics, rng
@@ -57,11 +57,8 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
         watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
-    drawn, happen = tick_sampler(layout, p, root_seed, seeds)(k), _everything(layout, p)
     ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))
-    return lane_array.infer_batched(
-        lambda state: steps.tick(layout, p, k, happen(k, state), drawn), ready, layout.width
-    )
+    return _spread(layout, p, ready, tick_sampler(layout, p, root_seed, seeds)(k))
 
 
 def _tables(commands: command_network.Commands) -> command_network.Commands:
@@ -110,22 +107,32 @@ def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
     return vmap_entrywise(own)(begun, words, xhat0)
 
 
-def _everything(layout: Layout, p: GridPointParams) -> steps.Happen:
-    """An event that measures, notes and jumps: `settle` traces a tick with it to find what differs between lanes."""
-    q = p.noise_std.shape[0]
-    noise = lane_array.split(jnp.zeros((q, layout.width)))
-    random = isinstance(p.schedule, ClockParams)
+def _spread(layout: Layout, p: GridPointParams, state: State, drawn: steps.TickNoise) -> State:
+    """Spread whatever a tick that measures, notes and jumps makes different between lanes, in as many ticks as it takes."""
+    q, k, width, random = p.noise_std.shape[0], jnp.asarray(0), layout.width, isinstance(p.schedule, ClockParams)
     row: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
-    row = jax.tree.map(lambda a: lane_array.broadcast(a, layout.width), row) if random else row
+    here: PyTree = jnp.asarray(True)  # whether a lane has an arrival
+    row, here = jax.tree.map(lambda a: lane_array.broadcast(a, width), (row, here)) if random else (row, here)
 
-    def happen(k: Array, state: State) -> State:
+    def events(state: State, noise: PerLane, row: ArrivalInfo, here: Array) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.snapshot(layout, p, k, state))
         before = state.memories
         if steps.any_is_notified(layout):
             state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.mask))
-        memories = steps.jump(layout, p, k, state, row, packet)
-        if random:  # what a jump changes at all, it changes in some lanes only
-            memories = lane_array.unless_same(memories, before, layout.width)
+        after = steps.jump(layout, p, k, state, row, packet)
+        memories = jax.tree.map(lambda a, b: a if a is b or not a.size else jnp.where(here, a, b), after, before)
         return state._replace(memories=memories, flight=packet)
 
-    return happen
+    noise = lane_array.split(jnp.zeros((q, width)))
+    happen, given, _ = lane_forms.trace_lane(events, state, noise, row, here)
+    tick, and_drawn, _ = lane_forms.trace_lane(partial(steps.tick, layout, p, k), state, drawn)
+    leaves, tree = jax.tree.flatten(state, is_leaf=lane_array.is_lanes)
+    many = len(leaves)
+
+    def moved(forms: lane_forms.Forms) -> lane_forms.Forms:
+        forms = lane_forms.forms_of(happen, [*forms, *given[many:]])
+        return lane_forms.forms_of(tick, [*forms, *and_drawn[many:]])
+
+    forms = lane_forms.spread(moved, given[:many])
+    wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
+    return jax.tree.unflatten(tree, wide)

@@ -5,16 +5,13 @@ all lanes stays an ordinary array and is computed once. A long table that is rea
 together instead: one array [rows, L] for each entry of a row. `interpreter` evaluates one-lane functions on all of this.
 """
 
-from collections.abc import Callable
-from contextvars import ContextVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-FORMS_ONLY = ContextVar("FORMS_ONLY", default=False)  # whether it matters only what is a LaneArray, and of which shape
+SAME, ENTRIES, TABLE = range(3)  # forms of a value: the same in all lanes; a LaneArray by entries, or a table
 
 
 @jax.tree_util.register_pytree_node_class
@@ -114,31 +111,28 @@ def broadcast_table(x: jax.Array, width: int) -> LaneArray:
     return lanes_of(shape, [jnp.broadcast_to(x[:, *i, None], (rows, width)) for i in np.ndindex(shape)], rows)
 
 
+def form_of(x: PyTree) -> int:
+    """Return the form of a value."""
+    return SAME if not is_lanes(x) else ENTRIES if x.rows is None else TABLE
+
+
+def to_form(x: PyTree, form: int, width: int) -> PyTree:
+    """Return a value in a form, at least as wide as its own."""
+    if form == TABLE:
+        return table(x) if is_lanes(x) else broadcast_table(x, width)
+    return entries(x) if is_lanes(x) else broadcast(x, width) if form else x
+
+
 def match_form(tree: PyTree, template: PyTree, width: int) -> PyTree:
     """Spread what the template has as a LaneArray and the tree as an ordinary array; a table where the template has one."""
-
-    def one(t: PyTree, x: PyTree) -> PyTree:
-        if not is_lanes(t):
-            return x
-        if t.rows is not None:
-            return table(x) if is_lanes(x) else broadcast_table(x, width)
-        return entries(x) if is_lanes(x) else broadcast(x, width)
-
-    return jax.tree.map(one, template, tree, is_leaf=is_lanes)
+    return jax.tree.map(
+        lambda t, x: to_form(x, form_of(t), width) if is_lanes(t) else x, template, tree, is_leaf=is_lanes
+    )
 
 
 def everywhere(tree: PyTree, width: int) -> PyTree:
     """Spread every array that has a size."""
     return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else broadcast(x, width), tree, is_leaf=is_lanes)
-
-
-def unless_same(new: PyTree, old: PyTree, width: int) -> PyTree:
-    """Return `new` with every array spread that is not the very one in `old`."""
-
-    def one(a: PyTree, b: PyTree) -> PyTree:
-        return a if a is b or is_lanes(a) or not jnp.size(a) else broadcast(a, width)
-
-    return jax.tree.map(one, new, old, is_leaf=is_lanes)
 
 
 def pick(tree: PyTree, lane: jax.Array) -> PyTree:
@@ -157,32 +151,3 @@ def put_back(tree: PyTree, some: PyTree, lane: jax.Array) -> PyTree:
         return jax.tree.map(lambda a, b: a.at[..., lane].set(b, mode="drop"), x, new) if is_lanes(x) else x
 
     return jax.tree.map(one, tree, some, is_leaf=is_lanes)
-
-
-def forms_of(f: Callable[..., PyTree], *args: PyTree) -> PyTree:
-    """Return what f returns without its numbers: meanwhile `interpreter` asks for forms only."""
-    before = FORMS_ONLY.set(True)
-    try:
-        return jax.eval_shape(f, *args)
-    finally:
-        FORMS_ONLY.reset(before)
-
-
-def infer_batched(step: Callable[[PyTree], PyTree], tree: PyTree, width: int) -> PyTree:
-    """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
-    while True:
-        out = forms_of(step, tree)
-        wider = match_form(tree, jax.tree.map(_the_wider, tree, out, is_leaf=is_lanes), width)
-        if _forms(wider) == _forms(tree):
-            return tree
-        tree = wider
-
-
-def _the_wider(old: PyTree, new: PyTree) -> PyTree:
-    """Which of two forms a leaf takes in the end: once a table, or once different between lanes, it stays so."""
-    rank = [2 if is_lanes(x) and x.rows is not None else int(is_lanes(x)) for x in (old, new)]
-    return old if rank[0] >= rank[1] else new
-
-
-def _forms(tree: PyTree) -> list[PyTree]:
-    return [x.rows if is_lanes(x) else "same" for x in jax.tree.leaves(tree, is_leaf=is_lanes)]

@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 from pcbench import protocols
-from pcbench.engine import interpreter, jaxpr_compat, lane_array, packing
+from pcbench.engine import interpreter, jaxpr_compat, lane_array, lane_forms, packing
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.errors import UserError
 from pcbench.protocols import vmap_as_unit
@@ -69,6 +69,9 @@ FUNCTIONS = {
     "in one piece, many numbers": lambda x, A: vmap_as_unit(lambda y: jnp.cumsum(y) * A[1, 2])(
         vmap_as_unit(lambda x: jnp.arange(40.0) * x[1])(x)
     )[7:9],
+    "scan that leaves a ring at every step": lambda x, A: lax.scan(
+        lambda ring, r: (lax.dynamic_update_index_in_dim(ring, r @ x + ring[1], 1, 0), ring), jnp.zeros((4, 1)), A
+    )[1][2, :3, 0],
     "transposed": lambda x, A: A.T @ x - jnp.trace(A),
 }
 
@@ -86,34 +89,27 @@ def test_over_equals_vmap(name, shared):
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.ci
+def forms_of_the_program_and_of_its_numbers(f, *given):
+    """What is read from the program, and what is found where it is evaluated."""
+    closed, forms, _ = lane_forms.trace_lane(f, *given)
+    found = jax.eval_shape(vmap_entrywise(f), *given)
+    leaves = jax.tree.leaves(found, is_leaf=lane_array.is_lanes)
+    return lane_forms.forms_of(closed, forms), list(map(lane_array.form_of, leaves))
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
-def test_forms_alone_are_those_of_the_numbers(name, shared):
-    """What `settle` asks for: what is a LaneArray, its shape, rows and type."""
-    f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
-    A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
-    given = (lane_array.split(x), A if shared else lane_array.split(A))
-    want = jax.eval_shape(vmap_entrywise(f), *given)
-    before = lane_array.FORMS_ONLY.set(True)
-    try:
-        got = jax.eval_shape(vmap_entrywise(f), *given)
-    finally:
-        lane_array.FORMS_ONLY.reset(before)
-    assert jax.tree.structure(got) == jax.tree.structure(want)
-    assert [(a.shape, a.dtype) for a in jax.tree.leaves(got)] == [(a.shape, a.dtype) for a in jax.tree.leaves(want)]
+def test_forms_are_those_of_the_numbers(name, shared):
+    x, A = jnp.asarray(RNG.normal(size=(3, L))), jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
+    given = lane_array.split(x), A if shared else lane_array.split(A)
+    read, found = forms_of_the_program_and_of_its_numbers(lambda x, A: (FUNCTIONS[name](x, A), A, 2 * M, x), *given)
+    assert read == found
 
 
 def test_lanes_without_numbers_have_none_in_their_forms_either():
-    empty = vmap_entrywise(lambda x: (x[:0], jnp.sin(x[:0]), jnp.append(x[:0], 1.0)))
-    given = lane_array.split(jnp.ones((2, L)))
-    want = jax.eval_shape(empty, given)
-    before = lane_array.FORMS_ONLY.set(True)
-    try:
-        got = jax.eval_shape(empty, given)
-    finally:
-        lane_array.FORMS_ONLY.reset(before)
-    assert jax.tree.structure(got) == jax.tree.structure(want)
+    empty = lambda x: (x[:0], jnp.sin(x[:0]), jnp.append(x[:0], x[1]))  # noqa: E731
+    read, found = forms_of_the_program_and_of_its_numbers(empty, lane_array.split(jnp.ones((2, L))))
+    assert read == found == [lane_array.SAME, lane_array.SAME, lane_array.ENTRIES]
 
 
 @pytest.mark.parametrize("axes", [0, 1, 2, (0, 2), (2, 1), (0, 1, 2)])
@@ -173,16 +169,14 @@ def test_what_does_not_depend_on_a_lane_is_computed_once():
     assert out[1].shape == (3,)
 
 
-def test_settle_spreads_exactly_what_becomes_different():
-    def step(tree):
-        a, b, c = tree
-        v = lane_array.split(jnp.ones((2, L)))
-        return vmap_entrywise(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
-
-    a, b, c = lane_array.infer_batched(step, (jnp.zeros(2), jnp.zeros(()), jnp.ones(4)), L)
-    assert lane_array.is_lanes(a)
-    assert lane_array.is_lanes(b), "it depends on a only from the second step on"
-    assert not lane_array.is_lanes(c)
+def test_a_state_spreads_by_what_becomes_different_and_by_nothing_else():
+    v = lane_array.split(jnp.ones((2, L)))
+    step = lambda a, b, c, v: (a + v, b + a.sum(), c * 2)  # noqa: E731
+    closed, _, _ = lane_forms.trace_lane(step, jnp.zeros(2), jnp.zeros(()), jnp.ones(4), v)
+    forms = lane_forms.spread(lambda f: lane_forms.forms_of(closed, [*f, lane_array.ENTRIES]), [lane_array.SAME] * 3)
+    assert forms == [lane_array.ENTRIES, lane_array.ENTRIES, lane_array.SAME], (
+        "b depends on a only from the second step on"
+    )
 
 
 def test_split_and_join_are_inverse():

@@ -1,0 +1,104 @@
+"""Which values of a program differ between lanes, and how those are kept: read from its jaxpr, without computing anything.
+
+A value is the same in all lanes (SAME), or a LaneArray: by entries (ENTRIES) or as a table (TABLE). `interpreter` keeps to it:
+what it returns has these forms, by test.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+from jaxtyping import PyTree
+
+from pcbench.engine import jaxpr_compat
+from pcbench.engine.jaxpr_compat import CALLS, STRUCTURAL, ClosedJaxpr, Eqn, Literal
+from pcbench.engine.lane_array import ENTRIES, SAME, TABLE, form_of, is_lanes
+from pcbench.protocols import TOGETHER
+
+MANY = 32  # rows, from which on what `vmap_as_unit` returns is kept as a table
+Forms = Sequence[int]
+
+
+def trace_lane(f: Callable[..., PyTree], *args: PyTree) -> tuple[ClosedJaxpr, list[int], list[PyTree]]:
+    """Return the program of `f` for one lane of its arguments, the forms of these, and the shapes of what it returns."""
+    flat, tree = jax.tree.flatten(args, is_leaf=is_lanes)
+    one = [jax.ShapeDtypeStruct(x.shape, x.dtype) if is_lanes(x) else x for x in flat]
+    closed, out = jax.make_jaxpr(lambda *a: f(*jax.tree.unflatten(tree, a)), return_shape=True)(*one)
+    return closed, [form_of(x) for x in flat], out
+
+
+def forms_of(closed: ClosedJaxpr, given: Forms) -> list[int]:
+    """Return the forms of what a program returns, of those of what it is given."""
+    jaxpr = closed.jaxpr
+    forms = dict.fromkeys(jaxpr.constvars, SAME) | dict(zip(jaxpr.invars, given, strict=True))
+    of = lambda v: SAME if isinstance(v, Literal) else forms[v]  # noqa: E731
+    for eqn in jaxpr.eqns:
+        args = [of(v) for v in eqn.invars]
+        found = _forms_of_eqn(eqn, args) if any(args) else [SAME] * len(eqn.outvars)
+        forms.update(zip(eqn.outvars, found, strict=True))
+    return [of(v) for v in jaxpr.outvars]
+
+
+def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
+    name = eqn.primitive.name
+    if name in CALLS:
+        found = forms_of(jaxpr_compat.callee(eqn.params), args)
+        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER
+        return (
+            [_as_unit(v.aval) if form else SAME for v, form in zip(eqn.outvars, found, strict=True)]
+            if together
+            else found
+        )
+    if is_one_row(eqn, args):
+        return [TABLE if name == "dynamic_update_slice" else ENTRIES]
+    if name == "scan" and (scan := jaxpr_compat.scan(eqn.params)).length:
+        carry, rows = scan_forms(scan, args)
+        return [*carry, *(TABLE if row else SAME for row in rows)]
+    if name == "while" and (state := while_forms(jaxpr_compat.while_(eqn.params), args)) is not None:
+        return state
+    return [SAME if not v.aval.size and name in STRUCTURAL else ENTRIES for v in eqn.outvars]
+
+
+def _as_unit(aval: Any) -> int:
+    """The form of what a function in one piece returns."""
+    if aval.shape and aval.shape[0] >= MANY:
+        return TABLE
+    return ENTRIES if aval.size else SAME
+
+
+def is_one_row(eqn: Eqn, args: Forms) -> bool:
+    """Whether an equation reads or writes one whole row, at an index that all lanes share."""
+    if eqn.primitive.name not in ("dynamic_slice", "dynamic_update_slice"):
+        return False
+    update = eqn.primitive.name == "dynamic_update_slice"
+    shape = eqn.invars[0].aval.shape
+    size = eqn.invars[1].aval.shape if update else jaxpr_compat.slice_sizes(eqn.params)
+    return size == (1, *shape[1:]) and not any(args[1 + update :])
+
+
+def scan_forms(scan: jaxpr_compat.Scan, args: Forms) -> tuple[Forms, Forms]:
+    """Return the forms of a scan's carries, and of one row of what else it returns."""
+    consts, rows = args[: scan.consts], by_entries(args[scan.consts + scan.carry :])
+    body = lambda state: forms_of(scan.body, [*consts, *state, *rows])  # noqa: E731
+    state = spread(lambda state: body(state)[: scan.carry], by_entries(args[scan.consts : scan.consts + scan.carry]))
+    return state, body(state)[scan.carry :]
+
+
+def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
+    """Return the forms of a while loop's state; None where lanes leave it one by one."""
+    first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
+    asked, given, state = args[:first], args[first:second], by_entries(args[second:])
+    state = spread(lambda state: forms_of(loop.body, [*given, *state]), state)
+    return None if any(forms_of(loop.cond, [*asked, *state])) else state
+
+
+def by_entries(forms: Forms) -> list[int]:
+    """Return the forms of what is a table no more."""
+    return [min(form, ENTRIES) for form in forms]
+
+
+def spread(step: Callable[[Forms], Forms], state: Forms) -> list[int]:
+    """Return the forms of a state that `step` moves: once different between lanes, or once a table, a value stays so."""
+    while (wider := [max(pair) for pair in zip(state, step(state), strict=True)]) != list(state):
+        state = wider
+    return wider
