@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.errors import is_ours
 from pcbench.planning import loop_setup, memo
 from pcbench.protocols import Plant
 from pcbench.simulation import shape_checks
@@ -150,11 +151,15 @@ def required_capacity(drafts: Iterable[Plan]) -> Capacity:
 
 
 def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
-    """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant."""
+    """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant.
+
+    Asked only where an observer or a plant has code of a user's: the others keep to it by test.
+    """
     seen: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
-            if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
+            users = any(callable(part) and not is_ours(part) for part in (*observer, *p.layout.plant))
+            if users and (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
                 seen.add(key)
                 shape_checks.check(label, observer, p.problem, p.layout.continuous)
         yield p

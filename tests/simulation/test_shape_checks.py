@@ -4,8 +4,13 @@ import jax.numpy as jnp
 import pytest
 
 import pcbench
+from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec, model_only
+from pcbench.planning import padding
+from pcbench.simulation import shape_checks
+from pcbench.study import Study
+from pcbench.study.builtin import STUDIES
 
 BROKEN = {
     "estimate of one state": (
@@ -82,3 +87,29 @@ def test_an_empty_note_cut_from_what_differs_between_lanes_is_legal():
         assert mae["mine"].tolist() == pytest.approx(mae["model-only"].tolist(), rel=1e-12)
     finally:
         del OBSERVERS["mine"]
+
+
+@pytest.mark.ci
+def test_every_built_in_observer_keeps_to_the_protocol():
+    """Of them a study does not ask it: that would cost up to a fifth of a second for each."""
+    asked = set()
+    others = {
+        "scenarios": ["cart/gaussian"],
+        "observers": sorted(o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle"))),
+    }
+    for study in (STUDIES["all"], Study(name="late", seeds=1, **others)):
+        for plan in planning.plan(study):
+            for label, observer in plan.layout.observers:
+                shape_checks.check(label, observer, plan.problem, plan.layout.continuous)
+                asked.add(label)
+    assert asked >= set(OBSERVERS)
+
+
+def test_of_built_in_code_it_is_not_asked_and_of_a_users_plant_it_is(monkeypatch):
+    asked = []
+    monkeypatch.setattr(shape_checks, "check", lambda label, *rest: asked.append(label))
+    (plan,) = planning.plan(Study(name="one", scenarios=["cart/nominal"], observers=["kf"], seeds=1))
+    assert asked == []
+    users = plan.layout.plant._replace(output=lambda params, now, x: plan.layout.plant.output(params, now, x))
+    list(padding.check_drafts([plan._replace(layout=plan.layout._replace(plant=users))]))
+    assert asked == ["kf"]
