@@ -83,8 +83,7 @@ def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound, jum
     assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-delayed-horizon"}
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("jumps", [(), (210, 300)])
+@pytest.mark.parametrize("jumps", [pytest.param((), marks=pytest.mark.ci), (210, 300)])
 def test_sums_are_those_of_the_errors_of_a_recorded_run(jumps):
     layout, p = problem(CASE, {"kf": {}})
     with config.float64():

@@ -43,7 +43,7 @@ def feedback(p, every, ahead, aims=None, limit=np.inf):
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
     p, controller = plant(), LQR | BOTH | {"set_point": AIMS}
     law = feedback(p, 2, 3 + 5 // 2, [STEP, SINE])

@@ -116,7 +116,6 @@ def runs():
     return [written_out(seed) for seed in SEEDS.tolist()]
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize("run", range(3))
 def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_ticks(outcome, runs, run):
     e, off, _ = runs[run]
@@ -128,7 +127,6 @@ def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_tic
     np.testing.assert_allclose(outcome.final["o"][:, run], e[-1], rtol=0, atol=1e-13)
 
 
-@pytest.mark.ci
 def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, runs):
     lost = [when for _, _, when in runs]
     assert sum(when >= 0 for when in lost) == 1
@@ -136,7 +134,6 @@ def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, ru
     np.testing.assert_array_equal(outcome.watches["o"].first_bad, lost)
 
 
-@pytest.mark.ci
 def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
     out = metrics.read(
         outcome.streams["o"], outcome.watches["o"], outcome.final["o"], N, TAIL, DT, tracking=outcome.tracking
