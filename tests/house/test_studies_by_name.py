@@ -21,11 +21,14 @@ def short(name):
 def test_its_short_form_has_every_scenario_and_observer(name):
     words = short(name)
     overrides = [word for flag, word in pairwise(words) if flag == "--set"]
-    whole, part = (parse.grid_of(name, {}, given).study for given in ([], overrides))
+    grids = [parse.grid_of(name, {}, given) for given in ([], overrides)]
+    whole, part = (grid.study for grid in grids)
     assert part.scenarios == whole.scenarios
     assert part.observers == whole.observers
     assert part.tunings == whole.tunings
     assert set(part.axes) == set(whole.axes)
+    every, some = ({(cell.scenario.name, cell.times.random) for cell in grid.cells} for grid in grids)
+    assert some == every, "schedules that all runs share, and those of each run's own"
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ from typing import NamedTuple
 from commands import call, started
 from documents import RUN, fenced, lines
 
+from pcbench.study import STUDIES as BUILT_IN
+
 
 def axes(**values):
     """Options that leave these values of a study's axes."""
@@ -22,7 +24,11 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     "cart": ["--seeds", "2"],
     "equal-tuning": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
     "equal-tuning-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
-    "measurement-errors": ["--seeds", "2"],
+    "measurement-errors": [
+        "--seeds",
+        "2",
+        *axes(**{name: [some[0], some[-1]] for name, some in BUILT_IN["measurement-errors"].axes.items() if some[1:]}),
+    ],
     "helicopter": [
         "--seeds",
         "2",
@@ -37,7 +43,11 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
         "2",
         *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], parameter_drift=[0.0, 0.05]),
     ],
-    "variable-sampling": ["--seeds", "2"],
+    "variable-sampling": [  # of each scenario a schedule that all runs share, and one of each run's own
+        "--seeds",
+        "2",
+        *axes(sampling_pattern=["sine"], loss=[0.0]),
+    ],
 }
 TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
 SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
