@@ -4,7 +4,7 @@ import re
 
 import pytest
 from documents import RUN, fenced
-from walked import walked
+from walked import AS_USERS_HAVE_IT, walked
 from whole_studies import require_whole, run_by
 
 LANGUAGES = ("sh", "python", "toml", "text")
@@ -52,8 +52,14 @@ def runs(name):
     return any(block.reason is None and block.language in ("sh", "python") for block in fenced(name))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in RUN if runs(name)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in AS_USERS_HAVE_IT else pytest.mark.ci)
+        for name in RUN
+        if runs(name)
+    ],
+)
 def test_every_block_runs(name, tmp_path):
     for done in walked(name, tmp_path):
         assert done.code == 0, (done.what, done.out[-300:], done.err[-900:])

@@ -49,6 +49,12 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
         *axes(sampling_pattern=["sine"], loss=[0.0]),
     ],
 }
+AS_USERS_HAVE_IT = (  # the pages whose programs are those of a user: their runs are long
+    "first_study.md",
+    "loops.md",
+    "unknown_delay.md",
+    "unknown_inputs.md",
+)
 TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
 SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
 FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more
