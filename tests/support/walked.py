@@ -8,7 +8,7 @@ import subprocess
 from typing import NamedTuple
 
 from commands import call, started
-from documents import RUN, fenced, lines
+from documents import RUN, commands, fenced, lines
 
 from pcbench.study import STUDIES as BUILT_IN
 
@@ -49,12 +49,14 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
         *axes(sampling_pattern=["sine"], loss=[0.0]),
     ],
 }
-AS_USERS_HAVE_IT = (  # the pages whose programs are those of a user: their runs are long
+AS_USERS_HAVE_IT = (  # the pages whose programs are those of a user: their runs are long, or are of a study as it is
     "first_study.md",
     "loops.md",
+    "outliers.md",
     "unknown_delay.md",
     "unknown_inputs.md",
 )
+EVERY_STUDY = "first_study.md"  # the page that runs one after the other
 TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
 SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
 FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more
@@ -83,7 +85,17 @@ def walked(name, folder):
             yield step(path.name, started(path.name, cwd=folder))
         elif block.reason is None and block.language == "sh":
             for line in lines(block.text):
-                yield step(line, of_a_shell(line, folder))
+                if line not in left_out(name):
+                    yield step(line, of_a_shell(line, folder))
+
+
+def left_out(name):
+    """The runs of a study that EVERY_STUDY has too, the same word for word, and of whose results this page reads nothing."""
+    there = [shortened(shlex.split(line)[1:]) for line in commands(EVERY_STUDY)]
+    found = [shlex.split(line) for line in commands(name) if name != EVERY_STUDY]
+    studies = [words for words in found if words[1] == "run" and words[2] in BUILT_IN]
+    once = [w for w in studies if shortened(w[1:]) in there and f"results/{w[2]}" not in RUN[name]]
+    return [shlex.join(words) for words in once]
 
 
 def of_a_shell(line, folder):
