@@ -150,7 +150,7 @@ def test_a_study_is_printed_as_toml_that_is_the_same_study():
     assert own.source == scenario.source
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch):
     """No traceback, no code of a terminal, and every label is printed as it is."""
     import tomli_w

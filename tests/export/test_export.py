@@ -39,7 +39,7 @@ def test_late_lost_and_overtaking_samples_are_used_as_in_the_simulation(name):
     assert exports.off(found, exports.ran(found)) < DOUBLE
 
 
-@pytest.mark.nightly  # and .ci/smoke runs it on every supported Python
+@pytest.mark.nightly  # and .ci/smoke runs it with the newest and the lowest versions
 @pytest.mark.parametrize("name", EXPORTED)
 def test_a_published_scenario_is_replayed_to_rounding(name):
     found = exports.of(name)

@@ -90,7 +90,7 @@ def harness(found, ticks, runs, seed):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in EXPORTED])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.ci) for n in EXPORTED])
 def test_no_arrival_is_undefined_behaviour(name, tmp_path):
     """Ages beside the integer limits, NaN and infinite values, any order: it ends, and no sanitizer reports anything."""
     if files.compiler() is None:

@@ -68,7 +68,7 @@ def test_a_design_alone_keeps_names_and_takes_any_scenarios():
     assert not made.versions
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_tuning_records_its_cell_and_what_it_found():
     made = prepared(tuning="tuned", axes={"noise_std": [0.3, 0.1]}, options={}, observers=["pccebo"])
     assert made.study.tuned.cell == {"noise_std": 0.3}

@@ -3,8 +3,8 @@
 import re
 
 import pytest
-from documents import RUN, fenced
-from walked import walked
+from documents import RUN, commands, fenced
+from walked import AS_USERS_HAVE_IT, EVERY_STUDY, left_out, walked
 from whole_studies import require_whole, run_by
 
 LANGUAGES = ("sh", "python", "toml", "text")
@@ -48,14 +48,35 @@ def test_what_a_page_says_to_save_has_that_name():
         assert file in [block.title for block in fenced(name)], (name, file)
 
 
+def test_runs_that_are_left_out_are_those_of_the_page_of_every_study():
+    """It runs them as a user has them."""
+    found = [(name, line) for name in RUN for line in left_out(name)]
+    assert found == [
+        ("gains_and_tuning.md", "pcbench run equal-tuning"),
+        ("unknown_inputs.md", "pcbench run unknown-input"),
+    ]
+    assert {line for _, line in found} < set(commands(EVERY_STUDY))
+    assert EVERY_STUDY in AS_USERS_HAVE_IT
+
+
+def test_the_readme_runs_its_python_alone():
+    assert [b.language for b in fenced("README.md") if b.reason is None and b.language != "text"] == ["python", "toml"]
+
+
 def runs(name):
     return any(block.reason is None and block.language in ("sh", "python") for block in fenced(name))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in RUN if runs(name)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in AS_USERS_HAVE_IT else pytest.mark.ci)
+        for name in RUN
+        if runs(name) and name != "README.md"  # its Python: test_readme
+    ],
+)
 def test_every_block_runs(name, tmp_path):
     for done in walked(name, tmp_path):
         assert done.code == 0, (done.what, done.out[-300:], done.err[-900:])
-    for study in run_by(name):
-        require_whole(study, tmp_path / "results" / study)
+    for study, folder in run_by(name).items():
+        require_whole(study, tmp_path / folder)

@@ -9,7 +9,7 @@ import pcbench
 from pcbench import planning
 from pcbench.dataset import verify
 from pcbench.engine import runner
-from pcbench.planning import run_local
+from pcbench.planning import build, run_local
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation.rng import measurement_noise, normals, run_keys
 from pcbench.study import parse
@@ -172,18 +172,28 @@ def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(o
         assert found.recomputed
 
 
+COUNTS = (1, 3, 8, 128, 2000)
+FIVE = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]  # with ukf every call has 64 lanes
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["steps", "products", "definition"])
-def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(engine):
+@pytest.mark.parametrize(
+    ("engine", "every"),
+    [*((engine, FIVE) for engine in ("steps", "products", "definition")), ("steps", TWO), ("products", TWO)],
+    ids=["steps", "products", "definition", "steps without ukf", "products without ukf"],
+)
+def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(engine, every):
     scenario = {"base": "cart/white", "name": "short", "duration": 0.6, "steady_start": 0.3}
-    every = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]
+    study = {"name": "counts", "scenario": scenario, "engine": engine}
+    (cell,) = parse.grid_of(study | {"observers": every}, {}, []).cells
+    assert {build.width(cell, n) for n in COUNTS} == ({64} if every == FIVE else {64, 256, runner.WIDTH})
 
     def runs(n, observers=every):
-        study = {"name": "counts", "scenario": scenario, "observers": observers, "engine": engine}
-        return pcbench.run(study, seeds=n).runs.set_index(["observer", "signal", "seed"]).sort_index()
+        found = pcbench.run(study | {"observers": observers}, seeds=n).runs
+        return found.set_index(["observer", "signal", "seed"]).sort_index()
 
-    many = runs(2000)
-    for few in (*map(runs, (1, 3, 8, 128)), *(runs(8, [observer]) for observer in every)):
+    *small, many = map(runs, COUNTS)
+    for few in (*small, *(runs(8, [observer]) for observer in every)):
         pd.testing.assert_frame_equal(
             many.loc[few.index].drop(columns="cell"), few.drop(columns="cell"), check_exact=True
         )

@@ -98,7 +98,7 @@ def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     assert not checked.refused
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_run_exact_of_a_loop_prints_its_cost(tmp_path):
     (tmp_path / "loop.toml").write_text(tomli_w.dumps(study("lqr")))
     done = call("run", "loop.toml", "--evaluation", "exact", "--out", "out", cwd=tmp_path)

@@ -72,8 +72,10 @@ def test_numbers_are_right_as_long_as_a_double_has_digits(tmp_path):
     ("observer", "horizon"),
     [
         ("kf", 9.5),
-        *(pytest.param(o, h, marks=pytest.mark.slow) for o, h in [("ekf", 9.5), ("kf-reprocess", 9.5), ("kf", 8.0)]),
-        pytest.param("kf", 17.0, marks=pytest.mark.slow),
+        *(
+            pytest.param(o, h, marks=pytest.mark.ci)
+            for o, h in [("ekf", 9.5), ("kf-reprocess", 9.5), ("kf", 8.0), ("kf", 17.0)]
+        ),
     ],
 )
 def test_no_observer_is_judged_where_a_double_has_no_digits_left(observer, horizon):
@@ -83,7 +85,7 @@ def test_no_observer_is_judged_where_a_double_has_no_digits_left(observer, horiz
     assert str(error.value).startswith("lti, cell 0: x1 reaches")
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_the_command_ends_with_the_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(serialize.to_toml(*parse.grid_of(study(["kf"], duration=9.5), {}, [])))
@@ -107,8 +109,8 @@ def test_a_loop_that_is_stabilised_has_the_errors_of_the_filter():
     ("start", "noise", "resolved"),
     [
         (1e12, 1e-5, False),
-        pytest.param(1e9, 1e-7, False, marks=pytest.mark.slow),
-        pytest.param(1e6, 1e-3, True, marks=pytest.mark.slow),
+        pytest.param(1e9, 1e-7, False, marks=pytest.mark.ci),
+        pytest.param(1e6, 1e-3, True, marks=pytest.mark.ci),
     ],
 )
 def test_a_large_offset_counts_beside_the_errors(start, noise, resolved):
@@ -120,7 +122,7 @@ def test_a_large_offset_counts_beside_the_errors(start, noise, resolved):
             pcbench.run(given)
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("observer", ["kf", "kf-reprocess"])
 def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
     """There its error is 20 times too large at e^38, by rounding of what it keeps."""
@@ -150,7 +152,7 @@ def test_the_measurement_of_the_last_state_is_traced_once_for_all_calls_of_a_cel
     assert len(traced) <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_a_model_without_feedback_is_as_far_off_as_the_plant_grows():
     """Its error is a part of the state, so it keeps all digits where a filter has none: 0.2 e^38 at the end."""
     started = study(
@@ -167,7 +169,7 @@ def test_a_model_without_feedback_is_as_far_off_as_the_plant_grows():
     assert (stats[stats.metric == "divergence_rate"]["mean"] == 1.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_an_unstable_nonlinear_plant_is_said_to_be_that(monkeypatch):
     def field(p, now, x):
         return A * x + p.wobble * jnp.sin(x) + now.u
@@ -219,7 +221,7 @@ def test_estimates_that_are_made_elsewhere_are_not_judged_either():
     assert score.compute_metrics(p, x, 0.8 * x[:, :ticks])["diverged"].all()
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_exact_moments_say_where_they_have_too_few_digits():
     """At e^8 they are those of 80 digits; at e^12 squares of the state have six digits more than squares of the errors."""
     stats = pcbench.exact_moments(study(duration=2.0)).stats

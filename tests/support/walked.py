@@ -8,7 +8,9 @@ import subprocess
 from typing import NamedTuple
 
 from commands import call, started
-from documents import RUN, fenced, lines
+from documents import RUN, commands, fenced, lines
+
+from pcbench.study import STUDIES as BUILT_IN
 
 
 def axes(**values):
@@ -22,7 +24,11 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     "cart": ["--seeds", "2"],
     "equal-tuning": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
     "equal-tuning-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
-    "measurement-errors": ["--seeds", "2"],
+    "measurement-errors": [
+        "--seeds",
+        "2",
+        *axes(**{name: [some[0], some[-1]] for name, some in BUILT_IN["measurement-errors"].axes.items() if some[1:]}),
+    ],
     "helicopter": [
         "--seeds",
         "2",
@@ -37,8 +43,20 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
         "2",
         *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], parameter_drift=[0.0, 0.05]),
     ],
-    "variable-sampling": ["--seeds", "2"],
+    "variable-sampling": [  # of each scenario a schedule that all runs share, and one of each run's own
+        "--seeds",
+        "2",
+        *axes(sampling_pattern=["sine"], loss=[0.0]),
+    ],
 }
+AS_USERS_HAVE_IT = (  # the pages whose programs are those of a user: their runs are long, or are of a study as it is
+    "first_study.md",
+    "loops.md",
+    "outliers.md",
+    "unknown_delay.md",
+    "unknown_inputs.md",
+)
+EVERY_STUDY = "first_study.md"  # the page that runs one after the other
 TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
 SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
 FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more
@@ -67,7 +85,17 @@ def walked(name, folder):
             yield step(path.name, started(path.name, cwd=folder))
         elif block.reason is None and block.language == "sh":
             for line in lines(block.text):
-                yield step(line, of_a_shell(line, folder))
+                if line not in left_out(name):
+                    yield step(line, of_a_shell(line, folder))
+
+
+def left_out(name):
+    """The runs of a study that EVERY_STUDY has too, the same word for word, and of whose results this page reads nothing."""
+    there = [shortened(shlex.split(line)[1:]) for line in commands(EVERY_STUDY)]
+    found = [shlex.split(line) for line in commands(name) if name != EVERY_STUDY]
+    studies = [words for words in found if words[1] == "run" and words[2] in BUILT_IN]
+    once = [w for w in studies if shortened(w[1:]) in there and f"results/{w[2]}" not in RUN[name]]
+    return [shlex.join(words) for words in once]
 
 
 def of_a_shell(line, folder):

@@ -4,6 +4,7 @@ import shlex
 
 import pandas as pd
 from documents import commands
+from walked import left_out
 
 from pcbench.dataset.result import open_result
 from pcbench.study import STUDIES
@@ -39,6 +40,12 @@ def require_whole(name, folder):
 
 
 def run_by(page):
-    """The studies of these names that a page runs as they are, into their own folder."""
-    words = [shlex.split(line) for line in commands(page)]
-    return [w[2] for w in words if w[1] == "run" and w[2] in STUDIES and w[3:4] in ([], ["--seeds"]) and len(w) < 6]
+    """The studies of these names that a page runs as they are, and the folder of each."""
+    found = {}
+    for line in commands(page):
+        words = shlex.split(line)
+        given = dict(zip(words[3::2], words[4::2], strict=False))
+        as_it_is = words[1] == "run" and words[2] in STUDIES and set(given) <= {"--seeds", "--out"}
+        if as_it_is and line not in left_out(page):
+            found.setdefault(words[2], given.get("--out", f"results/{words[2]}"))
+    return found

@@ -146,7 +146,7 @@ def test_a_metric_that_is_none_is_one_sentence(result):
         layout.tables(result, "rmsd")
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
     for name, begins in (("t.tex", "% needs"), ("t.md", "cart/slow: steady_rmse"), ("t.csv", "scenario,signal,metric")):
         done = call("tables", whole, "--out", tmp_path / name)
@@ -170,7 +170,7 @@ def installed():
     return len(found.stdout.split()) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
 @pytest.mark.parametrize("plain", [False, True])
 def test_latex_takes_it(result, tmp_path, plain):
