@@ -24,7 +24,6 @@ from pcbench.engine.lane_array import (
     form_of,
     is_lanes,
     join,
-    join_table,
     lanes_of,
     split,
     table,
@@ -59,39 +58,35 @@ def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[Py
 
 
 def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
-    name, differs = eqn.primitive.name, any(map(is_lanes, args))
-    if differs and name in CALLS and jaxpr_compat.callee_name(eqn.params) == TOGETHER:
-        return _apply_vmap(eqn, args)
-    if differs and name in CALLS:
+    name, forms = eqn.primitive.name, list(map(form_of, args))
+    if not any(forms):
+        return _fallback(jaxpr, eqn, args)
+    if name in CALLS:
         closed = jaxpr_compat.callee(eqn.params)
-        return _evaluate(closed.jaxpr, closed.consts, args)
-    if differs and lane_forms.is_one_row(eqn, list(map(form_of, args))):
+        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER
+        return _apply_vmap(closed, args) if together else _evaluate(closed.jaxpr, closed.consts, args)
+    if lane_forms.is_one_row(eqn, forms):
         return [_write_row(args) if name == "dynamic_update_slice" else _read_row(args)]
-    if differs and name == "scan" and jaxpr_compat.scan(eqn.params).length:
+    if name == "scan" and jaxpr_compat.scan(eqn.params).length:
         return _scan(eqn, args)
-    if differs and name == "while" and (found := _while(eqn, args)) is not None:
+    if name == "while" and (found := _while(eqn, args)) is not None:
         return found
     args = [entries(a) for a in args]
-    if differs and name == "gather" and batching_rules.takes_rows(eqn, args):
+    if name == "gather" and batching_rules.takes_rows(eqn, args):
         return [batching_rules.rows_of_table(eqn, args)]
-    if differs and name in STRUCTURAL:
+    if name in STRUCTURAL:
         return batching_rules.structural(eqn, args)
-    if (
-        differs
-        and name in _RULES
-        and not (name == "dot_general" and batching_rules.products(eqn) > batching_rules.WRITTEN_OUT)
-    ):
+    if name in _RULES and (name != "dot_general" or batching_rules.products(eqn) <= batching_rules.WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
 
 
-def _apply_vmap(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
+def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
-    closed = jaxpr_compat.callee(eqn.params)
     differs = lane_forms.forms_of(closed, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
     apply = jax.vmap(jaxpr_as_fun(closed), axes, [-1 if d else None for d in differs])
-    found = apply(*(join_table(a) if is_lanes(a) else a for a in args))
+    found = apply(*(join(a) if is_lanes(a) else a for a in args))
     return [_split_table(x) if d else x for x, d in zip(found, differs, strict=True)]
 
 
@@ -107,7 +102,7 @@ def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     scan = jaxpr_compat.scan(eqn.params)
     body, consts, carry = scan.body, scan.consts, scan.carry
     width, (forms, _) = _width(args), lane_forms.scan_forms(scan, list(map(form_of, args)))
-    rows = [_without_rows(table(a)) for a in args[consts + carry :]]
+    rows = [LaneArray(table(a).parts) if is_lanes(a) else a for a in args[consts + carry :]]  # a row has entries
 
     def step(state: list[PyTree], row: list[PyTree]) -> tuple[list[PyTree], list[PyTree]]:
         out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
@@ -142,11 +137,6 @@ def _width(args: list[PyTree]) -> int:
 
 def _to_forms(values: list[PyTree], forms: lane_forms.Forms, width: int) -> list[PyTree]:
     return [to_form(a if is_lanes(a) else jnp.asarray(a), form, width) for a, form in zip(values, forms, strict=True)]
-
-
-def _without_rows(x: PyTree) -> PyTree:
-    """A table as a scan goes over it: what it takes of it is one row, an array for each entry."""
-    return LaneArray(x.parts) if is_lanes(x) else x
 
 
 def _read_row(args: list[PyTree]) -> LaneArray:

@@ -65,15 +65,8 @@ def split(x: jax.Array) -> LaneArray:
 
 def join(x: LaneArray) -> jax.Array:
     """The array [*shape, L] of a LaneArray."""
-    parts = list(entries(x).parts.flat)
-    return jnp.stack(parts).reshape(*x.shape, *jnp.shape(parts[0]))
-
-
-def join_table(x: LaneArray) -> jax.Array:
-    """The same, of a table without taking its rows apart."""
-    if x.rows is None:
-        return join(x)
-    return jnp.stack(list(x.parts.flat), 1).reshape(*x.shape, *jnp.shape(x.parts.flat[0])[1:])
+    parts, at = list(x.parts.flat), 0 if x.rows is None else 1
+    return jnp.stack(parts, at).reshape(*x.shape, parts[0].shape[-1])
 
 
 def table(x: PyTree) -> PyTree:
@@ -128,11 +121,6 @@ def match_form(tree: PyTree, template: PyTree, width: int) -> PyTree:
     return jax.tree.map(
         lambda t, x: to_form(x, form_of(t), width) if is_lanes(t) else x, template, tree, is_leaf=is_lanes
     )
-
-
-def everywhere(tree: PyTree, width: int) -> PyTree:
-    """Spread every array that has a size."""
-    return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else broadcast(x, width), tree, is_leaf=is_lanes)
 
 
 def pick(tree: PyTree, lane: jax.Array) -> PyTree:

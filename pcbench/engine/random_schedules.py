@@ -232,8 +232,8 @@ def _at(table: Array, row: Array, lane: Array) -> Array:
 
 def _flat(packet: PyTree, width: int) -> Array:
     """Every number of a packet, [numbers, L]."""
-    parts = map(lane_array.entries, jax.tree.leaves(lane_array.everywhere(packet, width), is_leaf=lane_array.is_lanes))
-    entries = [entry for part in parts if lane_array.is_lanes(part) for entry in part.parts.flat]
+    leaves = [x for x in jax.tree.leaves(packet, is_leaf=lane_array.is_lanes) if math.prod(x.shape)]
+    entries = [entry for x in leaves for entry in lane_array.to_form(x, lane_array.ENTRIES, width).parts.flat]
     return jnp.stack(entries) if entries else jnp.zeros((0, width))
 
 
