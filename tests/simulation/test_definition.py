@@ -36,7 +36,13 @@ FAULTS = {
     "student_t_dof": [4],
     "timestamp_offset": [0.01],
 }
-CASES = {
+CASES = {  # the longest first
+    "clones": {
+        "lti": LTI | {"delay": [0.3, 0.3], "sampling_period": [0.1, 0.1], "duration": 1.0},
+        "observers": ["kf-cloning", "kf-larsen"],
+        "axes": {"loss": [0.2], "delay_jitter": [0.05]},
+        "options": {"scenario": {"random_initial_state": True, "consistency": True}},
+    },
     "shared": {"scenarios": ["cart/white"], "observers": ["kf", "pccebo", "kfbo", "pco", "pi-pco"]},
     "drift": {"scenarios": ["cart/variable-gain"]},
     "csth": {"scenarios": ["csth/10s-noise"]},
@@ -61,12 +67,6 @@ CASES = {
         "observers": ["kf", "model-only", "kf-ignore-delay", "ekf"],
         "axes": {"loss": [[0.2, 0.4]], "delay_jitter": [0.05], "sampling_jitter": [0.02]},
         **RANDOM,
-    },
-    "clones": {
-        "lti": LTI | {"delay": [0.3, 0.3], "sampling_period": [0.1, 0.1], "duration": 1.0},
-        "observers": ["kf-cloning", "kf-larsen"],
-        "axes": {"loss": [0.2], "delay_jitter": [0.05]},
-        "options": {"scenario": {"random_initial_state": True, "consistency": True}},
     },
     "stamps": {"lti": LTI, "observers": ["kf"], "axes": {"timestamp_jitter": [0.02], "loss": [0.1]}},
     "loop": {"lti": LTI, "observers": ["kf"], "controller": LQR, **RANDOM},
