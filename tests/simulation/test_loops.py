@@ -43,13 +43,23 @@ def feedback(p, every, ahead, aims=None, limit=np.inf):
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
 
 
-@pytest.mark.ci
-def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
-    p, controller = plant(), LQR | BOTH | {"set_point": AIMS}
+@pytest.fixture(scope="module")
+def lqr_over_networks():
+    """A loop with jitter and loss on both sides: its study, its law, and the reference's runs."""
+    p = plant()
     law = feedback(p, 2, 3 + 5 // 2, [STEP, SINE])
-    raw = study(controller, RANDOM)
-    runs = [loop.simulate(p, SENSOR, ACTUATOR, law, N, 0, seed) for seed in range(3)]
+    raw = study(LQR | BOTH | {"set_point": AIMS}, RANDOM)
+    return raw, law, [loop.simulate(p, SENSOR, ACTUATOR, law, N, 0, seed) for seed in range(3)]
+
+
+def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references(lqr_over_networks):
+    raw, _, runs = lqr_over_networks
     assert gap(pcbench.simulate(raw, "kf", seed=1), runs[1]) < 1e-10
+
+
+@pytest.mark.ci
+def test_costs_and_errors_of_lqr_over_networks_are_the_references_run_by_run(lqr_over_networks):
+    raw, law, runs = lqr_over_networks
     table = pcbench.run(raw).runs.pivot(index="seed", columns="signal")
     for seed, run in enumerate(runs):
         for metric, first in (("", 0), ("steady_", 50)):
