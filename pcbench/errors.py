@@ -23,7 +23,7 @@ def printable(text: str, but: str = "") -> str:
 class UserError(ValueError):
     """A mistake the user can mend. The CLI prints the sentence and exits with code 2.
 
-    Whatever it quotes, it is one line: what cannot be printed stands as its escape.
+    Whatever it quotes, it is one line: what cannot be printed is escaped.
     """
 
     def __init__(self, sentence: str):

@@ -118,9 +118,9 @@ class OfRun(Protocol):
 class Plant(NamedTuple):
     """A plant as pure functions of its numbers `params`.
 
-    `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
-    numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params. `errors` are scored
-    in addition to x - xhat; a plant has these or `unknown`.
+    `unknown` has no value that observers are given; they may estimate it in addition to the state: unknown inputs,
+    parameters. A plant whose numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params.
+    `errors` are scored in addition to x - xhat; a plant has these or `unknown`.
     """
 
     step: Step
@@ -222,7 +222,7 @@ class Covariance(Protocol):
 
 
 class InnovationStats(NamedTuple):
-    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have.
+    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that the observer assumes for nu.
 
     With the next two it says too how likely the sample was, and whether samples repeat each other, with the last one which
     channels were judged; they may be left out. Taken one after the other the numbers of nu are independent, nu_j with the

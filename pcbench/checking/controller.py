@@ -162,7 +162,7 @@ def settles(t: Trial) -> str:
     found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
     if found is None:
         raise SkipCheck(
-            "it has no linear law about rest, as it looks at inputs on their way: write linear(options, told)"
+            "it has no linear law about rest, as it looks at inputs on their way: write linear(options, context)"
         )
     if sentence := controller_table.warning(t.scenario, "settles"):
         raise UserError(sentence)

@@ -72,7 +72,7 @@ def gains(t: Trial) -> str:
     require(
         _form(first) == _form(second),
         f"gains: got {_form(second)} from another delay and noise, expected the form {_form(first)} of the first design; keep "
-        "structure, shapes and types, and every number in an array, or each cell of a study compiles anew.",
+        "structure, shapes and types, and every number in an array; otherwise each grid point compiles its own program.",
     )
     for name, f in functions(t, case).items():
         require(

@@ -125,7 +125,7 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
         named["varying intervals"] = named["one period late"].having(sampling_pattern=turn)
     found = [_case(name, each, None, size) for name, each in named.items()]
     if takes in VARYING:
-        found.append(_case("samples that overtake", named["one period late"], every, size))
+        found.append(_case("samples out of sequence", named["one period late"], every, size))
     most = reduce(DesignContext.roomier, (c.setting for c in found))
     return [c._replace(setting=c.setting.roomier(most)) for c in found]
 

@@ -174,7 +174,7 @@ def shapes(t: Trial) -> str:
             raise UserError(
                 f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one "
                 "run, with "
-                "jnp.where in place of if; mend that line."
+                "jnp.where instead of if; fix that line."
             ) from None
         if value.shape != want:
             raise UserError(
@@ -369,7 +369,7 @@ def perfect_start(t: Trial) -> str:
     for k, i in np.argwhere(~(e <= allowed)):
         raise UserError(
             f"perfect start: got an error of {e[k, i]:.2g} of the largest state in {t.states[i]} at tick {k}, where {name} "
-            "knows plant and start, expected none; let step be what field or the linear model says, under now.u."
+            "has the true plant and start, expected none; let step be what field or the linear model gives, under now.u."
         )
     return f"{name} has no error from the true start" + (", near the operating point" if size == NEAR else "")
 

@@ -49,7 +49,7 @@ def export(
         print(folder)
         return
     if files.compiler() is None:
-        say("there is no C compiler here, so nothing was compiled; the line to do it stands in the header.")
+        say("there is no C compiler here, so nothing was compiled; the header contains the command.")
     else:
         from pcbench.cli.render import recordings
 

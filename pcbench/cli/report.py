@@ -17,7 +17,7 @@ ALL_PAPERS = "all"
 def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
-    figures: Annotated[str | None, option("folder for the pictures as files, in place of the page")] = None,
+    figures: Annotated[str | None, option("folder for the pictures as files, instead of the page")] = None,
     formats: Annotated[str | None, option("of --figures, with commas [default: svg,pdf,png]")] = None,
     width: Annotated[float | None, option("of --figures: inches of a column [default: 3.75]")] = None,
     size: Annotated[float | None, option("of --figures: points of text [default: 9]")] = None,

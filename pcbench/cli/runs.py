@@ -183,7 +183,7 @@ def find_limit(
     folder: Annotated[
         str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
     ] = None,
-    overwrite: Annotated[bool, option("remove what stands there, and start over", "--overwrite")] = False,
+    overwrite: Annotated[bool, option("remove the dataset that is there, and start over", "--overwrite")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:

@@ -191,7 +191,7 @@ def read_text(target: storage.Target, text: bytes) -> TomlTable:
         return there
     many = len(block_files.present(target))
     anew = (
-        f"run its study again with --out {target.name} to have it written anew: the {many} blocks that stand are kept."
+        f"run its study again with --out {target.name} to write it again: its {many} blocks are kept."
         if many
         else "move it away, or give a new folder with --out."
     )

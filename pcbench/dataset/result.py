@@ -52,7 +52,7 @@ def open_result(out: str | Path) -> "Result":
 
 def _damage_error(target: storage.Target, name: str) -> UserError:
     return UserError(
-        f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to have it made anew."
+        f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to write it again."
     )
 
 
@@ -196,9 +196,7 @@ class Result:
     def _closing(self, name: str) -> "pd.DataFrame":
         table = close.table(self._target, name)
         if table is None:
-            raise UserError(
-                f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."
-            )
+            raise UserError(f"{self._target.name}/{name}: is gone or damaged; run the study again to write it again.")
         return table.to_pandas()
 
     def __repr__(self) -> str:

@@ -64,7 +64,7 @@ def trace_table(frame: "pd.DataFrame", signals: tuple[tuple[str, str], ...]) -> 
     for name in map(str, frame.columns):
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
         if name.endswith(".sigma"):
-            meaning = "standard deviation that the observer believes its error to have"
+            meaning = "standard deviation of the error by the observer's own covariance"
         if name.startswith("target."):
             meaning = "set point"
         unit = (inputs.get(name) or "unit of the input") if name[0] == "u" else "unit of the output"

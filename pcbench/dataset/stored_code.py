@@ -121,6 +121,6 @@ def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, byte
     if user_code.digest(files) != path.parent.name:
         raise UserError(
             f"{target.name}/{path}: is gone or changed, expected the code that the runs were made with; run the study again "
-            "from its own file to have it copied anew."
+            "from its own file to copy it again."
         )
     return files

@@ -155,25 +155,25 @@ def _draw_sample(things: list[T], sample: int | None, seed: int) -> list[T]:
 def _others(target: storage.Target, owned: StudyClaim) -> Iterator[str]:
     """Yield a sentence for every file beside the blocks that is not as it was written."""
     for name in close.damaged_files(target):
-        yield f"{name}: is not as it was written; run the study again to have it made anew."
+        yield f"{name}: is not as it was written; run the study again to write it again."
     record = close.record(target)
     if record and record["study_sha256"] != digest(owned.study, owned.cells):
-        yield f"{manifest.TEXT}: is not of the study that was run; run that again to have it written anew."
+        yield f"{manifest.TEXT}: is not of the study that was run; run that study again to write it again."
     for name in [n for n in storage.names(target) if n.startswith(BESIDE) or n in (FAIR, moments_tables.NAME)]:
         if parquet_io.unseal_table(storage.get(target, name)) is None:
-            yield f"{name}: is not as it was written; remove it to have it made anew."
+            yield f"{name}: is not as it was written; remove it, and run the study again."
 
 
 def _closing_differs(target: storage.Target, owned: StudyClaim, kept: list[Block]) -> Iterator[str]:
     """Yield a sentence for every closing table that does not follow from the blocks."""
     if not close.is_closed(target, kept):
-        yield "stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."
+        yield "stats.parquet and pairs.parquet do not belong to the blocks; run the study again to go on."
         return
     tables = close.closing_tables(target, owned, kept)
     for name, content in (("stats.parquet", tables.stats), ("pairs.parquet", tables.pairs)):
         there = close.table(target, name)
         if there is None or not there.equals(parquet_io.parse_table(content)):
-            yield f"{name}: does not follow from the blocks; run the study again to have it made anew."
+            yield f"{name}: does not follow from the blocks; run the study again to write it again."
 
 
 def _again(target: storage.Target, owned: StudyClaim, chosen: list[Block], progress: Progress) -> Iterator[str]:

@@ -146,7 +146,7 @@ def _index_entry(w: Writer, kind: str, values: Entries) -> str:
     """Entry i of an array: where it stands in one of C, or of one that is written for it."""
     place = place_of(values) or place_of(w.array(kind, values))
     if place is None:
-        raise AssertionError("an array that is written stands in one of C")
+        raise AssertionError("an array that is written is part of an array of C")
     return f"{place.store}[{f'{place.base} + ' if place.base else ''}{f'{place.place} + ' if place.place else ''}i]"
 
 

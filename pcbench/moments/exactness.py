@@ -45,7 +45,7 @@ def lost(cell: CellMoments, label: str) -> str:
     name, unit = signals_of(p.cell.scenario)[i]
     return (
         f"has too few digits for an exact answer: {name} reaches {amount(float(size[i]), unit)}, whose rounding in float64 is "
-        "not small beside the errors"
+        "not small compared to the errors"
     )
 
 

@@ -76,7 +76,7 @@ class Options(StrictOptions):
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
     )
     pole: Pole = tunable(1e-4, (-1, 1), description="of each link, over its d samples; unused by riccati")
-    pole_per_tick: Pole | None = Field(None, description="in place of pole: of each sample, r^d for a link")
+    pole_per_tick: Pole | None = Field(None, description="instead of pole: per sample, r^d for a link")
     output: Literal["updated", "deadbeat"] = Field(
         "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
     )
@@ -161,7 +161,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     where, plant = f"chain in {setting.scenario}", sample_plant(setting, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
-            f"{where}: got a (believed) delay of 0 in every channel, expected one above 0: without delays there is nothing "
+            f"{where}: got an assumed delay of 0 in every channel, expected one above 0: without delays there is nothing "
             "to chain; take kf or pccebo."
         )
     each_tick = options.pole_per_tick is not None

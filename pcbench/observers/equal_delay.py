@@ -52,7 +52,7 @@ def design(setting: DesignContext, options: Options) -> Design:
         rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))
         if np.isnan(rate):
             raise UserError(
-                f"{where}: got a believed delay of {d} samples for {len(A)} states, expected at most "
+                f"{where}: got an assumed delay of {d} samples for {len(A)} states, expected at most "
                 f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
         gains = assumed_age.gains_of(setting, A, K, (d,) * len(plant.tau))

@@ -70,7 +70,7 @@ class Options(StrictOptions):
         0.002,
         description="assumed intensity of process noise: a number through the input, one for each state, or in full",
     )
-    lag_aware: bool = Field(False, description="use d + te/2 in place of d")
+    lag_aware: bool = Field(False, description="use d + te/2 instead of d")
     sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
 
     @model_validator(mode="after")

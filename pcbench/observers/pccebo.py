@@ -55,7 +55,7 @@ class Options(StrictOptions):
         description="LMI (23); a stationary Kalman filter's; the fastest decay over a range; the least noise in the estimate, "
         "by its covariance or by its energy",
     )
-    L: list[list[float]] | None = tunable(None, description="the gain itself [n, q], in place of one that is found")
+    L: list[list[float]] | None = tunable(None, description="the gain itself [n, q], instead of a computed one")
     q: float = Field(0.002, gt=0, description="riccati, h2, hinf: assumed intensity of process noise through the input")
     decay: float | None = Field(None, gt=0, description="least rate [1/s] at which errors are proven to decay")
     period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the mean")

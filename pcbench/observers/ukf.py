@@ -117,7 +117,7 @@ def points_of(options: Options, N: int, where: str) -> Points:
     if options.form == "cubature":
         if given := {"alpha", "beta", "kappa"} & options.model_fields_set:
             raise UserError(
-                f"{where}: got {min(given)} beside form = 'cubature', expected it of 'unscented' points alone; leave it out."
+                f"{where}: got {min(given)} with form = 'cubature', expected it only with form = 'unscented'; leave it out."
             )
         return Points(*map(np.asarray, (np.sqrt(N), 0.5 / N, 0.0)))
     if N + options.kappa <= 0:

@@ -298,7 +298,7 @@ def _printed_parts() -> Iterator[Claim]:
     P = pio.PRINTED.P
     beta = pi_lmi.certify(pio.PRINTED, plant, smo.PRINTED.L1).numbers["rate_proven"]
     largest = float(np.linalg.eigvalsh(P).min())
-    text = f"positive definite (least eigenvalue {largest:.4f}), proves {beta:.4f} 1/s beside KP, KI"
+    text = f"positive definite (least eigenvalue {largest:.4f}), proves {beta:.4f} 1/s with KP, KI"
     yield statement("PIO P", "a certificate", text, largest > 0 and bool(beta > 1 - ROUNDED))
 
 

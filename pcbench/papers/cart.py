@@ -144,7 +144,7 @@ def _open() -> Iterator[Claim]:
     )
     calm = api.run(Study(name="calm", scenarios=["cart/nominal"], observers=["pccebo", "kfbo"], seeds=1)).stats
     apart = abs(np.subtract(*_values(calm, "cart/nominal", "velocity", "mae")))
-    yield Claim("6.2 Gaussian: te beside d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN)
+    yield Claim("6.2 Gaussian: te with d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN)
     yield Claim("6.3: operator before 20 sin 2t cos 2t in B21", "lost", f"position MAE, {drift}", OPEN)
     yield Claim("Figure 12: MAE and RMSE", "bars without numbers", "orderings are compared above", OPEN)
     yield statement(

@@ -144,7 +144,7 @@ def _robustness() -> Iterator[Claim]:
     for scenario, wrong in (("cart/variable-bias", "input bias 0.2"), ("cart/variable-gain", "input gain +10 %")):
         rows = _tail_rms(api.run(scenario, seeds=256))
         text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "kf", "kf-bias")) + " m"
-        claim = f"The integral makes PCO more robust: {wrong} that no model knows"
+        claim = f"The integral makes PCO more robust: {wrong} that no model contains"
         yield statement(claim, "more robust", text, bool(rows["pi-pco"] < rows["pco"]))
 
 

@@ -90,7 +90,7 @@ def make_plant(
     positive: Sequence[str] = (),
     output_residual: Callable[[Array, Array], PyTree] | None = None,
     errors: Mapping[str, ErrorFunction] | None = None,
-    summary: str = "a plant of one's own",
+    summary: str = "a user's plant",
 ) -> PlantSpec:
     """Make a plant from its equations: x' = field(numbers, now, x), or x one tick later = step(numbers, now, x).
 

@@ -113,7 +113,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     s, cell = a.cell.scenario, a.cell
     where = f"{a.log.name} on {s.name}"
     if s.sampling.continuous or cell.times.error:
-        wrong = f"believes delays wrong by {cell.times.error * s.dt:g} s"
+        wrong = f"assumes delays that are wrong by {cell.times.error * s.dt:g} s"
         raise UserError(
             f"{where}: got a scenario that {'measures continuously' if s.sampling.continuous else wrong}, expected one that "
             "samples; take another plant file."

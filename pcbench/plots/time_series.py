@@ -228,7 +228,7 @@ def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, pa
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % if right")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])
-        ax.set(title="squared error over what is believed (NEES / n)", xlabel="t [s]")
+        ax.set(title="squared error over its assumed covariance (NEES / n)", xlabel="t [s]")
         ends = part[part.kind != "nees"].groupby(["kind", "t"]).value
         low, high = ends.min()["nees_low"], ends.max()["nees_high"]
         ax.fill_between(low.index, low, high, color=GRID, linewidth=0, zorder=1)

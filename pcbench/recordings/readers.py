@@ -104,7 +104,7 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     toml = _read(path)
     file = path.parent / toml.log
     if not file.exists():
-        raise UserError(f"{path.name}: log: got {toml.log}, expected a file or folder beside it; mend the name.")
+        raise UserError(f"{path.name}: log: got {toml.log}, expected a file or folder next to it; correct the name.")
     kind = FORMATS.get("" if file.is_dir() else file.suffix.lower())
     if kind is None:
         valid = ", ".join(k for k in FORMATS if k)
@@ -138,7 +138,7 @@ def _read(path: Path) -> Mapping:
                 f'{path.name}: {place}: got no unit, expected what its values are in; write unit = "m".'
             ) from None
         what = first["msg"][0].lower() + first["msg"][1:]
-        raise UserError(f"{path.name}: {place}: {what}; see pcbench guide logs for what stands there.") from None
+        raise UserError(f"{path.name}: {place}: {what}; see pcbench guide logs for its keys.") from None
     for what in ("channels", "inputs", "truth"):
         for name, column in getattr(toml, what).items():
             unit(column.unit, f"{path.name}: {what}.{name}.unit")

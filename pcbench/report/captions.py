@@ -27,7 +27,7 @@ COSTS = (
 )
 BEARING = "Above 1 the model alone is better. One fault at a time, the others at their first value."
 HONESTY = (
-    f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
+    f"The squared error over the observer's own covariance, a mean over runs ({one_run.RUNS} where they differ). Above "
     "the band it is optimistic, below it pessimistic."
 )
 WORDS = {"published": "as printed", "design": "by design", "tuned": "tuned"}
@@ -91,9 +91,7 @@ def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> t
     of = frozenset(run.series[run.kind == "rms"])
     runs = "" if of <= exact else ", this one and the seeds after it"
     band = f" Bands: nine in ten errors over {over(of, exact)}{runs}." if 0 < len(of) <= BANDS else ""
-    thin = (
-        " Thin lines: three standard deviations that an observer believes; one where errors are on a logarithmic axis."
-    )
+    thin = " Thin lines: three standard deviations by the observer's own covariance; one if the axis is logarithmic."
     return text, f"What leaves the range is cut off.{band}{thin if (run.kind == 'sigma').any() else ''}"
 
 

@@ -152,7 +152,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     if run is not None and one_run.has_nees(run):
         figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
-        yield Picture(f"{name}-nees", "Who knows how wrong it is", figure, captions.honesty(run), captions.HONESTY)
+        yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Gains as printed, by design and tuned", figure, captions.fair(result.fair))

@@ -33,7 +33,7 @@ NOMINAL = Scenario(
 
 UNKNOWN = NOMINAL.having(
     name="cart/unknown-delay",
-    summary="samples every 0.1 s, 0.2 s late, which nobody knows: 0.3 s are believed; noise of 0.05 m",
+    summary="samples every 0.1 s with an unknown delay of 0.2 s, assumed to be 0.3 s; noise of 0.05 m",
     source="chosen here: the cart of " + PAPER + "6 driven by a sine, whose slope tells the delay",
     plant="late-cart",
     observers=("ekf-delay", "mmae-delay", "kf", "model-only"),
@@ -105,7 +105,7 @@ CART = (
     CAMERA,
     CAMERA.having(
         name="cart/variable-bias",
-        summary="as cart/variable; the plant's input has a bias of 0.2 that no model knows",
+        summary="as cart/variable; the plant's input has a bias of 0.2 that no model contains",
         source=VARIABLE + ", other plant",
         parameters={"input_bias": 0.2},
     ),

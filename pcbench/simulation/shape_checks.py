@@ -34,7 +34,7 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         except Exception as error:
             raise UserError(
                 f"observer {label}: {name} cannot be traced ({describe_exception(error)}); expected pure jax.numpy code "
-                "for one run, with jnp.where in place of if."
+                "for one run, with jnp.where instead of if."
             ) from error
 
     memory = ask("init", lambda p, x: observer.init(p.gains[label], x), state)

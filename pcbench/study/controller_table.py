@@ -29,7 +29,7 @@ class Network(BaseModel):
     use: str = Field(
         description="which law: "
         + ", ".join(name for name, e in CONTROLLERS.items() if e.check)
-        + ", or MODULE:NAME of one's own"
+        + ", or your own MODULE:NAME"
     )
     actuator_delay: Size = Field(0.0, description="from command to plant [s]")
     command_jitter: Size = Field(0.0, description="a command comes up to this much later [s]")

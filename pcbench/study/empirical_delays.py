@@ -43,7 +43,7 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
     for key in (*TAKEN, *(INSTANTS if turns else ())):
         if table.get(key):
             raise UserError(
-                f"{where}.{key}: got {brief_repr(table[key])} beside the delays of a log, expected one; leave it out."
+                f"{where}.{key}: got {brief_repr(table[key])} with the delays of a log, expected one of them; leave it out."
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = readers.open_log(name if folder is None else folder / name)

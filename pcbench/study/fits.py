@@ -136,7 +136,7 @@ def _of_sensors(s: Scenario) -> Iterator[str]:
         noiseless = not any(measured.noise_std)
         if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
             yield (
-                f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, where no noise is believed in, "
+                f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, where the assumed noise is 0, "
                 "expected a noise_std above 0; give one, or leave it out."
             )
         if noiseless and np.isfinite(measured.student_t_dof):
@@ -228,7 +228,7 @@ def _of_delays(s: Scenario) -> Iterator[str]:
     beside += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
     if turns and beside:
         yield (
-            f"got {beside[0]} beside delay_sequence in {s.name}, expected one of them: delays in turn are the same in all "
+            f"got {beside[0]} with delay_sequence in {s.name}, expected one of them: delays in turn are the same in all "
             "runs, and a network that is drawn is another in each; leave one out."
         )
     if s.sampling.dither and not any(s.sampling.quantization_step):
@@ -314,7 +314,7 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             )
     if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
         yield (
-            f"{wrong}, expected stamps that are right: it is told of a sample when that is taken, whatever its stamp says; "
+            f"{wrong}, expected correct timestamps: it clones the state when a sample is taken, whatever its timestamp; "
             f"leave {label} out, or take kf."
         )
     if entry.takes == "one clock" and len(clocks(s)) > 1:

@@ -45,7 +45,7 @@ def process_noise(
         return tuple(each) if any(each) else ()
     if lti.QN is None:
         if lti.G is not None:
-            raise UserError(f"{where}.QN is missing beside G; write QN = ..., the intensity of the noise.")
+            raise UserError(f"{where}.QN is missing, which G needs; write QN = ..., the intensity of the noise.")
         return ()
     if lti.G is not None and (len(lti.G) != n or len(widths := {len(row) for row in lti.G}) != 1 or 0 in widths):
         raise UserError(
@@ -111,7 +111,7 @@ class Lti(Experiment, LtiTable):
         r = len(self.E[0]) if self.E else 0
         if self.unknown_input is not None and not r:
             raise UserError(
-                f"{where}.unknown_input: got {brief_repr(self.unknown_input)} without E, expected E [n, r] beside it."
+                f"{where}.unknown_input: got {brief_repr(self.unknown_input)} without E, expected E [n, r] too."
             )
         given = {key: value for key, value in self.given().items() if key not in LtiTable.model_fields}
         tick, asked = self.dt or self.tick or 1e-3, given.pop("duration", Scenario._field_defaults["duration"])
@@ -142,7 +142,7 @@ class Lti(Experiment, LtiTable):
         noise = process_noise(self, given.pop("process_std", None), numbers.A, tick, where)
         base = Scenario(
             name=name,
-            summary="a plant of one's own",
+            summary="a user's plant",
             source="the study",
             plant="lti",
             observers=tuple(self.observers or ()),

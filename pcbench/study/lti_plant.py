@@ -60,7 +60,7 @@ class LtiTable(BaseModel):
         None, description='named numbers; entries of A to E may be formulas of them, such as "-k/m"'
     )
     plant: Differing | None = Field(
-        None, description="what is true of the plant and told to no observer: any of A to E, or of the parameters"
+        None, description="true values that no observer is designed with: any of A to E, or of the parameters"
     )
     A: Rows = Field(description="[n, n]")
     B: Rows = Field(description="[n, m]")

@@ -121,7 +121,7 @@ def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
             raise UserError(f"{where}: {key} is missing; write {key} = ..., or base = a published scenario.")
     return Scenario(
         name="",
-        summary=given.get("summary", "a scenario of one's own"),
+        summary=given.get("summary", "a user's scenario"),
         source=given.get("source", "the study"),
         plant="",
         observers=observers,

@@ -12,7 +12,7 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
 TITLES = {
-    "truth": "what is true of the plant and told to no observer",
+    "truth": "true values that no observer is designed with",
     "loop": "what drives the plant",
     "sampling": "how it is measured",
     "belief": "what designers and observers assume",

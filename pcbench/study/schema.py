@@ -25,7 +25,7 @@ class Choices(BaseModel):
     initial_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
-    feedforward: bool | None = Field(None, description="a controller knows the input that its path needs")
+    feedforward: bool | None = Field(None, description="a controller adds the input that its path needs")
     predictor: bool | None = Field(
         None, description="a controller acts on the state predicted to its command's arrival"
     )
@@ -105,7 +105,7 @@ class Study(BaseModel):
     tuned: TunedOptions | None = Field(
         None, description="which options were tuned, in which cell and for which metric; pcbench writes it"
     )
-    custom_observers: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
+    custom_observers: dict[str, str] = Field({}, description="MODULE:NAME of your own observers, by label")
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
@@ -130,7 +130,7 @@ class Study(BaseModel):
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
     tables: dict[str, ScenarioTable] | None = Field(
-        None, description="scenarios of one's own, by name; a study file writes [scenarios.NAME]"
+        None, description="your own scenarios, by name; a study file writes [scenarios.NAME]"
     )
     controller: TomlTable | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field(

@@ -163,7 +163,7 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
     most = random_times.overtaking(clocks, ticks)
     if most > OVERTAKING:
         raise UserError(
-            f"{where}: got samples that up to {most:,} newer ones may overtake, expected at most {OVERTAKING:,}; take a "
+            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {OVERTAKING:,}; take a "
             "smaller delay_jitter, delays that differ less, or sample less often."
         )
 

@@ -24,7 +24,7 @@ def power_of_2(many: int) -> int:
 
 
 class Certificate(NamedTuple):
-    """The inequality that was re-checked, how far inside it the gain stands, and who found the gain."""
+    """The inequality that was checked again, the gain's margin in it, and the solver that found the gain."""
 
     inequality: str
     margin: float  # > 0: certified; inf: nothing was to be proven, as the inequality says
@@ -45,7 +45,7 @@ class Design(NamedTuple):
 
 
 class DesignContext(NamedTuple):
-    """What a designer of an observer is told of a cell. n states, m inputs, q outputs."""
+    """What an observer is designed with at a grid point. n states, m inputs, q outputs."""
 
     scenario: str
     model: Model  # nominal

@@ -51,7 +51,7 @@ WRONG = [
         "cart/white",
         "kf-cloning",
         "axes.timestamp_offset=[-0.01]",
-        "got timestamp_offset, expected stamps that are right",
+        "got timestamp_offset, expected correct timestamps",
     ),
     ("cart/white", "kfbo", "axes.clock_skew=[5000.0]", "got clock_skew, expected one constant delay"),
     ("cart/white", "kfbo", "axes.delay_gamma_mean=[0.1]", "got delay_gamma_mean, expected one constant delay"),

@@ -110,7 +110,7 @@ def test_a_start_that_is_known_has_no_points():
 @pytest.mark.parametrize(
     ("name", "options", "sentence"),
     [
-        ("ukf", {"form": "cubature", "alpha": 0.3}, "got alpha beside form = 'cubature'"),
+        ("ukf", {"form": "cubature", "alpha": 0.3}, "got alpha with form = 'cubature'"),
         ("ukf", {"kappa": -3.0}, "got kappa = -3 with 3 states and unknowns, expected more than -3"),
     ],
     ids=str,

@@ -32,7 +32,7 @@ BAD = {
     "all delays zero": (
         PLANT | {"delay": 0.0},
         {},
-        r"got a \(believed\) delay of 0 in every channel, expected one above 0.*take kf or pccebo",
+        r"got an assumed delay of 0 in every channel, expected one above 0.*take kf or pccebo",
     ),
     "not whole samples": (
         PLANT | {"sampling_period": 2.0},
@@ -86,7 +86,7 @@ def test_a_chain_that_cannot_be_is_refused_in_a_sentence(name):
 def test_the_command_line_says_so_with_exit_code_2_and_writes_nothing(tmp_path):
     done = call("run", "csth/10s", "--set", "axes.delay=[[0,0,0]]", "--out", "out", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("pcbench: chain in csth/10s: got a (believed) delay of 0 in every channel")
+    assert done.stderr.startswith("pcbench: chain in csth/10s: got an assumed delay of 0 in every channel")
     assert not list(tmp_path.iterdir())
 
 

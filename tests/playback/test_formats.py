@@ -179,7 +179,7 @@ def test_what_is_no_flight_log_is_one_sentence(tmp_path):
         ('log = "run.csv"\n[channels.y1]\nfield = "z"\nunit = "m"\ndelay = 0.0', "'z' is no column here"),
         (
             'log = "none.csv"\n[channels.y1]\nfield = "x"\nunit = "m"',
-            "got none.csv, expected a file or folder beside it",
+            "got none.csv, expected a file or folder next to it",
         ),
         (
             'log = "run.txt"\n[channels.y1]\nfield = "x"\nunit = "m"',

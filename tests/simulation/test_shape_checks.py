@@ -28,7 +28,7 @@ BROKEN = {
     ),
     "python if": (
         {"jump": lambda gains, memory, now, arrival: memory if arrival.mask[0] else -memory},
-        "jump cannot be traced .*jnp.where in place of if",
+        "jump cannot be traced .*jnp.where instead of if",
     ),
     "covariance of one state": (
         {"covariance": lambda gains, memory, now: jnp.ones((1, 1))},

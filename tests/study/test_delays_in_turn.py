@@ -92,15 +92,15 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"sampling_period": 0.05}, "lti.sampling_period: got 0.05 beside the delays of a log, expected one"),
-        ({"delay_sequence": [0.1]}, "lti.delay_sequence: got [0.1] beside the delays of a log"),
-        ({"loss": 0.1}, "lti.loss: got 0.1 beside the delays of a log"),
+        ({"sampling_period": 0.05}, "lti.sampling_period: got 0.05 with the delays of a log, expected one"),
+        ({"delay_sequence": [0.1]}, "lti.delay_sequence: got [0.1] with the delays of a log"),
+        ({"loss": 0.1}, "lti.loss: got 0.1 with the delays of a log"),
         ({"delay": "in-turn:none"}, "no such file or folder"),
         (
             {"delay_sequence": [math.inf], "delay": 0.1, "sampling_period": 0.1},
             "delay_sequence[0]: got inf, expected a finite number or 'lost'",
         ),
-        ({"timestamp_jitter": 0.01}, "got timestamp_jitter beside delay_sequence in lti, expected one of them"),
+        ({"timestamp_jitter": 0.01}, "got timestamp_jitter with delay_sequence in lti, expected one of them"),
     ],
 )
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):

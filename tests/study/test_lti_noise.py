@@ -133,7 +133,7 @@ def test_the_tables_say_the_noise_of_every_cell_and_a_filter_attains_the_bound()
 
 BAD = {
     "two ways": ({"process_std": 0.1, "QN": 1.0}, "got process_std and QN, expected one of the two ways"),
-    "G alone": ({"G": G}, r"lti\.QN is missing beside G"),
+    "G alone": ({"G": G}, r"lti\.QN is missing, which G needs"),
     "G of two rows": ({"G": G[:2], "QN": 1.0}, r"lti\.G: got .*, expected 3 rows of the same length"),
     "QN of three": ({"G": G, "QN": [1.0, 2.0, 3.0]}, r"lti\.QN: got .*, expected a number, 2 numbers, or 2 x 2"),
     "QN not symmetric": (

@@ -134,7 +134,7 @@ REFUSED = {
     ),
     "samples out of order": (
         lti(duration="9.0", sampling_period="1e-3", delay_jitter="5.0"),
-        "got samples that up to 4,999 newer ones may overtake, expected at most 1,000",
+        "got samples that may arrive after up to 4,999 newer ones, expected at most 1,000",
     ),
     "a million cells": (
         CART + f"axes.noise_std = {MANY}\naxes.sampling_period = {MANY}",

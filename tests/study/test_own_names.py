@@ -216,7 +216,7 @@ BROKEN = {
     "it keeps more": ("- kept, kept", "- kept, (kept, kept)", "expected what start returns, shape (1,) of float64"),
     "a set point too long": ("jnp.zeros(2)", "jnp.zeros(3)", "target returned shape (3,), expected the set point"),
     "python if": ("    kept = kept +", "    if estimate[0] > 0: return 0, 0\n    kept = kept +", "command cannot be traced"),
-    "no prepare": ("def prepare(", "def prepared(", "without a function prepare(options, told)"),
+    "no prepare": ("def prepare(", "def prepared(", "without a function prepare(options, context)"),
 }  # fmt: skip
 
 

@@ -34,8 +34,8 @@ HALF = "± is half a 95 % interval; one that leans to one side is written by its
 SQUARE = "signal_nees"  # of the closing table
 SQUARES = ("nees", "nis")  # of the table below it
 MEANS = (
-    "nees is the squared error over what the observer believes, nis the same of samples beyond what it expected; beside them "
-    "where they lie in 95 of 100 studies if it is right."
+    "nees is the squared error divided by the observer's covariance, nis the squared innovation divided by "
+    "its own; in brackets the range in which 95 of 100 studies lie if the covariance is right."
 )
 
 
@@ -244,7 +244,7 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
             bands = [_band(wide, o, metric) for _, o, wide in rows]
             around = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
             columns.append(Column(metric, [t and t + a for t, a in zip(texts, around, strict=True)], left=True))
-    screen.fit(f"{name}: who knows how wrong it is", [c for c in columns if any(c.cells)])
+    screen.fit(f"{name}: consistency of the filters", [c for c in columns if any(c.cells)])
     return [MEANS]
 
 
@@ -272,7 +272,7 @@ def sentence(result: Result, folder: str) -> str:
     if result.study.evaluation == "exact" and not result.exact:
         if p["blocks"] and result.stats.reason.isna().any():
             return (
-                f"The tables in {folder} are of its runs, which stay; exact moments stand beside them: hold them together with "
+                f"The tables in {folder} contain its runs, and exact moments are stored next to them: compare them with "
                 f"pcbench verify {folder} --exact, or give another folder with --out for tables of exact numbers."
             )
         return f"No number in {folder} is exact: its tables say why, in the column reason of stats."

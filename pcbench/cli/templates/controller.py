@@ -47,19 +47,19 @@ class Params(NamedTuple):
     every: Any  # the same in ticks
 
 
-def prepare(options: Options, told: pcbench.ControllerContext) -> Params:
-    """Find the numbers. `told` has the linear model, dt [s], the names of the states, `late` (ticks to the plant)."""
-    every, (Phi, Gamma) = told.every(options.period), told.tick  # one tick: x -> Phi x + Gamma u
+def prepare(options: Options, context: pcbench.ControllerContext) -> Params:
+    """Find the numbers. `context` has the linear model, dt [s], the names of the states, `late` (ticks to the plant)."""
+    every, (Phi, Gamma) = context.every(options.period), context.tick  # one tick: x -> Phi x + Gamma u
     n, m = Gamma.shape
     A, B = np.eye(n + 1), np.zeros((n + 1, m))
     tick = np.block(
-        [[Phi, np.zeros((n, 1))], [-told.dt * np.eye(1, n), np.ones((1, 1))]]
+        [[Phi, np.zeros((n, 1))], [-context.dt * np.eye(1, n), np.ones((1, 1))]]
     )  # the integral is a state too
     for _ in range(every):  # the input is held from decision to decision
         A, B = tick @ A, tick @ B + np.vstack([Gamma, np.zeros((1, m))])
     S = solve_discrete_are(A, B, np.eye(n + 1), options.weight * np.eye(m))
     K = np.linalg.solve(options.weight * np.eye(m) + B.T @ S @ B, B.T @ S @ A)
-    numbers = options.aim, options.limit, every * told.dt, every
+    numbers = options.aim, options.limit, every * context.dt, every
     return Params(K[:, :n], K[:, n], *(np.asarray(v) for v in numbers))
 
 

@@ -49,7 +49,7 @@ NAME = pcbench.make_plant(
     # Signals are deviations from this state and input. Linear observers (kf, pccebo, ...) get the Jacobians there, if it is
     # an equilibrium; ekf takes derivatives wherever its estimate is, so it does without.
     operating_point=([0.0, 0.0], [0.0]),
-    # No observer is told these: ekf estimates them beside the state. The unit, and between what values to look.
+    # No observer is designed with these: ekf estimates them too. The unit, and between what values to look.
     unknown_parameters={"friction": ("1/s", 0.0, 2.0)},
     # unknown_inputs={"wind": "rad/s^2"}: what pushes without being measured; a number as well, and a term in field.
     positive=["length", "gravity"],  # a study that makes one of these 0 or less is refused

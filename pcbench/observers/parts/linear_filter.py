@@ -53,7 +53,9 @@ class Options(assumed_noise.Options):
     """What the filter assumes, where it is not what the scenario has."""
 
     bias_variance: float | None = Field(
-        None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
+        None,
+        gt=0,
+        description="prior variance of a constant input bias, estimated in addition to the state; default: no bias",
     )
     input_walk: float = Field(
         1.0,

@@ -170,7 +170,7 @@ def room(setting: DesignContext, name: str) -> Room:
     if setting.error:
         raise UserError(
             f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
-            "is told of a sample when it is taken; leave it out, or take kf."
+            "clones the state when a sample is taken, whatever its timestamp; leave it out, or take kf."
         )
     if setting.flight > MOST:
         raise UserError(

@@ -1,7 +1,7 @@
 """Controllers of a user's own: a `pcbench.Controller` with the functions of its module, as an entry beside pcbench's.
 
-The module has `prepare(options, told)`, which returns the law's numbers, and where it takes options a pydantic `Options`;
-`check(options, sizes)` and `linear(options, told)` may be there. Where a module holds an observer too, whose `Options` they
+The module has `prepare(options, context)`, which returns the law's numbers, and where it takes options a pydantic `Options`;
+`check(options, sizes)` and `linear(options, context)` may be there. Where a module holds an observer too, whose `Options` they
 would be, the law is a `ControllerSpec`. Without `linear` the law is linearised by jax, at rest about
 its set point of tick 0: so a loop that does not settle is named, unless the law looks at the inputs that are on their way.
 """
@@ -42,8 +42,8 @@ def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) ->
     prepare = getattr(module, "prepare", None)
     if not callable(prepare):
         raise UserError(
-            f"{where}: got a Controller in a module without a function prepare(options, told), expected one that returns the "
-            "law's numbers; write it beside the controller, or name a ControllerSpec that has it."
+            f"{where}: got a Controller in a module without a function prepare(options, context), expected one that "
+            "returns the law's numbers; write it in the controller's file, or name a ControllerSpec that has it."
         )
     return ControllerSpec(
         controller=found,

@@ -37,8 +37,8 @@ def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> Obs
     design, options = getattr(module, "design", None), getattr(module, "Options", NoOptions)
     if not callable(design):
         raise UserError(
-            f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it beside "
-            "the observer, or name an Entry that has it."
+            f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it "
+            "in the observer's file, or name an Entry that has it."
         )
     return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
