@@ -33,8 +33,12 @@ def observers(holds):
         ("not_claimed.md", "Channels may have clocks of their own with", lambda e: e.takes == "any schedule"),
         ("not_claimed.md", "They may have delays of their own also with", lambda e: e.takes == "constant delays"),
         ("not_claimed.md", "In open loops only run", lambda e: not e.loops),
-        ("who_knows.md", "These have a covariance:", lambda e: e.observer.covariance),
-        ("who_knows.md", "Without `nis` are", lambda e: e.observer.covariance and not e.observer.innovation),
+        ("who_knows.md", "These observers report a covariance:", lambda e: e.observer.covariance),
+        (
+            "who_knows.md",
+            "These observers report no `nis`:",
+            lambda e: e.observer.covariance and not e.observer.innovation,
+        ),
     ],
 )
 def test_the_observers_that_a_sentence_names_are_all_of_them(page, begin, holds):

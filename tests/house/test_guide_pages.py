@@ -85,7 +85,7 @@ def test_the_guide_is_listed_and_shown_in_the_terminal():
     listed = call("guide").stdout
     assert all(f"  {topic} " in listed for topic in pages())
     shown = call("guide", "Which_Observer").stdout
-    assert "Which observer?" in shown
+    assert "Choose an observer" in shown
     assert "pccebo-riccati" in shown
     wrong = call("guide", "lops")
     assert wrong.returncode == 2

@@ -96,7 +96,7 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
 
 @pytest.mark.nightly
 def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
-    section = PAGES["outliers.md"].split("## Losses in a row")[1]
+    section = PAGES["outliers.md"].split("## Bursts of lost samples")[1]
     study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
     stats = pcbench.run(study).stats
     mean = stats[stats.signal == "position"].set_index(["observer", "metric", "mean_burst_length"])["mean"]
@@ -131,7 +131,7 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
         np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
         if nees.strip():
             assert mean[label, "nees", at("outlier_probability", 0.05)] == pytest.approx(float(nees), rel=0.01)
-    page = page.split("## Losses in a row")[0]
+    page = page.split("## Bursts of lost samples")[0]
     rows = re.findall(r"^\| (none|\w+ = [\d.-]+) \| (.*) \|$", page, re.M)
     assert len(rows) == 16
     for name, said in rows:
