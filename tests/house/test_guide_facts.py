@@ -58,13 +58,13 @@ def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
 
 
 def test_every_check_of_an_observer_is_named():
-    assert named("your_own_observer.md", "`check` asks for") == [*observer.CHECKS, "closed loop"]
+    assert named("your_own_observer.md", "`check` tests") == [*observer.CHECKS, "closed loop"]
 
 
 def test_every_optional_function_of_an_observer_is_named():
     optional = Observer._field_defaults
     assert f"{ {5: 'Five'}[len(optional)] } functions are optional" in PAGES["your_own_observer.md"]
-    section = PAGES["your_own_observer.md"].split("## What else it may say")[1].split("\n## ")[0]
+    section = PAGES["your_own_observer.md"].split("## Optional functions")[1].split("\n## ")[0]
     for name in optional:
         assert re.search(rf"`{name}[(`]", section), name
 
