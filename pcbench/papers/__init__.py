@@ -19,7 +19,7 @@ PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
         chain.claims,
     ),
     "helicopter": (
-        "Hernandez-Gonzalez et al., Aerospace 11 (2024) 206: a high-gain observer with late samples, on a helicopter",
+        "Hernandez-Gonzalez et al., Aerospace 11 (2024) 206: a high-gain observer with delayed samples, on a helicopter",
         helicopter.claims,
     ),
     "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),

@@ -55,12 +55,12 @@ PRINTED = {
     ("d2", "pio", "mean"): "1.4084e-4 8.6742e-4 1.4003e-7 1.8100e-4 .0126",
 }
 HOW = {
-    "digits": "to the digit",
+    "digits": "to the last printed digit",
     "close": "within 1e-3, or one unit of the last digit",
     "band": "chatter of the integration",
     "differs": "another number",
 }
-AMONG = f"the print lies among {STARTS} runs from starts 1e-6 apart: chatter of the integration"
+AMONG = f"the printed value lies within {STARTS} runs whose initial states differ by 1e-6: chatter of the integration"
 STEADY = {"digits": HOW["close"], "close": HOW["close"], "band": AMONG}  # PIO's last digits are those of its chatter
 WHERE = "reproduce arm"
 NEAR = 2.0  # per cent of the largest entry that a printed gain may be off its optimum: their solver's, not ours
@@ -104,13 +104,13 @@ def _findings() -> Iterator[Claim]:
     steps_of_d = np.diff(falls.input.to_numpy())
     times = [f"{falls.t.to_numpy()[k + 1]:g}" for k in np.flatnonzero(np.abs(steps_of_d) > 0.1)]
     off = {f"{tau:g}": _just_after(falls, tau) for tau in (2.0, 4.0, 6.0, 8.0)}
-    text = f"d jumps at {', '.join(times)} s; PIO's d is {min(off.values()):.2f} or more off there, SMO's as well"
-    close = "but for rounding" if off_by < 1e-9 else f"but for {off_by:.0e}"
+    text = f"d jumps at {', '.join(times)} s; PIO's d is {min(off.values()):.2f} or more off there, and so is SMO's"
+    close = "except for rounding" if off_by < 1e-9 else f"except for {off_by:.0e}"
     yield from _compare_columns()
     yield statement(
-        "under d2 SMO has the smaller largest error of d",
+        "under d2 SMO has the smaller maximum error of d",
         ".3389 < .3517",
-        f"both at t = {' and '.join(when)} s, the jump itself; back within 0.1 after {recovery['smo']:.1f} ms (SMO), "
+        f"both at t = {' and '.join(when)} s, the jump itself; below 0.1 again after {recovery['smo']:.1f} ms (SMO), "
         f"{recovery['pio']:.1f} ms (PIO)",
         bool(worst_d["smo"] < worst_d["pio"]),
     )
@@ -118,13 +118,13 @@ def _findings() -> Iterator[Claim]:
         "under d2 PIO's d deviates at", "2, 4, 6, 8 s", text, set(off) <= set(times) and min(off.values()) > 0.1
     )
     yield report_finding(
-        "what the columns x1, x4 of Table 2 compare",
+        "content of the columns x1, x4 of Table 2",
         f"ebar1 is e^(A11b t) of the initial error in both observers, {close} at 6 s",
     )
     yield report_finding(
-        "what PIO's largest error of x3 (printed 1.3686e-6) is made of",
+        "cause of PIO's largest error of x3 (printed 1.3686e-6)",
         steps,
-        "chatter of the integration, some 1e-6 with steps of 1e-4 s: it shrinks with the step",
+        "chatter of the integration, about 1e-6 with steps of 1e-4 s; smaller steps reduce it",
     )
 
 
@@ -169,7 +169,7 @@ def _compare_on_samples() -> Iterator[Claim]:
     mean, half = _rms(api.run("arm/sampled", observers=late, seeds=SEEDS).stats)
     for names, what in ((late[:2], "without"), (late[2:], "with")):
         text = ", ".join(f"{name.split('-')[0]} {mean[name]:.3g} +- {half[name]:.1g}" for name in names)
-        claim = f"te = d = 0.02 s, noise 1e-3, prediction {what} the input found: x2 rms"
+        claim = f"te = d = 0.02 s, noise 1e-3, prediction {what} the estimated input: x2 rms"
         yield report_finding(claim, text + " rad/s")
     noisy = {"delay": [0.0], "noise_std": [1e-3, 3e-3], "sampling_period": [0.005]}
     stats = api.run("arm/sampled", observers=["smo", "pio"], seeds=SEEDS, axes=noisy).stats
@@ -251,14 +251,14 @@ def _gains() -> Iterator[Claim]:
     for name in ("L1", "P1", "P2", "A22s"):
         yield _compare_matrix(f"SMO {name}", getattr(smo.PRINTED, name), getattr(best, name))
     rate = f"{proof['rate_proven']:.6f} 1/s"
-    yield statement("SMO gains prove alpha = 1", "1", rate, proof["rate_proven"] >= 1)
+    yield statement("SMO gains certify alpha = 1", "1", rate, proof["rate_proven"] >= 1)
     L1 = smo.PRINTED.L1
     optimum, given = pi_lmi.solve(plant, L1, 1.0, WHERE), pi_lmi.certify(pio.PRINTED, plant, L1).numbers
     yield _objective("PIO gains: least g of (38), (52) with the printed L1", given["g"], optimum.g)
     for name in ("KP", "KI"):
         yield _compare_matrix(f"PIO {name}", getattr(pio.PRINTED, name), getattr(optimum, name))
     rate, short = f"{given['rate_proven']:.6f} 1/s", given["rate_proven"] > 1 - ROUNDED
-    yield statement("PIO gains prove beta = 1, but for their rounding", "1", rate, bool(short))
+    yield statement("PIO gains certify beta = 1, except for rounding", "1", rate, bool(short))
     own = pi_lmi.solve(plant, best.L1, 1.0, WHERE).g
     yield report_finding("PIO: least g with the optimal L1", f"{own:.6g}")
 
@@ -272,7 +272,7 @@ def _objective(claim: str, printed: float, best: float) -> Claim:
 def _compare_matrix(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
     """A printed matrix beside the optimum, with how far it is off in parts of its largest entry."""
     off = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
-    text = f"{_entries(best)} at the optimum: {off:.1f} % off, as a solver's default accuracy leaves it"
+    text = f"{_entries(best)} at the optimum: {off:.1f} % off, within a solver's default accuracy"
     return statement(claim, _entries(printed, 5), text, bool(off < NEAR))
 
 
@@ -293,12 +293,12 @@ def _printed_parts() -> Iterator[Claim]:
     text = " ".join(f"{v:.6g}" for v in np.abs(link).ravel())
     yield statement("|A11| with both sensors on the link", LINK, text, same)
     free = unmovable(plant)
-    text = f"{len(free)} modes that no L1 moves"
+    text = f"{len(free)} modes that no L1 changes"
     yield statement("(A11, A211) is observable with these sensors", "fully observable", text, not len(free))
     P = pio.PRINTED.P
     beta = pi_lmi.certify(pio.PRINTED, plant, smo.PRINTED.L1).numbers["rate_proven"]
     largest = float(np.linalg.eigvalsh(P).min())
-    text = f"positive definite (least eigenvalue {largest:.4f}), proves {beta:.4f} 1/s with KP, KI"
+    text = f"positive definite (least eigenvalue {largest:.4f}), certifies {beta:.4f} 1/s with KP, KI"
     yield statement("PIO P", "a certificate", text, largest > 0 and bool(beta > 1 - ROUNDED))
 
 
@@ -323,7 +323,7 @@ def _constants() -> Iterator[Claim]:
         bool(jump < 1.8 * step),
     )
     yield Claim(
-        "modes with both sensors on the link, which no L1 moves",
+        "modes with both sensors on the link, which no L1 changes",
         "-0.006 +- 1.9365j (sign restored)",
         modes,
         REPRODUCED if abs(fixed[0].real + 0.006) < 5e-4 else MISPRINT,

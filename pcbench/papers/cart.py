@@ -90,7 +90,7 @@ def _ordering() -> Iterator[Claim]:
         for metric in ("mae", "rmse"):
             row = pairs.loc[[(scenario, metric)]].iloc[0]
             mean = stats.loc[[(scenario, metric)]].set_index("observer")["mean"]
-            seeds = f"{row.prob_a_better:.0%} of {int(row.n)} seeds"
+            seeds = f"{row.prob_a_better:.0%} of {int(row.n)} runs"
             text = f"pccebo {mean['pccebo']:.4g}, kfbo {mean['kfbo']:.4g} m; smaller in {seeds}"
             claim = f"{section}: PCCEBO better in position {metric.upper()}, 10 s"
             yield statement(claim, "smaller", text, row.mean_diff < 0 and row.prob_a_better == 1.0)
@@ -111,7 +111,7 @@ def _under_noise() -> Iterator[Claim]:
     rows = rows[rows.metric == "rms_efficiency"]
     worse = ", ".join(f"{o} {1 / e:.1f}" for o, e in zip(rows.observer, rows["mean"], strict=True))
     yield stays
-    yield report_finding("6.2 Gaussian: rms from 3 s on, times the least possible", worse)
+    yield report_finding("6.2 Gaussian: rms from 3 s on, divided by the least possible", worse)
 
 
 def _misprints() -> Iterator[Claim]:
@@ -122,11 +122,11 @@ def _misprints() -> Iterator[Claim]:
     literal, off = (P @ model.C.T * 0.004)[:, 0], held_over_a_period()
     yield Claim("Q = 0.001 I gives the printed K", "[2.0405, 2.0818]", _row(asprinted.K[:, 0]), MISPRINT)
     yield Claim("Q = 0.002 B B' gives the printed K", "[2.0405, 2.0818]", _row(K[:, 0]), REPRODUCED)
-    yield Claim("(26) K = P C' R", "[2.0405, 2.0818]", _row(literal) + "; P C' R^-1 gives the print", MISPRINT)
+    yield Claim("(26) K = P C' R", "[2.0405, 2.0818]", _row(literal) + "; P C' R^-1 gives the printed K", MISPRINT)
     yield Claim(
         "(7), (8a): Gamma u_(m-1), the input held over a period",
         "exact",
-        f"position off by up to {off:.2f} m for ever under the sawtooth; the integral of (6) is exact",
+        f"position off by up to {off:.2f} m under the sawtooth, without decay; the integral of (6) is exact",
         MISPRINT,
     )
 
@@ -146,11 +146,11 @@ def _open() -> Iterator[Claim]:
     apart = abs(np.subtract(*_values(calm, "cart/nominal", "velocity", "mae")))
     yield Claim("6.2 Gaussian: te with d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN)
     yield Claim("6.3: operator before 20 sin 2t cos 2t in B21", "lost", f"position MAE, {drift}", OPEN)
-    yield Claim("Figure 12: MAE and RMSE", "bars without numbers", "orderings are compared above", OPEN)
+    yield Claim("Figure 12: MAE and RMSE", "bars without numbers", "the orders are compared above", OPEN)
     yield statement(
         "6.1: PCCEBO better in velocity MAE",
         "better performance",
-        f"{_both(calm, 'cart/nominal', 'velocity')} m/s: alike" if apart < 1e-9 else f"apart by {apart:.2g} m/s",
+        f"{_both(calm, 'cart/nominal', 'velocity')} m/s: equal" if apart < 1e-9 else f"apart by {apart:.2g} m/s",
         bool(apart > 1e-9),
     )
     for metric in ("mae", "rmse"):
@@ -195,13 +195,13 @@ def theorem() -> Iterator[Claim]:
         claim = f"P = {printed} I, Y = [{printed}, 0]' satisfy (23), te = {te:g} s"
         yield statement(claim, "a feasible solution", text, largest < 0)
         half = float(np.linalg.eigvalsh(inequality(te, P / 2, Y / 2)).max())
-        text = f"P / 2, Y / 2 are as good (largest eigenvalue {half:.4f}): only a scale"
+        text = f"P / 2, Y / 2 are feasible too (largest eigenvalue {half:.4f}): the scale is free"
         yield Claim(f"scale {printed} of P, te = {te:g} s", printed, text, OPEN)
     L, te = np.array([[1e-3], [0.0]]), 0.2
     F = transition(te) - L @ C @ transition(te)
     P = solve_discrete_lyapunov(F.T, np.eye(2))
     margin, radius = -float(np.linalg.eigvalsh(inequality(te, P, P @ L)).max()), float(max(abs(np.linalg.eigvals(F))))
-    text = f"L = [0.001, 0]' is certified (margin {margin:.2g}) and keeps {100 * radius:.1f} % of the error a period"
+    text = f"L = [0.001, 0]' is certified (margin {margin:.2g}) and keeps {100 * radius:.1f} % of the error per period"
     yield statement("Remark 1: (23) guarantees fast convergence", "fast", text, not (margin > 0 and radius > 0.9))
     yield _slower()
 

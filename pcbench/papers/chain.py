@@ -70,7 +70,8 @@ def _remark_2() -> Iterator[Claim]:
     grows = np.abs(np.roots([1, 0, -0.6, -0.6])).max()
     e = 1.0  # of (22): the norms are equal and there is one delayed term
     left = (1 + e) * 0.6**2 - 1, (1 + 1 / e) * 0.6**2 - 1
-    text = f"x(k+1) = 0.6 x(k-1) + 0.6 x(k-2) is certified (largest eigenvalue {max(left):.2f}) and grows by {grows:.4f} a step"
+    text = f"x(k+1) = 0.6 x(k-1) + 0.6 x(k-2) is certified (largest eigenvalue {max(left):.2f})"
+    text += f" and grows by a factor of {grows:.4f} per step"
     verdict = FALSE if grows > 1 and max(left) < 0 else REPRODUCED
     yield Claim("Remark 2: Theorem 2 applies where A_0 = 0", "can be applied", text, verdict)
 
@@ -80,13 +81,13 @@ def _remark_3() -> Iterator[Claim]:
     tau = [to_ticks(float(d), SCENARIOS["csth/10s"]) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
-        f"delays {tau} leave steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"
+        f"delays {tau} give steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"
     )
     yield statement("chain 3 is chain 1", "the same", alike, bool(steps[2] == steps[0]))
     rates = {pole: _rate({"options": {"chain": {"pole": pole}}}) for pole in (1e-4, 1e-2, 0.5)}
     text = ", ".join(f"{rate:.3f} at {pole:g}" for pole, rate in rates.items())
     tuned = list(rates.values()) == sorted(rates.values())
-    yield statement("Remark 3: poles tune the convergence", "can be tuned", f"radius of one sample {text}", tuned)
+    yield statement("Remark 3: poles tune the convergence", "can be tuned", f"spectral radius per sample {text}", tuned)
     seconds = {1: [20.0, 50.0, 70.0], 2: [40.0, 100.0, 140.0], 4: [80.0, 200.0, 280.0]}
     study = {"name": "late", "scenarios": ["csth/10s"]}
     radii = {k: _rate({"axes": {"delay": [d]}}) for k, d in seconds.items()}
@@ -98,7 +99,7 @@ def _remark_3() -> Iterator[Claim]:
 
 
 def _rate(changes: dict[str, object]) -> float:
-    """The chain's radius of one sample where the study is changed so."""
+    """The chain's spectral radius per sample where the study is changed so."""
     study = {"name": "rate", "scenarios": ["csth/10s"]} | changes
     return float(api.design(study, "chain").certificate.numbers["radius_of_one_sample"])
 
@@ -124,7 +125,7 @@ def _claims() -> Iterator[Claim]:
         yield statement(f"#1 converges: {what}", "in 10 s", text, bool(left < 1e-3 * e["chain"][0]))
         share = e["equal-delay"][100:].mean() / np.abs(x[100:, 1]).mean()
         slow = float(api.design(scenario, "equal-delay").certificate.numbers["radius"])
-        text = f"enthalpy off by {100 * share:.2g} % of its size, radius {slow:.3f} (a stand-in: [21] is not printed)"
+        text = f"enthalpy off by {100 * share:.2g} % of its size, radius {slow:.3f} (a substitute: [21] is not printed)"
         claim = f"#2 (one delay of 2) is biased and slow: {what}"
         yield statement(claim, "biased, slow", text, bool(share > 0.01 and slow > 0.5))
         numbers = api.design(scenario, "no-delay").certificate.numbers
@@ -132,13 +133,16 @@ def _claims() -> Iterator[Claim]:
         yield statement(f"#3 (samples aligned) diverges: {what}", "diverges", text, numbers["radius_with_these"] > 1)
         text = f"bounded: at most {e['no-delay-plain'].max():.3g} J"
         yield statement(
-            f"#3 (late data as they come) diverges: {what}", "diverges", text, bool(e["no-delay-plain"].max() > 1e9)
+            f"#3 (delayed data as they arrive) diverges: {what}",
+            "diverges",
+            text,
+            bool(e["no-delay-plain"].max() > 1e9),
         )
         if scenario == "csth/literal":
             alone, used = _small(e["model-only"][5]), _small(e["chain"][5])
             text = f"|e| of enthalpy after 5 samples {alone} without measurements, {used} with"
             fair = bool(e["model-only"][5] > e["chain"][5])
-            yield statement("The plant as printed shows what the observer is worth", "Figures 3 to 5", text, fair)
+            yield statement("The plant as printed shows the benefit of the observer", "Figures 3 to 5", text, fair)
 
 
 def _small(joule: float) -> str:
@@ -194,7 +198,7 @@ def _entries() -> Iterator[Claim]:
 def _misprints() -> Iterator[Claim]:
     """What the print contradicts itself in."""
     wrong = np.abs(np.roots([1, -3e-4, 3e-8, -1e-2])).max()
-    poles = f"1e-12: only that has three poles at 1e-4 (1e-2 has one of size {wrong:.3f})"
+    poles = f"1e-12: only this value gives three poles at 1e-4 (1e-2 has one of size {wrong:.3f})"
     heater = f"{csth.Numbers().mc:.9g}: Q1 = C B prints 30411.5"
     yield Claim("B(3,2)", "3041.5241", heater, MISPRINT)
     yield Claim("g_1 of the poles", "10^-2", poles, MISPRINT)
@@ -216,7 +220,7 @@ def _feedthrough() -> str:
 
 
 def _list_undetermined() -> Iterator[Claim]:
-    free = "C is invertible, so any invertible T solves (8): nine free numbers, taken as printed"
+    free = "C is invertible, so any invertible T solves (8): nine free numbers, used as printed"
     lost = "depends on the signs of T, which are lost"
     yield Claim("chains 1, 2: T", "nine numbers each", free, OPEN)
     yield Claim("chains 1, 2: W, the rest of V", "printed", lost, OPEN)

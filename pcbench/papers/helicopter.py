@@ -56,7 +56,7 @@ CASES: dict[str, tuple[str, str, TomlTable, TomlTable]] = {  # name: scenario, o
 MISPRINTS = {  # how the text reads without its minus signs, or as printed: (alpha_1, products in f_1, innovation, history)
     "alpha_1 with the yaw rate, as printed": (1.0, 1.0, 1.0, 1.0),
     "f_1 with + m l^2 sin cos psi'^2": (0.0, -1.0, 1.0, 1.0),
-    "innovation with its sign turned": (0.0, 1.0, -1.0, 1.0),
+    "innovation with the opposite sign": (0.0, 1.0, -1.0, 1.0),
     "innovation with + alpha(t_k - tau)": (0.0, 1.0, 1.0, -1.0),
 }
 
@@ -103,17 +103,17 @@ def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
         run = runs[name]
         B, times = run.z[-1, 4:], run.within
         text = f"{B[0]:.6f}, {B[1]:.6f} at 20 s"
-        yield statement(f"{what}: the viscosities are found", "0.8, 0.318", text, bool(times.max() < 20))
+        yield statement(f"{what}: the viscosities are estimated", "0.8, 0.318", text, bool(times.max() < 20))
         inside = f"from {times[0]:.2f} s and {times[1]:.2f} s on"
         yield report_finding(f"{what}: viscosities within 5 %", inside)
         e = run.rms(run.x - run.z)[:4]
         text = ", ".join(f"{v:.1e}" for v in e) + " rms from 10 s on"
-        yield statement(f"{what}: the state of now is estimated", "converges", text, bool(e.max() < 1e-3))
+        yield statement(f"{what}: the present state is estimated", "converges", text, bool(e.max() < 1e-3))
         for i, angle in enumerate(("pitch", "yaw")):
             claim, text = f"{what}: {angle} follows its path", f"{run.off[i]:.4f} rad rms from 10 s on"
             yield statement(claim, "satisfactorily", text, bool(run.off[i] < 0.05))
         late = [float(np.abs(run.x - run.z)[a:b, :4].max()) for a, b in ((1000, 2000), (5000, 6000), (10_000, 11_000))]
-        text = ", ".join(f"{v:.1e}" for v in late) + " at most, from 1, 5 and 10 s on for a second"
+        text = ", ".join(f"{v:.1e}" for v in late) + " at most, in one second from 1, 5 and 10 s on"
         shrinks = late[2] < 0.1 * late[1] < 0.01 * late[0]
         yield statement(f"Remark 2, {what}: the error converges exponentially", "to zero", text, shrinks)
     apart = runs["varying"].off[1] - runs["constant"].off[1], max(runs["varying"].off) - max(runs["constant"].off)
@@ -125,7 +125,7 @@ def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
     )
     yield digits("largest varying delay [s]", "0.045", longest)
     radius, far = lqr.radius(4.0 * 0.2), lqr.radius(4.0 * 0.8)
-    text = f"linear part: radius {radius:.2f} a sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
+    text = f"linear part: radius {radius:.2f} per sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
     claim = "beyond a limit of the sampling period it does not converge"
     yield statement(claim, "a limitation", text, bool(radius < 1 < far))
 
@@ -146,23 +146,24 @@ def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
     full = max(runs[name].off.max() for name in ("full", "full, varying"))
     lost, kept = runs["still"].diverged, isnan(runs["still, true"].diverged)
     still = ("converges" if isnan(lost) else f"diverges at {lost:.2f} s") + (
-        ", not from the true state" if kept else ""
+        ", but not from the true state" if kept else ""
     )
     yield report_finding(
-        "what keeps the pitch off its path",
-        f"{full:.1e} rad rms with feedforward and predictor, {runs['constant'].off[0]:.3f} without: no gravity term",
+        "why the pitch is off its path",
+        f"{full:.1e} rad rms with feedforward and predictor, {runs['constant'].off[0]:.3f} without, as the control has no "
+        "gravity term",
     )
     yield report_finding("set point at rest, (1, 1) rad, printed observer", still)
     for name, what in (
-        ("late samples", "samples 0.15 s late, commands 0.025 s"),
-        ("late commands", "the other way round"),
+        ("late samples", "samples delayed by 0.15 s, commands by 0.025 s"),
+        ("late commands", "samples delayed by 0.025 s, commands by 0.15 s"),
     ):
         run = runs[name]
-        text = f"yaw {run.off[1]:.3f} rad off its path, its rate found to {run.rms(run.x - run.z)[3]:.1e} rad/s"
+        text = f"yaw {run.off[1]:.3f} rad off its path, rms error of its rate {run.rms(run.x - run.z)[3]:.1e} rad/s"
         yield report_finding(what, text)
     heavy = {what: runs[name].rms(runs[name].z[:, 4:] - VISCOSITY) for what, name in HEAVY.items()}
     text = ", ".join(f"{b[0]:.2f} and {b[1]:.3f} ({what})" for what, b in heavy.items())
-    yield report_finding("10 % more mass than the model: viscosities off by, rms", text)
+    yield report_finding("10 % more mass than the model: rms error of the viscosities", text)
     yield report_finding("linear limit of Theta Ts", f"{limit():.4f}")
 
 
@@ -183,7 +184,7 @@ def _starts() -> list[Claim]:
         text = f"{NAMES[r['observer']]} {r['diverged']} of {r['n']} ({interval}), {never} others not within 5 %"
         texts.setdefault(r["sampling_period"], []).append(text)
     return [
-        report_finding(f"random starts, Ts = {te:g} s: runs that diverge", "; ".join(text))
+        report_finding(f"random initial states, Ts = {te:g} s: runs that diverge", "; ".join(text))
         for te, text in texts.items()
     ]
 
@@ -200,11 +201,11 @@ def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
         text = "; ".join(f"{signal} {a:.3g} / {b:.3g}" for signal, (a, b) in zip(signals, both, strict=True))
         better = sum(b < a for a, b in both)
         yield report_finding(
-            f"noise {std:g} rad: tail rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})"
+            f"noise {std:g} rad: steady rms, robust / ekf", f"{text} (ekf better in {better} of {len(both)})"
         )
     a, b = (runs[name].within for name in ("robust", "ekf"))
     text = f"robust {a[0]:.2f}, {a[1]:.2f} s; ekf {b[0]:.2f}, {b[1]:.2f} s"
-    yield report_finding("no noise, nominal start: viscosities within 5 % from", text)
+    yield report_finding("no noise, nominal initial state: viscosities within 5 % from", text)
 
 
 def record() -> dict[str, Flight]:

@@ -9,15 +9,17 @@ from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
 
 HEAD = """# Reproduction
 
-What five papers claim and print, against what comes out here. Made by `pcbench reproduce all --page REPRODUCTION.md`; a test
-makes it again and compares. Every number under "what comes out" is computed when the page is made.
+This page compares the claims and printed numbers of five papers with what pcbench computes. It is made by
+`pcbench reproduce all --page REPRODUCTION.md`, which computes every number under "what comes out". A test repeats this.
 
-- **reproduced**: it comes out; the evidence says how closely.
-- **misprint**: another reading comes out, the printed one does not.
-- **does not hold**: computed as the paper says, it is not so.
-- **not determinable**: the paper does not say enough to compute it.
+- **reproduced**: the claim or number comes out, as closely as the evidence shows.
+- **misprint**: the printed value does not come out, but another reading does.
+- **does not hold**: the claim is not true if you compute it as the paper describes.
+- **not determinable**: the paper does not contain enough to compute it.
 
-Findings stand in no paper: they are ours, and have no verdict.
+Findings are results of pcbench that no paper contains, so they have no verdict. In the tables, te and Ts are the sampling
+period, d is the delay (in `arm` also the unknown input), and rms is the root mean square. In findings, a number after +- is
+half the width of a 95 % interval.
 """
 
 

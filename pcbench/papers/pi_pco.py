@@ -112,8 +112,8 @@ def _ordering() -> Iterator[Claim]:
         for signal, unit in (("position", "m"), ("velocity", "m/s")):
             rows = _tail_rms(done, signal)
             alike = max(rows.values()) < ALIKE
-            both = f"pco {rows['pco']:.5f}, pi-pco {rows['pi-pco']:.5f} {unit} (tail rms)"
-            text = f"both below {ALIKE:g} {unit}: alike" if alike else both
+            both = f"pco {rows['pco']:.5f}, pi-pco {rows['pi-pco']:.5f} {unit} (steady rms)"
+            text = f"both below {ALIKE:g} {unit}: negligible" if alike else both
             gains = f"Kp = {Kp:g}, Ki = {Ki:g}: {which}"
             claim = f"PI-PCO better than PCO in {signal} under noise, variable intervals; {gains}"
             yield statement(claim, "better", text, bool(rows["pi-pco"] < rows["pco"]) and not alike)
@@ -128,14 +128,14 @@ def _variances() -> Iterator[Claim]:
             f"F = {c.F:g}, k = {c.k:g}: the integral {'lowers' if lower else 'raises'} the variance (over the noise's)"
         )
         right = (c.difference < 0) == (exact[1] < exact[0]) == lower and max(map(abs, c.deviations)) < 4
-        closed = f"{'as' if right else 'not as'} the closed form says, {exact[0]:.4f} -> {exact[1]:.4f}"
+        closed = f"{'agrees with' if right else 'differs from'} the closed form, {exact[0]:.4f} -> {exact[1]:.4f}"
         yield report_finding(claim, f"{text}; {closed}")
 
 
 def _stability() -> Iterator[Claim]:
     F, k = 0.5, 0.6
     radius = max(abs(np.roots([1, -(1 + F), F + k])))
-    text = f"F = {F:g}, k = {k:g}: the error and the integral grow by {radius:.3f} a sample"
+    text = f"F = {F:g}, k = {k:g}: the error and the integral grow by a factor of {radius:.3f} per sample"
     yield statement("A stable F_i makes PI-PCO stable (26)", "ensures", text, bool(radius <= 1))
 
 
@@ -158,9 +158,9 @@ def equations() -> list[Claim]:
     """Return what cannot be computed from the paper, and where its equations do not mean what they say."""
     first = [f"{b - a}" for a, b in pairwise([0, *arrivals(4)])]
     same, late = theta_form(0), theta_form(1)
-    text = f"L_(i-1): (15) and (12) agree to {_size(same)}; L_(i-2): they part by {late:.2g} m/s"
+    text = f"L_(i-1): (15) and (12) agree to {_size(same)}; L_(i-2): they differ by {late:.2g} m/s"
     return [
-        Claim("Kp, Ki", "not printed", "both signs of F are tried above", OPEN),
+        Claim("Kp, Ki", "not printed", "both signs of F are tested above", OPEN),
         Claim("T_i, Figure 3", "not printed", f"ours begins with {', '.join(first)} ms", OPEN),
         Claim("L_(t-1) in (12), (15)", "t - 1", text, MISPRINT if same < 1e-9 < late else FALSE),
         _measured_part(),
@@ -199,9 +199,7 @@ def _measured_part() -> Claim:
     late = [k for k in arrivals(40) if 3000 <= k < len(trace)]
     e = (trace["position"] - trace["pi-pco.position"]).to_numpy()[late]
     std = SCENARIOS["cart/variable"].sampling.noise_std[0]
-    text = (
-        f"rms {np.sqrt(np.mean(e**2)):.3f} m at the arrivals after 3 s: the noise (sd {std:.3f} m), carried on by (18)"
-    )
+    text = f"rms {np.sqrt(np.mean(e**2)):.3f} m at the arrivals after 3 s: the noise (sd {std:.3f} m), which (18) keeps"
     return Claim("(21) measured part of x_i - xhat_i", "0", text, MISPRINT if np.abs(e).max() > 1e-3 else FALSE)
 
 

@@ -46,4 +46,4 @@ def test_every_claim_has_its_verdict():
     ]
     ours = [c for c in claims if c.verdict == "finding"]
     assert len(ours) == len(pi_pco.GRID)
-    assert all("; as the closed form says" in c.reproduced for c in ours)
+    assert all("; agrees with the closed form" in c.reproduced for c in ours)

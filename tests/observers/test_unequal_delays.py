@@ -102,7 +102,7 @@ def test_the_printed_design_its_misprints_and_what_cannot_be_derived():
 def test_remark_2_certifies_what_grows():
     (row,) = chain._remark_2()
     assert row.verdict == "does not hold"
-    assert "grows by 1.0759" in row.reproduced
+    assert "grows by a factor of 1.0759" in row.reproduced
 
 
 @pytest.mark.nightly
@@ -114,9 +114,9 @@ def test_reproduce_chain_from_the_command_line():
         "#2 (one delay of 2) is biased and slow: consistent plant, 10 s": "reproduced",
         "#2 (one delay of 2) is biased and slow: plant as printed": "does not hold",
         "#3 (samples aligned) diverges: consistent plant, 10 s": "reproduced",
-        "#3 (late data as they come) diverges: consistent plant, 10 s": "does not hold",
+        "#3 (delayed data as they arrive) diverges: consistent plant, 10 s": "does not hold",
         "#3 (samples aligned) diverges: plant as printed": "does not hold",
-        "The plant as printed shows what the observer is worth": "does not hold",
+        "The plant as printed shows the benefit of the observer": "does not hold",
         "under noise the chain with printed poles": "finding",
     }.items():
         assert verdicts[claim] == verdict, claim

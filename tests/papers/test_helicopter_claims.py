@@ -25,7 +25,7 @@ def test_claims_hold_but_for_the_pitch(claims):
     pitch = {f"{which} delay: pitch follows its path" for which in ("constant", "varying")}
     assert failed == {*pitch, "varying delay: the control is more challenging"}
     for which, times in (("constant", (2.43, 2.02)), ("varying", (1.38, 4.25))):
-        assert numbers(claims[f"{which} delay: the viscosities are found"].reproduced)[:2] == pytest.approx(
+        assert numbers(claims[f"{which} delay: the viscosities are estimated"].reproduced)[:2] == pytest.approx(
             (0.8, 0.318), abs=1e-6
         )
         inside = numbers(claims[f"{which} delay: viscosities within 5 %"].reproduced)
@@ -44,24 +44,26 @@ def test_misprints_taken_literally_fail(claims):
 
 @pytest.mark.nightly
 def test_findings_of_the_readme(claims):
-    off = numbers(claims["what keeps the pitch off its path"].reproduced)
+    off = numbers(claims["why the pitch is off its path"].reproduced)
     assert off[0] < 1e-5
     assert off[1] == pytest.approx(0.349, abs=1e-3)
-    starts = [claims[f"random starts, Ts = {te:g} s: runs that diverge"].reproduced for te in (0.05, 0.2, 0.8, 1.5)]
+    starts = [
+        claims[f"random initial states, Ts = {te:g} s: runs that diverge"].reproduced for te in (0.05, 0.2, 0.8, 1.5)
+    ]
     assert starts[0].startswith("printed 0 of 256")
     assert starts[1].startswith("printed 39 of 256 (11.3 .. 20.1 %)")
     assert "robust 0 of 256" in starts[1]
     assert "robust 0 of 256 (0.0 .. 1.5 %), 199 others" in starts[2]
     assert "robust 176 of 256" in starts[3]
-    late = numbers(claims["samples 0.15 s late, commands 0.025 s"].reproduced)
-    turned = numbers(claims["the other way round"].reproduced)
+    late = numbers(claims["samples delayed by 0.15 s, commands by 0.025 s"].reproduced)
+    turned = numbers(claims["samples delayed by 0.025 s, commands by 0.15 s"].reproduced)
     assert late[0] == pytest.approx(0.027, abs=1e-3)
     assert turned[0] > 0.4
-    noise = claims["noise 0.02 rad: tail rms, robust / ekf"].reproduced
+    noise = claims["noise 0.02 rad: steady rms, robust / ekf"].reproduced
     assert "ekf better in 6 of 6" in noise
     robust, ekf = numbers(noise.split("yaw_rate ")[1])[:2]
     assert 16 < robust / ekf < 18.5
-    heavy = numbers(claims["10 % more mass than the model: viscosities off by, rms"].reproduced)
+    heavy = numbers(claims["10 % more mass than the model: rms error of the viscosities"].reproduced)
     assert heavy[0] == pytest.approx(0.24, abs=0.01)
     assert heavy[2] == pytest.approx(0.31, abs=0.01)
 
