@@ -31,7 +31,11 @@ def observers(holds):
     ("page", "begin", "holds"),
     [
         ("not_claimed.md", "Channels may have different sampling times with", lambda e: e.takes == "any schedule"),
-        ("not_claimed.md", "Channels may have different constant delays also with", lambda e: e.takes == "constant delays"),
+        (
+            "not_claimed.md",
+            "Channels may have different constant delays also with",
+            lambda e: e.takes == "constant delays",
+        ),
         ("not_claimed.md", "Only open loops are supported by", lambda e: not e.loops),
         ("who_knows.md", "These have a covariance:", lambda e: e.observer.covariance),
         ("who_knows.md", "Without `nis` are", lambda e: e.observer.covariance and not e.observer.innovation),
