@@ -18,10 +18,9 @@ SCHEMA = "1"  # of every file; one more for each change once there is a release
 AXIS_UNITS = {f.name: f.unit for f in FIELDS}
 Columns = Mapping[str, ArrayLike | pa.Array]  # by name
 CONSISTENCY = (
-    "coverage_1_sigma, coverage_2_sigma, coverage_3_sigma, the fraction of runs whose error at tick N-1 is within so "
-    "many of the "
-    "standard deviations that the observer believes (Wilson's); or nees_band, nis_band, signal_nees_band, whose interval is "
-    "the 95 % band of such means of a true covariance (chi-square)"
+    "Fraction of runs whose error at tick N-1 is within one, two or three of the observer's standard deviations, with Wilson's "
+    "interval: coverage_1_sigma, coverage_2_sigma, coverage_3_sigma. The 95 % band of mean nees, nis or signal_nees for a true "
+    "covariance (chi-square), in the columns of the interval: nees_band, nis_band, signal_nees_band"
 )
 MEANING = {
     "study": "name of the study",
@@ -30,66 +29,69 @@ MEANING = {
     "observer": "observer, with the options in study.toml",
     "observer_a": "first observer of the pair",
     "observer_b": "second observer of the pair",
-    "cell": "number of the combination of axis values, from 0, within its scenario",
-    "seed": "seed index: with the study's root seed it addresses every random number of the run",
+    "cell": "number of the grid point within its scenario, from 0",
+    "seed": "seed of the run: with the study's root seed it determines every random number of the run",
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
-    "predicts_unknown_input": "whether the observer's prediction to the present carries the unknown input it has found; null: "
-    "it finds none, or predicts nothing",
+    "predicts_unknown_input": "whether the observer's prediction to the present includes its estimate of the unknown input; "
+    "null: the observer has no such estimate, or no prediction",
     **{f"predicts_unknown_input_{one}": f"predicts_unknown_input of observer_{one}" for one in "ab"},
-    "certified": "whether something proves the observer's gains in this cell (an inequality, checked again, with a margin "
-    "above 0); null: it has no gains",
+    "certified": "whether the observer's gains have a certificate at this grid point (an inequality, checked again, with a "
+    "margin above 0); null: the observer has no gains",
     **{f"certified_{one}": f"certified of observer_{one}" for one in "ab"},
-    "unit": "unit of the signal; beside a metric, of that metric",
+    "unit": "unit of the signal; in a row with a metric, the unit of the metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
     "mse": "mean of e^2 over ticks 0 .. N-1 [unit squared]",
     "max_abs_error": "largest |e| over ticks 0 .. N-1",
     "final_error": "e at tick N-1, signed",
-    "settling_time": "time [s] of the last exit of |e| from the scenario's band; the horizon where it is still outside",
-    "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next one or "
-    "the horizon, the longest of all jumps from the scenario's tail start on; null where there is none",
-    "steady_mae": "mean |e| from the scenario's tail start on",
-    "steady_rmse": "square root of the mean of e^2 from the tail start on",
-    "steady_mse": "mean of e^2 from the tail start on [unit squared]",
-    "steady_max_abs_error": "largest |e| from the tail start on",
-    "tracking_rmse": "root of the mean square of set point less state, in a closed loop; null of what has no set point",
-    "steady_tracking_rmse": "the same from the tail start on",
-    "status": "diverged; or unsettled: the error of this signal left its band after the tail had started; or settled",
-    "diverged": "runs: the error became non-finite or left the scenario's divergence threshold (its metrics are null); "
-    "stats: how many such runs, none of them averaged",
-    "divergence_time": "time [s] at which the error of a diverged run left the divergence threshold; null elsewhere",
-    "metric": "a metric of `runs`; or pooled_rmse, steady_pooled_rmse (root of the mean square over runs); or "
-    "rms_efficiency (the bound over steady_pooled_rmse, against the best any causal estimator can do on average over x(0) ~ "
-    "N(xhat0, P0)); or "
-    "divergence_rate, the fraction of runs that diverged; or unsettled_rate, the fraction of the others whose error left its "
-    "band in the tail (both with Wilson's interval); or " + CONSISTENCY,
-    "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
-    "alone, where runs draw their own); none: neither, and `reason` says why",
-    "reason": "why a number is missing that only runs have; null where it is there",
+    "settling_time": "time [s] of the last exit of |e| from the scenario's band; the duration if |e| ends outside",
+    "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next jump or "
+    "the end. The longest of all jumps from the scenario's steady_start on; null: there is no such jump",
+    "steady_mae": "mean |e| from the scenario's steady_start on",
+    "steady_rmse": "square root of the mean of e^2 from steady_start on",
+    "steady_mse": "mean of e^2 from steady_start on [unit squared]",
+    "steady_max_abs_error": "largest |e| from steady_start on",
+    "tracking_rmse": "root mean square of the set point minus the state, in a closed loop; null: the signal has no set point",
+    "steady_tracking_rmse": "the same from steady_start on",
+    "status": "diverged; or unsettled: the error of this signal left its band after steady_start; or settled",
+    "diverged": "in runs: the error became non-finite or exceeded the scenario's divergence threshold (its metrics are null). "
+    "In stats: the number of such runs, which are left out of all means",
+    "divergence_time": "time [s] at which the error of a diverged run exceeded the divergence threshold; null for other runs",
+    "metric": "a metric of `runs`, or one of these. Root of the mean square over runs: pooled_rmse, steady_pooled_rmse. "
+    "The Kalman bound divided by steady_pooled_rmse: rms_efficiency. The bound is the least such error of any causal "
+    "estimator, on average over x(0) ~ N(xhat0, P0). Fraction of runs that diverged, with Wilson's interval: divergence_rate. "
+    "Fraction of the other runs whose error left its band after steady_start, with Wilson's interval: unsettled_rate. "
+    + CONSISTENCY,
+    "method": "runs: an estimate from simulated runs; exact: the expected value over all noise, with an se of 0. If the "
+    "schedule is random, it is a mean over schedules, and se belongs to this mean. none: no number, see `reason`",
+    "reason": "why a number is missing that only runs can give; null: no number is missing",
     "t": "time [s]",
     "std": "standard deviation of the error e at t, over all noise; `mean` is its mean",
-    "n": "runs that enter the number; of an exact one 0, or the schedules that it is averaged over",
+    "n": "number of runs in the estimate; for an exact number 0, or the number of schedules in its mean",
     "mean": "estimate over runs, or exact",
     "se": "its standard error",
     "ci_low": "lower end of its 95 % interval over seeds",
     "ci_high": "upper end of its 95 % interval over seeds",
-    "mean_diff": "mean of metric(a) - metric(b) over common draws on which neither diverged: negative where a is better",
+    "mean_diff": "mean of metric(a) - metric(b) over the common runs in which neither diverged; negative: a is better",
     "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
-    "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
+    "p_value": "two-sided paired t-test of mean_diff = 0; null: the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
     "lq_cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "
-    "in a loop with weights; one number a run, with its first signal",
-    "steady_lq_cost": "the same from the tail start on",
-    "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a loop; one number a run, with its first signal",
-    "steady_input_rms": "the same from the tail start on",
-    "nees": "e' P^-1 e / n at tick N-1, P the covariance that the observer believes its error of the plant's n states to have, "
-    "less those it knows: 1 on average of a true one; one number a run, with its first signal",
+    "in a closed loop with weights; one number per run, in the row of its first signal",
+    "steady_lq_cost": "the same from steady_start on",
+    "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a closed loop; one number per run, in the row of its "
+    "first signal",
+    "steady_input_rms": "the same from steady_start on",
+    "nees": "normalised estimation error squared: e' P^-1 e / n at tick N-1. P is the observer's covariance of its error of "
+    "the plant's n states, without states that are known exactly. The mean is 1 if P is true. One number per run, in the row "
+    "of its first signal",
     "nees_dof": "the n of nees",
-    "nis": "nu' S^-1 nu of all samples that came in the order in which they were taken, over how many numbers these were; nu "
-    "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, "
-    "with its first signal; null: no sample was judged; in stats all squares of all runs over all numbers",
-    "nis_dof": "how many numbers nis is over",
-    "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
+    "nis": "normalised innovation squared: the sum of nu' S^-1 nu over all measurements that the observer tests, divided by "
+    "nis_dof. The innovation nu is a measurement minus its prediction from all earlier arrivals, and S is the observer's "
+    "covariance of nu. One number per run, in the row of its first signal; null: no measurement was tested. In stats: the sum "
+    "over all runs, divided by the sum of nis_dof",
+    "nis_dof": "number of values in nis",
+    "signal_nees": "e^2 divided by the observer's variance of e, at tick N-1; null: this state is known exactly",
 }
 MEANING |= {f.name: f.meaning for f in FIELDS}
 MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
@@ -176,7 +178,7 @@ def has_schema(metadata: Mapping[bytes, bytes]) -> bool:
 @cache
 def _field(name: str, kind: pa.DataType) -> pa.Field:
     unit = AXIS_UNITS.get(name, "s" if OWN_UNITS.get(name) == "s" else "")
-    about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
+    about = {"meaning": MEANING.get(name, "plant parameter at this grid point")} | ({"unit": unit} if unit else {})
     return pa.field(name, kind, metadata=about)
 
 

@@ -39,11 +39,11 @@ def sitting(tmp_path_factory):
     bag, picture = blocks("python", PAGE)
     for line in commands(PAGE):
         words = shlex.split(line)[1:]
-        words += ["--json"] if words[0] in ("log", "replay", "tune") else []
+        words += ["--json"] if words[0] in ("info", "replay", "tune") else []
         done = subprocess.run([sys.executable, "-m", "pcbench", *words], capture_output=True, check=False, **there)
         assert done.returncode == 0, done.stderr
         said[words[0] if words[0] not in said else f"{words[0]} again"] = done.stdout
-        if words[0] == "trace":
+        if words[0] == "simulate":
             subprocess.run([sys.executable, "-c", bag], check=True, **there)
     subprocess.run([sys.executable, "-c", picture], check=True, **there)
     return folder, said
@@ -52,7 +52,7 @@ def sitting(tmp_path_factory):
 @pytest.mark.nightly
 def test_its_numbers_come_out(sitting):
     folder, said = sitting
-    (camera,) = json.loads(said["log"])["channels"]
+    (camera,) = json.loads(said["info"])["channels"]
     assert (camera["samples"], camera["out_of_order"], camera["lost"]) == (1130, 34, 0)
     late = [camera[f"delay_{name}"] for name in ("median", "p05", "p95", "most")]
     assert [round(camera["rate"], 1), *late] == pytest.approx([18.8, 0.075, 0.060, 0.115, 0.195])

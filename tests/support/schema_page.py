@@ -13,12 +13,14 @@ from pcbench.study.axes import AXES, CHANNELS, COMMANDS, OUTPUTS, STATES
 PAGE = Path(pcbench.__file__).parent / "guide" / "tables.md"
 AXIS = [*(a for a in AXES if a not in STATES), *STATES, *COMMANDS]
 ALWAYS = {"diverged": "bool in runs, int64 in stats", "seed": "int64"}
-HEAD = f"""# The columns of the tables
+HEAD = f"""# Columns of the tables
 
-Each Parquet file has its schema's number in its metadata (`pcbench.schema`: here {columns.SCHEMA}), and with each column its
-meaning and unit. A column that is added, goes or means something else makes a new number. `tests/support/schema_page.py` makes
-this page from the code. `<axes>` are the columns of the last table: those that a scenario has, in that order. `scenario` and
-`observer` of `runs` are in the folders' names.
+Look up the columns of a study's Parquet files here, with their types, units and meanings. The script
+`tests/support/schema_page.py` generates this page from the code.
+
+Each file's metadata contains the number of its schema (`pcbench.schema`, {columns.SCHEMA} in this release), and the meaning and
+unit of each column. The number changes if a column is added or removed, or changes its meaning. The columns `<axes>` are those
+of the last table that a scenario has, in that order. In `runs`, the names of the folders contain `scenario` and `observer`.
 """
 
 
@@ -63,14 +65,14 @@ def page() -> str:
     for title, names in orders().items():
         new = [name for name in names if name not in known]
         again = ", ".join(f"`{name}`" for name in names if name in known)
-        said = f"As above: {again}; and `<axes>` after `cell`.\n\n" if again else "With `<axes>` after `cell`.\n\n"
+        said = f"Columns as above: {again}, and `<axes>` after `cell`.\n\n" if again else "`<axes>` follow `cell`.\n\n"
         head, rest = table(title, new).split("\n\n", 1)
         parts.append(f"{head}\n\n{said}{rest}")
         known |= set(names)
     return "\n".join([*parts, table("Axes", AXIS), PARAMETER])
 
 
-PARAMETER = "`plant.<parameter>` is a double: the plant's parameter in this cell, where the study varies it.\n"
+PARAMETER = "`plant.<parameter>` is a double: the plant's parameter at this grid point, if the study varies it.\n"
 
 
 if __name__ == "__main__":
