@@ -69,22 +69,32 @@ def new(
 
 
 FOLDER = Path(__file__).parents[1] / "guide"
-ORDER = (  # of a reader's questions; what is not here follows by the alphabet
-    *("first-study", "reading-results", "who-knows", "exact-answers", "which-observer", "axes-and-schedules"),
-    *("what-suffices", "outliers", "nonlinear", "unknown-delay", "logs"),
-    *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),
-    "code-and-guests",
-    "from-a-bag-to-c",
-    *("large-studies", "five-papers", "not-claimed", "how-it-works", "how-it-differs", "versions", "tables"),
-    "decisions",
-)
+GROUPS = {  # the pages by kind, in the order in which they are listed
+    "Getting started": ("quickstart", "delayed-camera", "recording-to-c"),
+    "How-to guides": (
+        *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
+        *(
+            "nonlinear-filters",
+            "consistency",
+            "measurement-errors",
+            "closed-loops",
+            "your-own-observer",
+            "your-own-plant",
+        ),
+        *("recordings", "gains", "export-to-c", "large-studies"),
+    ),
+    "Concepts": ("how-it-works", "exact-evaluation", "limitations"),
+    "Reference": ("results", "columns", "versioning"),
+    "Findings": ("five-papers",),
+    "About": ("comparison", "decisions"),  # the decisions' own pages follow
+}
 
 
 def pages() -> dict[str, Path]:
     """Return the guide's pages by topic, in order."""
     every = ((path.parent.name if path.stem == "README" else path.stem, path) for path in FOLDER.rglob("*.md"))
     found = {name.replace("_", "-"): path for name, path in every}
-    first = [topic for topic in ORDER if topic in found]
+    first = [topic for group in GROUPS.values() for topic in group]
     return {topic: found[topic] for topic in [*first, *sorted(found.keys() - set(first))]}
 
 
@@ -98,14 +108,17 @@ def guide(
 ) -> None:
     """Show a page of the guide, or which there are.
 
-    Example: pcbench guide which-observer
+    Example: pcbench guide choose-an-observer
     """
     topics = pages()
     if topic is None:
-        wide = max(map(len, topics))
-        print("The guide, a page a question:\n")
-        print("\n".join(f"  {name:<{wide}}  {title(path.read_text('utf-8'))}" for name, path in topics.items()))
-        print("\nOne of them: pcbench guide which-observer")
+        wide = max(len(topic) for group in GROUPS.values() for topic in group)
+        for group, mine in GROUPS.items():
+            print(f"{group}\n")
+            print(
+                "\n".join(f"  {topic:<{wide}}  {title(topics[topic].read_text('utf-8'))}" for topic in mine), end="\n\n"
+            )
+        print("Show a page: pcbench guide choose-an-observer")
         return
     path = topics.get(topic.strip().lower().removesuffix(".md").replace("_", "-"))
     if path is None:

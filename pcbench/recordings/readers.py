@@ -88,14 +88,14 @@ def open_log(name: str | Path, delay: float | None = None) -> Log:
     if delay is not None and not delay >= 0:
         raise UserError(f"--delay: got {delay:g}, expected 0 s or more; write how late samples arrive.")
     if not path.exists():
-        raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide logs.")
+        raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide recordings.")
     if path.suffix.lower() == ".toml":
         return open_toml(path, delay)
     if path.is_dir() or path.suffix.lower() in tables.KINDS:
         return tables.open_tables(path, delay)
     raise UserError(
         f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; see "
-        "pcbench guide logs."
+        "pcbench guide recordings."
     )
 
 
@@ -125,7 +125,7 @@ def _read(path: Path) -> Mapping:
         table = toml_text.parse(path.read_bytes())
     except (OSError, ValueError) as error:
         raise UserError(
-            f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide logs shows; mend it."
+            f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide recordings shows; mend it."
         ) from None
     try:
         toml = Mapping.model_validate(table)
@@ -138,7 +138,7 @@ def _read(path: Path) -> Mapping:
                 f'{path.name}: {place}: got no unit, expected what its values are in; write unit = "m".'
             ) from None
         what = first["msg"][0].lower() + first["msg"][1:]
-        raise UserError(f"{path.name}: {place}: {what}; see pcbench guide logs for its keys.") from None
+        raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
     for what in ("channels", "inputs", "truth"):
         for name, column in getattr(toml, what).items():
             unit(column.unit, f"{path.name}: {what}.{name}.unit")

@@ -39,7 +39,7 @@ def open_tables(path: Path, delay: float | None = None) -> Log:
     if measured is None:
         raise UserError(
             f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
-            "needs a TOML that says which topics are channels (pcbench guide logs)."
+            "needs a TOML that says which topics are channels (pcbench guide recordings)."
         )
     named = _find_columns(measured, COLUMNS)
     if "arrived" not in named and delay is None:

@@ -27,7 +27,7 @@ SCENARIO = {
 STUDY = {"name": "away", "scenario": SCENARIO, "observers": ["kf"], "seeds": 3, "axes": {"noise_std": [0.1, 0.5]}}
 PROMPT = {"base": "cart/white", "duration": 3.0, "steady_start": 1.0, "delay": 0.0}
 NOW = {"name": "now", "scenario": PROMPT, "observers": ["kf"], "seeds": 1}
-KALMAN = blocks("python", "code_and_guests.md")[0]
+KALMAN = blocks("python", "export_to_c.md")[0]
 WRONG = """
 
 def raises(cell, xhat0):

@@ -17,7 +17,7 @@ from documents import PAGES, blocks, commands, fenced
 
 from pcbench.errors import EXTRAS
 
-PAGE = "from_a_bag_to_c.md"
+PAGE = "recording_to_c.md"
 
 
 def as_installed(folder):

@@ -11,7 +11,7 @@ import pcbench
 from pcbench.planning import plan
 from pcbench.study import parse
 
-PAGE = "a_loop_of_your_own.md"
+PAGE = "delayed_camera.md"
 LOOP = PAGES[PAGE]
 
 

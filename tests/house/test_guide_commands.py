@@ -11,7 +11,7 @@ LANGUAGES = ("sh", "python", "toml", "text")
 NOT_RUN = [  # every block that no test runs, with the reason that its page gives
     ("README.md", "sh", ".ci/run runs it in a clean environment"),
     ("README.md", "sh", ".ci/run runs it in a clean environment"),
-    ("code_and_guests.md", "sh", "the estimates are of another program"),
+    ("export_to_c.md", "sh", "the estimates are of another program"),
     ("five_papers.md", "sh", "minutes; tests/reproduce runs paper by paper"),
     ("large_studies.md", "sh", "needs a Dask scheduler on another machine"),
     ("large_studies.md", "python", "needs a cluster under SLURM"),
@@ -52,7 +52,7 @@ def test_runs_that_are_left_out_are_those_of_the_page_of_every_study():
     """It runs them as a user has them."""
     found = [(name, line) for name in RUN for line in left_out(name)]
     assert found == [
-        ("gains_and_tuning.md", "pcbench run equal-tuning"),
+        ("gains.md", "pcbench run equal-tuning"),
         ("unknown_inputs.md", "pcbench run unknown-input"),
     ]
     assert {line for _, line in found} < set(commands(EVERY_STUDY))

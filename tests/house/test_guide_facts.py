@@ -30,16 +30,16 @@ def observers(holds):
 @pytest.mark.parametrize(
     ("page", "begin", "holds"),
     [
-        ("not_claimed.md", "Channels may have different sampling times with", lambda e: e.takes == "any schedule"),
+        ("limitations.md", "Channels may have different sampling times with", lambda e: e.takes == "any schedule"),
         (
-            "not_claimed.md",
+            "limitations.md",
             "Channels may have different constant delays also with",
             lambda e: e.takes == "constant delays",
         ),
-        ("not_claimed.md", "Only open loops are supported by", lambda e: not e.loops),
-        ("who_knows.md", "These observers report a covariance:", lambda e: e.observer.covariance),
+        ("limitations.md", "Only open loops are supported by", lambda e: not e.loops),
+        ("consistency.md", "These observers report a covariance:", lambda e: e.observer.covariance),
         (
-            "who_knows.md",
+            "consistency.md",
             "These observers report no `nis`:",
             lambda e: e.observer.covariance and not e.observer.innovation,
         ),
@@ -62,7 +62,7 @@ def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
             proofs |= planned.certificates
     unproven = [name for name, proof in proofs.items() if is_certified(proof._asdict()) is False]
     assert len(proofs) == len(OBSERVERS)
-    assert sorted(named("not_claimed.md", "There is no certificate for")) == sorted(unproven)
+    assert sorted(named("limitations.md", "There is no certificate for")) == sorted(unproven)
 
 
 def test_every_check_of_an_observer_is_named():
@@ -78,7 +78,7 @@ def test_every_optional_function_of_an_observer_is_named():
 
 
 def test_every_plot_is_named():
-    page = PAGES["reading_results.md"].split("## In Python")[1].split("\n## ")[0]
+    page = PAGES["results.md"].split("## In Python")[1].split("\n## ")[0]
     for name in plots.__all__:
         assert re.search(rf"(?:plots\.|`){name}\b", page) or name == "styles", name
 
@@ -92,4 +92,4 @@ def test_how_many_scenarios_of_the_cart_the_study_has():
     cart = [name for name in SCENARIOS if name.startswith("cart/")]
     words = {6: "six", 10: "ten"}
     said = f"{words[len(STUDIES['cart'].scenarios)]} of the {words[len(cart)]} scenarios on the cart"
-    assert said in PAGES["first_study.md"]
+    assert said in PAGES["quickstart.md"]

@@ -18,7 +18,7 @@ pytest.importorskip("mkdocs")
 pytest.importorskip("mkdocstrings")
 SHOWN = {
     "index.html": "Which observer should you use",
-    "pcbench/guide/which_observer.html": "pccebo-riccati",
+    "pcbench/guide/choose_an_observer.html": "pccebo-riccati",
     "notebooks/01_first_look.html": "<img",
     "reference/pcbench.observers.kf.html": "delay-compensated discrete Kalman filter",
     "REPRODUCTION.html": "misprint",

@@ -87,7 +87,7 @@ def test_lqr_that_knows_its_delay_is_stable_however_late_and_without_knowing_it_
 
 
 def test_the_guides_table_closes_the_loop_of_the_cart():
-    (block,) = blocks("toml", "loops.md")
+    (block,) = blocks("toml", "closed_loops.md")
     found = grid_of({"name": "t", "scenarios": ["cart/white"]} | tomllib.loads(block), {}, [])
     assert found.cells[0].values["command_loss"] == 0.05
     assert unstable(found) == []

@@ -96,7 +96,7 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
 
 @pytest.mark.nightly
 def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
-    section = PAGES["outliers.md"].split("## Bursts of lost samples")[1]
+    section = PAGES["measurement_errors.md"].split("## Bursts of lost samples")[1]
     study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
     stats = pcbench.run(study).stats
     mean = stats[stats.signal == "position"].set_index(["observer", "metric", "mean_burst_length"])["mean"]
@@ -112,7 +112,7 @@ def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
 @pytest.mark.nightly
 def test_the_guides_figures_of_faults_are_what_comes_out():
     """One run of the whole study: three tables."""
-    result, page = pcbench.run("measurement-errors"), PAGES["outliers.md"]
+    result, page = pcbench.run("measurement-errors"), PAGES["measurement_errors.md"]
     stats = result.stats[result.stats.signal == "position"]
     mean = stats.set_index(["observer", "metric", "cell"])["mean"]
     cells = stats.drop_duplicates("cell").set_index("cell")

@@ -10,7 +10,7 @@ from pcbench.dataset import columns
 from pcbench.statistics import RUN_METRICS
 from pcbench.study.axes import AXES, CHANNELS, COMMANDS, OUTPUTS, STATES
 
-PAGE = Path(pcbench.__file__).parent / "guide" / "tables.md"
+PAGE = Path(pcbench.__file__).parent / "guide" / "columns.md"
 AXIS = [*(a for a in AXES if a not in STATES), *STATES, *COMMANDS]
 ALWAYS = {"diverged": "bool in runs, int64 in stats", "seed": "int64"}
 HEAD = f"""# Columns of the tables

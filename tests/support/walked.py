@@ -50,13 +50,13 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     ],
 }
 AS_USERS_HAVE_IT = (  # the pages whose programs are those of a user: their runs are long, or are of a study as it is
-    "first_study.md",
-    "loops.md",
-    "outliers.md",
+    "quickstart.md",
+    "closed_loops.md",
+    "measurement_errors.md",
     "unknown_delay.md",
     "unknown_inputs.md",
 )
-EVERY_STUDY = "first_study.md"  # the page that runs one after the other
+EVERY_STUDY = "quickstart.md"  # the page that runs one after the other
 TUNING = {"--budget": "2", "--training-seeds": "1000:1008", "--validation-seeds": "2000:2008"}
 SEARCH = {"--seeds": "8", "--max-seeds": "16", "--tol": "0.5"}
 FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more

@@ -12,7 +12,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[2]
-PAGE = PAGES["which_observer.md"].split("## List of observers")[1] + PAGES["how_late.md"]
+PAGE = PAGES["choose_an_observer.md"].split("## List of observers")[1] + PAGES["delayed_measurements.md"]
 CITATION = (ROOT / "CITATION.cff").read_text()
 ENTRIES = {r.key: r.text for r in citing.references()}
 NEEDED = {"article": {"author", "title", "journal", "year"}, "book": {"author", "title", "publisher", "year"}}
