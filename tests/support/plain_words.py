@@ -11,7 +11,7 @@ import inspect
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,22 +90,34 @@ def sentences(text: str) -> Iterator[str]:
                 yield sentence
 
 
-def main() -> None:
-    """Print each private word and each long sentence with its place, and the counts last."""
-    words, only, found, many, long = private_words(), sys.argv[1:], 0, 0, 0
-    for text in texts():
-        if only and not any(text.place.startswith(each) for each in only):
-            continue
+class Count(NamedTuple):
+    """What some texts have of private words and long sentences, each with its place."""
+
+    private: list[str]
+    long: list[str]
+    sentences: int
+
+
+def count(some: Iterable[Text]) -> Count:
+    """Return the private words and the long sentences of texts."""
+    words, private, long, many = private_words(), [], [], 0
+    for text in some:
         for match in words.finditer(text.words):
-            found += 1
             around = " ".join(text.words[max(match.start() - 40, 0) : match.end() + 40].split())
-            print(f"{text.place}: {match.group()}: {around}")
+            private.append(f"{text.place}: {match.group()}: {around}")
         for sentence in sentences(text.words) if text.prose else ():
             many += 1
             if (size := len(sentence.split())) > LONG:
-                long += 1
-                print(f"{text.place}: {size} words: {sentence[:160]}")
-    print(f"{found} private words; {long} of {many} sentences have more than {LONG} words ({long / max(many, 1):.1%})")
+                long.append(f"{text.place}: {size} words: {sentence}")
+    return Count(private, long, many)
+
+
+def main() -> None:
+    """Print each private word and each long sentence with its place, and the counts last."""
+    places = tuple(sys.argv[1:]) or ("",)
+    private, long, many = count(text for text in texts() if text.place.startswith(places))
+    print(*private, *long, sep="\n")
+    print(f"{len(private)} private words; {len(long)} of {many} sentences have more than {LONG} words")
 
 
 if __name__ == "__main__":
