@@ -40,7 +40,7 @@ class Options(BaseModel):
 
 
 class ControllerContext(NamedTuple):
-    """What the designer of a law knows of a cell. n states, m inputs, q outputs."""
+    """What a controller is designed with at a grid point. n states, m inputs, q outputs."""
 
     model: Model  # linear, as observers know it
     dt: float  # [s]
