@@ -7,13 +7,15 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
-FIRST, *LATER = NOTEBOOKS
+LONG = ("13_period_and_delay_exactly",)  # takes minutes, the others seconds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "path", [FIRST, *(pytest.param(p, marks=pytest.mark.nightly) for p in LATER)], ids=lambda p: p.stem
+    "path",
+    [pytest.param(p, marks=[pytest.mark.nightly] if p.stem in LONG else []) for p in NOTEBOOKS],
+    ids=lambda p: p.stem,
 )
-@pytest.mark.nightly
 def test_notebook_runs_and_draws(path, tmp_path):
     import nbformat  # seconds of every collection
     from nbclient import NotebookClient
