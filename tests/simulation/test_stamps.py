@@ -138,7 +138,7 @@ def test_who_does_not_use_the_age_of_a_sample_says_so(observer, scenario):
 
 
 def test_who_is_told_when_a_sample_is_taken_says_so():
-    with pytest.raises(UserError, match="kf-cloning in lti got timestamp_offset, expected stamps that are right"):
+    with pytest.raises(UserError, match="kf-cloning in lti got timestamp_offset, expected correct timestamps"):
         pcbench.run(stamped(timestamp_offset=-TICK) | {"observers": ["kf-cloning"], "options": {}}, seeds=1)
 
 
