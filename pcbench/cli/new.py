@@ -83,7 +83,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         ),
         *("recordings", "gains", "export-to-c", "large-studies"),
     ),
-    "Concepts": ("how-it-works", "exact-evaluation", "limitations"),
+    "Concepts": ("timing-model", "glossary", "how-it-works", "exact-evaluation", "limitations"),
     "Reference": ("results", "columns", "versioning"),
     "Findings": ("five-papers",),
     "About": ("comparison", "decisions"),  # the decisions' own pages follow
