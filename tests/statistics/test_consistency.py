@@ -164,7 +164,7 @@ def test_a_run_without_a_judged_sample_adds_nothing_to_the_mean_nis():
 
 
 def test_consistency_needs_starts_that_are_drawn():
-    with pytest.raises(UserError, match="write random_initial_state = true"):
+    with pytest.raises(UserError, match="add random_initial_state = true"):
         pcbench.run(STUDY | {"observers": ["kf"], "options": {"scenario": {"consistency": True}}})
 
 
