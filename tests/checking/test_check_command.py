@@ -73,7 +73,7 @@ BAD_MODULES = {
     "no Python": ("x = (\n\ny z\n", "SyntaxError", "bad.py line"),
     "a library that is not here": ("import own_observer_x\n", "ModuleNotFoundError", "bad.py line 1"),
     "it stops": ("raise SystemExit(0)\n", "SystemExit", "bad.py line 1"),
-    "no design": ("from own import nudge\n", "without a function design", "write it beside"),
+    "no design": ("from own import nudge\n", "without a function design", "write it in"),
     "not an observer": ("nudge = 3\n", "got a int called nudge", "expected an observer (a pcbench.Observer"),
     "options without defaults": (
         "from own import *\nclass Options(BaseModel):\n    share: float\n", "option share: Field required", "--set"

@@ -135,7 +135,7 @@ def test_a_law_that_looks_at_what_is_on_its_way_is_not_linearised():
     def ahead(params, now, estimate, coming, kept):
         return command(params, now, estimate + 0.0 * coming(jnp.asarray(0)), coming, kept)
 
-    with pytest.raises(SkipCheck, match=r"write linear\(options, told\)"):
+    with pytest.raises(SkipCheck, match=r"write linear\(options, context\)"):
         CHECKS["settles"](trial(own(command=ahead)))
     with pytest.raises(SkipCheck, match="it decides at every tick"):
         CHECKS["held"](trial(own()))

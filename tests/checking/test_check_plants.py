@@ -121,7 +121,7 @@ BROKEN = {
         ),
     ],
     "tick": [(lambda: swing(field=stiff), "got a tick of 0.001 s that is off by .* of a state, 10000 times.*write dt = ")],
-    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick [12], where model-only knows")],
+    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick [12], where model-only has")],
 }  # fmt: skip
 BROKEN = [(check, make, sentence) for check, cases in BROKEN.items() for make, sentence in cases]
 
