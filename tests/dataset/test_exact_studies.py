@@ -166,13 +166,13 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
 
 
 @pytest.mark.ci
-def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
+def test_exact_numbers_in_a_folder_of_runs_are_kept_with_them_and_the_command_says_so(tmp_path):
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
     assert moments_tables.load_exact_rows(storage.target(tmp_path / "out")) is not None
     said = results.sentence(result, "out")
-    assert said.startswith("The tables in out are of its runs")
+    assert said.startswith("The tables in out contain its runs")
     assert "pcbench verify out --exact" in said
 
 
