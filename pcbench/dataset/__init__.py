@@ -6,5 +6,5 @@ A block's Parquet file is written by `task.compute`, by way of `storage.put_tabl
 `manifest` (whose they are), `serialize` (planned cells as bytes), `task` (some blocks computed), `executors` (where tasks are
 done), `run_missing` (the blocks that are missing), `moments_tables` (exact numbers), `aggregate` and `close` (stats, pairs),
 `adaptive_seeds` (more seeds), `verify` (status, blocks computed again), `merge`, `compare`, `run_study` (all) and `result`.
-Beside datasets: `single_table` (a table that a user asks for as one file).
+Other than datasets: `single_table` (a table that a user asks for as one file).
 """

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import is_ours
 from pcbench.planning import loop_setup, memo
-from pcbench.protocols import Plant
+from pcbench.plants.nonlinear import PlantFunction
+from pcbench.protocols import Observer, Plant
 from pcbench.simulation import shape_checks
 from pcbench.simulation.measurements import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, random_times
@@ -158,11 +159,19 @@ def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
     seen: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
-            users = any(callable(part) and not is_ours(part) for part in (*observer, *p.layout.plant))
-            if users and (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
+            if (
+                _has_user_code(observer, p.layout.plant)
+                and (key := (label, p.layout.plant, p.layout.continuous)) not in seen
+            ):
                 seen.add(key)
                 shape_checks.check(label, observer, p.problem, p.layout.continuous)
         yield p
+
+
+def _has_user_code(observer: Observer, plant: Plant) -> bool:
+    """Whether an observer or a plant has functions of a user's, themselves or in what `make_plant` makes of them."""
+    parts = [part for part in (*observer, *plant) if callable(part)]
+    return any(isinstance(part, PlantFunction) or not is_ours(part) for part in parts)
 
 
 def key_of(p: Plan) -> Hashable:

@@ -1,6 +1,6 @@
 """Data for the figure of operation counts, per observer of one cell; the figure is `lines.cost`.
 
-What figures need in addition to the tables is computed once and kept in the folder `examples` beside them.
+What figures need in addition to the tables is computed once and kept in the folder `examples` next to them.
 """
 
 import hashlib

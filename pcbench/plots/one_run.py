@@ -2,7 +2,7 @@
 
 Runs of one cell, thinned to few ticks: one of them, and how far the errors of several reach. The run shown is the study's first
 seed, or any other; the seeds after it are run too, so that the figure can show what of an error is luck. They are simulated
-again by the functions that made the tables. The folder `examples` beside these keeps one file for each scenario, of the cell
+again by the functions that made the tables. The folder `examples` next to these keeps one file for each scenario, of the cell
 and seed that were looked at last.
 """
 

@@ -113,3 +113,17 @@ def test_of_built_in_code_it_is_not_asked_and_of_a_users_plant_it_is(monkeypatch
     users = plan.layout.plant._replace(output=lambda params, now, x: plan.layout.plant.output(params, now, x))
     list(padding.check_drafts([plan._replace(layout=plan.layout._replace(plant=users))]))
     assert asked == ["kf"]
+
+
+def test_of_a_plant_that_is_made_of_a_users_equations_it_is_asked(monkeypatch):
+    asked = []
+    monkeypatch.setattr(shape_checks, "check", lambda label, *rest: asked.append(label))
+    swing = pcbench.make_plant(
+        field=lambda numbers, now, x: jnp.stack([x[1], now.u[0] - x[0]]),
+        output=lambda numbers, now, x: x[:1],
+        states=["angle [rad]", "rate [rad/s]"],
+        operating_point=([0.0, 0.0], [0.0]),
+    )
+    (plan,) = planning.plan(Study(name="one", scenarios=["cart/nominal"], observers=["kf"], seeds=1))
+    list(padding.check_drafts([plan._replace(layout=plan.layout._replace(plant=swing.plant))]))
+    assert asked == ["kf"]
