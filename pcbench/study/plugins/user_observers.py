@@ -38,7 +38,7 @@ def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> Obs
     if not callable(design):
         raise UserError(
             f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it "
-            "in the observer's file, or name an Entry that has it."
+            "in the observer's file, or name an ObserverSpec that has it."
         )
     return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
