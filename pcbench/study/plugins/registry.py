@@ -65,7 +65,7 @@ def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
 
 KINDS = {
     "observer": Kind(
-        (Observer, observers.ObserverSpec), "a pcbench.Observer, or an Entry of pcbench.observers", user_observers.entry
+        (Observer, observers.ObserverSpec), "a pcbench.Observer, or a pcbench.ObserverSpec", user_observers.entry
     ),
     "plant": Kind((plants.PlantSpec,), "what pcbench.make_plant returns", _plant),
     "controller": Kind(
