@@ -1,8 +1,13 @@
 """The points of a tuning so far, in a Parquet file: all that is needed to go on; and what it has found."""
 
+import hashlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from importlib.metadata import version
 from math import isfinite
+from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
 
@@ -10,12 +15,14 @@ import numpy as np
 import pyarrow as pa
 import tomli_w
 
+import pcbench
 from pcbench import toml_text
 from pcbench.dataset import parquet_io, storage, stored_code
 from pcbench.dataset.seed_ranges import Seeds, seed_range
 from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
+from pcbench.runtime import cache
 from pcbench.study import Study
 from pcbench.study.grid import Cell
 from pcbench.study.serialize import resolve_study
@@ -162,6 +169,39 @@ def load_finished(target: storage.Target, whole: str, about: str, basis: TomlTab
         return said | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
+
+
+def load_kept(target: storage.Target, whole: str, about: str, basis: TomlTable) -> None:
+    """Put what the cache has of the same tuning by the same code into a folder that is empty; damaged entries are left."""
+    place = _kept(whole, basis)
+    kept = storage.target(place)
+    with suppress(UserError):
+        if not storage.names(target) and load_finished(kept, whole, about, basis):
+            storage.make(target)
+            for name in (HISTORY, FOUND):  # in this order: a result without its history is none
+                storage.put(target, name, (place / name).read_bytes())
+
+
+def keep_result(target: storage.Target, whole: str, basis: TomlTable) -> None:
+    """Keep a finished tuning in the cache, where `load_kept` finds it."""
+    for name in (HISTORY, FOUND):
+        cache.keep(_kept(whole, basis) / name, storage.get(target, name) or b"")
+
+
+def _kept(whole: str, basis: TomlTable) -> Path:
+    """The folder of a tuning in the cache, named by all that decides its numbers."""
+    said = f"{whole} {json.dumps(basis, sort_keys=True)} {_versions()}"
+    return cache.folder("gains", f"tuning-{hashlib.sha256(said.encode()).hexdigest()[:32]}")
+
+
+@lru_cache(maxsize=1)
+def _versions() -> str:
+    """What decides the bits of an objective besides what is asked: pcbench's own text, and the libraries that compute."""
+    root = Path(pcbench.__file__).parent
+    text = b"".join(path.read_bytes() for path in sorted(root.rglob("*.py")))
+    return (
+        f"{hashlib.sha256(text).hexdigest()} {[version(name) for name in ('jax', 'jaxlib', 'numpy', 'scipy', 'optax')]}"
+    )
 
 
 def plain(judged: Judgement) -> TomlTable:

@@ -77,7 +77,8 @@ def tune(
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
     simulated; `training_seeds` and `validation_seeds` are ranges of seeds, (first, one past the last). `exact_objective`
     takes the expected value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With
-    `out`, a folder, the history is stored there, and a stopped call continues if repeated. `progress` hears of each point.
+    `out`, a folder, the history is stored there, and a stopped call continues if repeated. A finished tuning is kept in the
+    cache, and found there by the same call of the same code. `progress` hears of each point.
     Raises UserError for whatever the user can mend.
     """
     where = f"tune {observer}"
@@ -96,6 +97,7 @@ def tune(
         whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
         target = storage.target(str(out) if out is not None else spare)
         basis = history.basis_of(asked, cell)
+        history.load_kept(target, whole, about, basis)
         if done := history.load_finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
@@ -142,6 +144,7 @@ def tune(
             exact=exact_objective,
         )
         history.finish(target, whole, tuned)
+        history.keep_result(target, whole, basis)
         return tuned
 
 
