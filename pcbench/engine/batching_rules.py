@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-from pcbench.engine import jaxpr_compat
+from pcbench.engine import jaxpr_compat, kernels
 from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
@@ -36,7 +36,7 @@ def elementwise(eqn: Eqn, args: list[PyTree]) -> LaneArray:
         width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
         keep = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])  # a shared choice stays one scalar
         first = entries[:1] if keep else []
-        out[i] = eqn.primitive.bind(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]), **eqn.params)
+        out[i] = kernels.function_of(eqn)(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]))
     return LaneArray(out)
 
 
@@ -99,7 +99,7 @@ def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
 
     a, b = arranged(lhs, ba, ca), arranged(rhs, bb, cb)
     sums = [
-        reduce(partial(_both, lax.add), (_both(lax.mul, a[k, i, c], b[k, j, c]) for c in range(inner)))
+        reduce(partial(_both, lax.add), (_both(kernels.product, a[k, i, c], b[k, j, c]) for c in range(inner)))
         for k in range(a.shape[0])
         for i in range(a.shape[1])
         for j in range(b.shape[1])

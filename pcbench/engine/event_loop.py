@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import PyTree
 
-from pcbench.engine import common_schedule, lane_array, random_schedules, steps
+from pcbench.engine import common_schedule, kernels, lane_array, random_schedules, steps
 from pcbench.engine.initial_state import tick_sampler
 from pcbench.engine.products.flow import flow
 from pcbench.simulation import innovation_stats
@@ -39,6 +39,11 @@ def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array,
 
     `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
     """
+    with kernels.separate_products(p.dt):
+        return _simulate(layout, p, root_seed, seeds, maps)
+
+
+def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: PyTree) -> RunSums:
     layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from pcbench.engine import batching_rules, jaxpr_compat, lane_forms
+from pcbench.engine import batching_rules, jaxpr_compat, kernels, lane_forms
 from pcbench.engine.jaxpr_compat import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Eqn, Jaxpr, Literal, jaxpr_as_fun
 from pcbench.engine.lane_array import (
     TABLE,
@@ -159,7 +159,7 @@ def _write_row(args: list[PyTree]) -> LaneArray:
 def _fallback(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply any primitive: as it is where nothing differs between lanes, else by vmap over the joined arrays."""
     if eqn.primitive.name in _RULES.keys() | STRUCTURAL and not any(map(is_lanes, args)):
-        found = eqn.primitive.bind(*args, **eqn.params)
+        found = kernels.function_of(eqn)(*args)
         return list(found) if eqn.primitive.multiple_results else [found]
     given = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
     alone = jaxpr.replace(constvars=(), invars=list(given), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects)
