@@ -4,7 +4,6 @@ import os
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from platform import machine
 
 import jax
 
@@ -12,18 +11,21 @@ from pcbench.errors import UserError, brief_repr, first_sentence
 from pcbench.runtime import thread_pools
 from pcbench.runtime.cache import folder
 
-ISA = "--xla_cpu_max_isa"  # the instruction set; AVX is the last one of x86 without FMA
+EXTRA = "--xla_backend_extra_options"
+FUSION = (
+    "xla_cpu_use_multi_output_fusion"  # results computed from the same arrays in one loop, as jax 0.11 does by itself
+)
 
 
 def setup() -> None:
     """Set up JAX for pcbench in this process: float64, a compilation cache on disk, linear algebra on one thread.
 
     The command line does this. In a notebook, call it before anything else uses JAX. A program with a JAX configuration of
-    its own does not need it: pcbench then computes the same (from jax 0.11 on, except for the last bit, see `without_fma`),
-    and compiles again in every process.
+    its own does not need it: pcbench then computes the same, to jax 0.10 more slowly (see `compiler_flags`), and compiles again
+    in every process.
     """
     thread_pools.one()
-    if flags := without_fma(os.environ.get("XLA_FLAGS", "")):
+    if flags := compiler_flags(os.environ.get("XLA_FLAGS", "")):
         os.environ["XLA_FLAGS"] = flags
     jax.config.update("jax_enable_x64", True)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -31,14 +33,14 @@ def setup() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
-def without_fma(flags: str) -> str:
-    """Return XLA_FLAGS with which x86 processors do not join a product and a sum into one operation (FMA), from jax 0.11 on.
+def compiler_flags(flags: str) -> str:
+    """Return XLA_FLAGS with what makes programs fast on a processor; what the flags already set stays.
 
-    Whether the compiler joins them depends on what else is in a program: the last bit of a run would depend on which other
-    observers are simulated with it. An instruction set that the flags name already stays.
+    To jax 0.10, results that are computed from the same arrays have a loop each; in one loop programs take a half to a third of
+    the time. From jax 0.11 on XLA does that by itself.
     """
     newer = jax.__version_info__[:2] > (0, 10)
-    return f"{flags} {ISA}=AVX".strip() if newer and machine() in ("x86_64", "AMD64") and ISA not in flags else flags
+    return flags if newer or EXTRA in flags else f"{flags} {EXTRA}={FUSION}".strip()
 
 
 @contextmanager
