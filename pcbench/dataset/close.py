@@ -39,7 +39,6 @@ class ClosingTables(NamedTuple):
     stats: pa.Buffer  # the bytes of their files
     pairs: pa.Buffer
     certificates: ByObserver  # the weakest, by scenario and observer
-    flow: dict[str, dict[str, str]]  # how observers went: lifted, stepped, or both
 
 
 def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
@@ -51,12 +50,13 @@ def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, abou
         "study": owned.study.name,
         "study_sha256": digest(owned.study, owned.cells),
         "root_seed": owned.study.root_seed,
+        "engines": [owned.study.engine],
         "blocks": tables.blocks,
         **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
         **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),
     }
     digests = {"stats.parquet": digest_of(tables.stats), "pairs.parquet": digest_of(tables.pairs)}
-    derived = {"certificates": tables.certificates, "flow": tables.flow, "digests": digests}
+    derived = {"certificates": tables.certificates, "digests": digests}
     record = provenance.describe() | study | dict(about) | derived
     storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
@@ -67,7 +67,6 @@ def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]
     stats, pairs = GrowingTable(mark), GrowingTable(mark)
     exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(there))
     weakest: ByObserver = {}
-    ways: dict[str, dict[str, str]] = {}
     for first in range(0, len(owned.cells), TOGETHER):
         cells = [aggregate.of_cell(target, cell, blocks) for cell in owned.cells[first : first + TOGETHER]]
         for c in cells:
@@ -75,12 +74,10 @@ def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]
                 proof: storage.Json = about["certificate"]
                 proofs = weakest.setdefault(c.cell.scenario.name, {})
                 proofs[name] = min(proofs.get(name, proof), proof, key=_strength)
-                went, way = ways.setdefault(c.cell.scenario.name, {}), about["flow"]
-                went[name] = way if went.get(name, way) == way else "both"
         for some_stats, some_pairs in _rows(owned.study.name, cells, exact):
             stats.add(some_stats)
             pairs.add(some_pairs)
-    return ClosingTables(len(there), stats.content(), adjust_pairs(pairs.content(), mark), weakest, ways)
+    return ClosingTables(len(there), stats.content(), adjust_pairs(pairs.content(), mark), weakest)
 
 
 def _rows(

@@ -34,7 +34,7 @@ from pcbench.study.serialize import to_toml
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
-MADE_BY = ("versions", "compiler", "device", "system", "precision", "flow", "git")  # what may decide the last bits
+MADE_BY = ("versions", "compiler", "device", "system", "precision", "engines", "git")  # what may decide the last bits
 EXACT = "no draws: exact"
 Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
 
@@ -220,8 +220,7 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
 def made_by(a: storage.Target, b: storage.Target) -> list[str]:
     """Return how two provenances differ in libraries and machines, a phrase each."""
     records = [close.record(target) or {} for target in (a, b)]
-    exact = 0 in [each.get("blocks") for each in records]  # no runs there, so none went any way
-    old, new = (_flat({k: each.get(k) for k in MADE_BY if not (exact and k == "flow")}) for each in records)
+    old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in records)
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
 

@@ -46,8 +46,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
     there = None if text is None else _parse_manifest(text)
     begun = None if overwrite or there is None else there.get("engine")
     if begun is None and blocks and not overwrite:  # its text is lost
-        flow = block_files.about_block(target, blocks[0]).get("flow", "")
-        begun = {"defined": "definition", "lifted": "products"}.get(flow)
+        begun = block_files.about_block(target, blocks[0]).get("engine")
     study, cells = grid = with_engine(grid, begun)
     if overwrite and (blocks or text is not None):
         if text is not None and not blocks:

@@ -30,7 +30,6 @@ class Part(NamedTuple):
     target: storage.Target
     there: Block
     block: Block
-    engine: str  # of its study
 
 
 class ExactFile(NamedTuple):
@@ -143,8 +142,7 @@ def _parts(
                     f"{target.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
                 )
             block = b._replace(cell=numbers[b.scenario, b.cell])
-            part = Part(target, b, block, str(owned.study.engine))
-            out.setdefault((b.scenario, block.cell, b.observer), []).append(part)
+            out.setdefault((b.scenario, block.cell, b.observer), []).append(Part(target, b, block))
     return dict(sorted(out.items()))
 
 
@@ -175,8 +173,7 @@ def _require_equal(part: Part, other: Part) -> None:
     a, b = (_cut(block_files.read(p.target, p.there), part.block._replace(seeds=both)) for p in (other, part))
     if a.equals(b):
         return
-    one_engine = (other.engine, block_files.about(a)["flow"]) == (part.engine, block_files.about(b)["flow"])
-    if one_engine or not of_one_run(a, b, BETWEEN_ENGINES):
+    if block_files.about(a)["engine"] == block_files.about(b)["engine"] or not of_one_run(a, b, BETWEEN_ENGINES):
         apart = difference(a, b)
         how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
         raise UserError(

@@ -80,7 +80,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         p, results, program, call = simulate_task(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), storage.target(work.out)
-    blocks = {} if call else dict(files(work, task, p, results, program.ways))
+    blocks = {} if call else dict(files(work, task, p, results))
     for name, table in blocks.items():
         storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
     cost = timing.Cost(
@@ -114,17 +114,14 @@ def simulate_task(
         return p, run_local.results(p, runner.serial(program, jobs)), program, None
 
 
-def files(
-    work: Work, task: Task, p: Plan, results: run_local.Results, ways: dict[str, str]
-) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the blocks of a task: name and rows; `ways` by the program's observers."""
-    names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
+def files(work: Work, task: Task, p: Plan, results: run_local.Results) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the blocks of a task: name and rows."""
     at = 0
     for seeds, labels in task.pieces:
         common: dict[int, dict[str, pa.Array]] = {}
         for label in labels:
             mine = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
-            yield block(work, p, label, mine, seeds, ways[names[label]], common)
+            yield block(work, p, label, mine, seeds, common)
         at += seeds.many
 
 
@@ -134,7 +131,6 @@ def block(
     label: str,
     results: statistics.Results,
     seeds: Seeds,
-    way: str,
     common: dict[int, dict[str, pa.Array]] | None = None,
 ) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
@@ -155,7 +151,7 @@ def block(
         "predicts_unknown_input": p.predicts_unknown_input[label],
         "bound": None if p.bound is None else [float(b) for b in p.bound[:many]],
         "certificate": proof | {"solver": c.solver, "status": c.status},
-        "flow": way,
+        "engine": p.cell.engine,
         "versions": provenance.versions(),
     }
     common = {} if common is None else common

@@ -181,21 +181,13 @@ def _again(target: storage.Target, owned: StudyClaim, chosen: list[Block], progr
     work = partial(_verify_task, target, task.Work("", owned.study.name, owned.study.root_seed))
     by: dict[str, list[Block]] = {}
     for b in chosen:
-        by.setdefault(_engine(block_files.about_block(target, b)["flow"], owned), []).append(b)
+        by.setdefault(usable(block_files.about_block(target, b)["engine"]), []).append(b)
     with executors.local_executor() as execute:
         for engine, mine in by.items():
             cells = [cell._replace(engine=engine) for cell in owned.cells]
             for count, sentences in execute(work, _tasks(cells, mine)):
                 progress.step(count)
                 yield from sentences
-
-
-def _engine(flow: str, owned: StudyClaim) -> str:
-    """The engine that has computed a block: that of its study, but for blocks of another that were merged or added."""
-    engine = str(owned.study.engine)
-    if engine == "definition" and flow != "defined":
-        engine = "products" if flow == "lifted" else "steps"
-    return usable("definition" if flow == "defined" else engine)
 
 
 def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
@@ -219,8 +211,8 @@ def _verify_task(
 ) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
-        p, results, program, _ = task.simulate_task(work, one, device)
-    blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, one, p, results, program.ways)]
+        p, results, _, _ = task.simulate_task(work, one, device)
+    blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, one, p, results)]
     return len(blocks), [s for b, now in blocks if b for s in _difference(b, block_files.read(target, b), now)]
 
 
@@ -228,17 +220,17 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
     old, new = (block_files.about(table) for table in (there, here))
     if there.equals(here):
-        if [k for k in old.keys() | new.keys() if k not in ("versions", "digest", "flow") and old.get(k) != new.get(k)]:
+        if [
+            k for k in old.keys() | new.keys() if k not in ("versions", "digest", "engine") and old.get(k) != new.get(k)
+        ]:
             yield f"{b.name}: its rows come out again, what it says of itself does not."
         return
     apart = difference(there, here)
     if apart is None:
         yield f"{b.name}: has other rows than come out now."
         return
-    now = new["versions"] | {"flow": new["flow"]}
-    changed = [
-        f"{k} {v}, now {now.get(k)}" for k, v in (old["versions"] | {"flow": old["flow"]}).items() if now.get(k) != v
-    ]
+    before, now = (each["versions"] | {"engine": each["engine"]} for each in (old, new))
+    changed = [f"{k} {v}, now {now.get(k)}" for k, v in before.items() if now.get(k) != v]
     made = f"made with {'; '.join(changed)}; " if changed else ""
     kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
     yield f"{b.name}: {made}numbers differ by {apart.of_largest:.1e} of the largest error of their signal ({kind})."

@@ -6,7 +6,6 @@ all lanes; the events are shared by all, or each lane has its own.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,7 +15,6 @@ from jaxtyping import PyTree
 
 from pcbench.engine import common_schedule, kernels, lane_array, random_schedules, steps
 from pcbench.engine.initial_state import tick_sampler
-from pcbench.engine.products.flow import flow
 from pcbench.simulation import innovation_stats
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.schedule.random_times import ClockParams
@@ -34,36 +32,29 @@ class Events(NamedTuple):
     )  # (after a flow, packed before it) -> packed
 
 
-def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: PyTree = None) -> RunSums:
-    """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
-
-    `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
-    """
+def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> RunSums:
+    """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
     with kernels.separate_products(p.dt):
-        return _simulate(layout, p, root_seed, seeds, maps)
+        return _simulate(layout, p, root_seed, seeds)
 
 
-def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, maps: PyTree) -> RunSums:
+def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> RunSums:
     layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], tick_sampler(layout, p, root_seed, seeds)
 
-    def tick(layout: Layout, k: Array, state: State) -> State:
+    def tick(k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
         new = lane_array.match_form(steps.tick(layout, p, k, full, drawn(k)), full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
-
-    def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
-        return lax.fori_loop(start, stop, partial(tick, layout), state)  # two ticks a body would draw noise twice
-
-    flows = flow(layout, p, state, stepped, maps)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
         following = events.following(k, state)
         stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
-        return jnp.where(k < end, stop, k + 1), flows(k, stop, state)
+        state = lax.fori_loop(k, stop, tick, state)  # two ticks a body would draw noise twice
+        return jnp.where(k < end, stop, k + 1), state
 
     def window(state: State, edges: Array) -> tuple[State, PyTree]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))

@@ -8,7 +8,6 @@ import itertools
 import operator
 import os
 from collections.abc import Iterable, Iterator
-from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -18,10 +17,8 @@ from jax import Array
 from jaxtyping import PyTree
 
 from pcbench.engine import event_loop
-from pcbench.engine.products.block_maps import Maps, every_map
 from pcbench.errors import UserError
 from pcbench.runtime import config, program_cache, thread_pools
-from pcbench.simulation import innovation_stats
 from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.simulation.types import GridPointParams, Layout, RunSums
 
@@ -32,7 +29,7 @@ NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the tim
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
 OPTIONS: dict[str, str | bool] = {  # of the compiler, for a processor
     "xla_cpu_multi_thread_eigen": False,  # small products shared out among threads: 3 times slower, other bits
-    "xla_cpu_prefer_vector_width": "512",  # the arm takes 0.77 of the time that 256 bits take, a lifted flow 0.95
+    "xla_cpu_prefer_vector_width": "512",  # the arm takes 0.77 of the time that 256 bits take
 }
 
 
@@ -45,36 +42,14 @@ class Job(NamedTuple):
     schedules: PyTree = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
 
 
-class MapsOfCell:
-    """Makes the maps of a cell once, for all calls that have its problem; two threads that begin it make them twice."""
-
-    def __init__(self, make: Any) -> None:
-        """Begin with none; `make` is a compiled call, None where nothing goes by products."""
-        self.make = make
-        self.last: tuple[GridPointParams | None, dict[str, Maps]] = (None, {})
-
-    def __call__(self, p: GridPointParams) -> dict[str, Maps]:
-        """Return the maps of a problem: those made last, if it is the same object."""
-        if self.make is None:
-            return {}
-        problem, maps = self.last
-        if problem is not p:
-            maps = self.make(jax.tree.map(np.asarray, p))
-            self.last = p, maps
-        return maps
-
-
 class Program(NamedTuple):
     """A compiled call and what it took to make."""
 
     layout: Layout
-    call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
+    call: Any  # (problem, root seed, seeds [L], schedules) -> RunSums with arrays [..., L]
     device: jax.Device
     width: int
     compile_seconds: float
-    compiled: Any  # the executable itself, for those who want to read it
-    ways: dict[str, str]  # by observer: lifted, stepped or defined
-    maps: MapsOfCell  # of products, made before a cell's first call
     number: int = 0  # of this process: the first program, the second ...
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
@@ -116,31 +91,20 @@ def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: t
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
 
-    def simulate(p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree, maps: PyTree) -> RunSums:
+    def simulate(p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree) -> RunSums:
         if layout.defined:
             return simulate_runs(layout, p, root_seed, seeds, schedules)
-        return event_loop.simulate(layout, p, root_seed, seeds, maps)
+        return event_loop.simulate(layout, p, root_seed, seeds)
 
-    mapped = jax.jit(
-        partial(every_map, innovation_stats.add_innovation_stats(layout) if layout.consistency else layout)
-    ).trace(given[0])
-    shapes_of_maps = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), mapped.out_info)
-    way = "defined" if layout.defined else "stepped"  # of observers that have no maps
-    with thread_pools.pool(1) as thread:  # each takes seconds
-        maker = thread.submit(in_float64, lambda: mapped.lower().compile(options)) if shapes_of_maps else None
-        call = jax.jit(simulate).lower(*given, shapes_of_maps).compile(options)
-        made = maker.result() if maker else None
+    call = jax.jit(simulate).lower(*given).compile(options)
     return Program(
         layout=layout,
         call=call,
         device=device,
         width=layout.width,
         compile_seconds=perf_counter() - start,
-        compiled=call,
-        ways={label: "lifted" if label in shapes_of_maps else way for label, _ in layout.observers},
-        maps=MapsOfCell(made),
         number=next(_NUMBERS),
-        memory=max(_memory(call), _memory(made) if made else 0),
+        memory=_memory(call),
     )
 
 
@@ -175,7 +139,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
         given = arguments(job, made.width)
         if job.schedules is not None:  # they have other shapes, where more arrives at a tick
             made = program(made.layout, job, made.device)
-        waiting.append((job, made.call(*given, made.maps(job.problem))))
+        waiting.append((job, made.call(*given)))
         if len(waiting) > 1:
             yield _read(*waiting.pop(0))
     for job, out in waiting:

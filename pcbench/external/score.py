@@ -103,7 +103,7 @@ def score(
             p = p._replace(  # as if it had the guest among its observers
                 certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
             )
-            file_name, rows = task.block(work, p, name, results, seeds, "guest")
+            file_name, rows = task.block(work, p, name, results, seeds)
             storage.put_table(target, file_name, rows)
         say(f"{name}: {TRUSTED}")
         return run_study.execute(grid, folder, How(progress=progress, say=say))

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import PyTree
 
-from pcbench.engine.products.affine_detection import reach
+from pcbench.moments.dependence import reach
 from pcbench.moments.events import jump, sense
 from pcbench.moments.inputs import begin
 from pcbench.moments.noise_state import OneCell, by_shapes, form_of, slope, vector
@@ -71,7 +71,7 @@ def _is_curved(layout: Layout, p: GridPointParams) -> bool:
         def matrix(state: Run, p: GridPointParams, k: Array, entering: PyTree) -> Array:
             return slope(form, f, flat)(p, k, state, entering, rest)
 
-        leaves, _ = reach(matrix, state, p, zero, entering)
+        leaves = reach(matrix, state, p, zero, entering)
         return any(moves and leaf in leaves for leaf, moves in enumerate(form.moving))
 
     process = jax.ShapeDtypeStruct(p.process_std.shape, float)

@@ -54,7 +54,7 @@ def over_modes(p: Plan) -> list[Realisation] | None:
     if not delays_alone(p):
         return None
     chain = _chain(clock)
-    layout = p.layout._replace(width=1, watch=False, lifted=0)
+    layout = p.layout._replace(width=1, watch=False)
     length = _length(clock, chain, ticks, asks_last_arrival(layout, p.problem))
     if len(chain.later) ** length > MOST:
         return None

@@ -17,7 +17,7 @@ from jaxtyping import Float, PyTree
 
 from pcbench.engine import initial_state, interpreter
 from pcbench.engine.lane_array import is_lanes, join, split
-from pcbench.engine.products.affine_detection import reach
+from pcbench.moments.dependence import reach
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout
 
@@ -49,7 +49,7 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 
     def call(layout: Layout, problem: GridPointParams) -> Look:
         leaves, tree = jax.tree.flatten(problem._replace(weights=()))
-        layout = layout._replace(width=1, ring=1, lifted=0)  # what no beginning looks at
+        layout = layout._replace(width=1, ring=1)  # what no beginning looks at
         return once(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
 
     return call
@@ -149,7 +149,7 @@ def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
     """
     leaves, tree = jax.tree.flatten(p)
     alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
-    read, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
+    read = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
     return max(read, default=-1) < len(own)  # the tick is behind p, and then the others
 
 

@@ -52,7 +52,7 @@ def random(p: Plan) -> bool:
 def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
     """Return a cell as one run has it, but for its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
-    layout, problem, plant = one.layout._replace(width=1, watch=False, lifted=0), one.problem, one.layout.plant
+    layout, problem, plant = one.layout._replace(width=1, watch=False), one.problem, one.layout.plant
     network: tuple[NDArray[np.float64], ...] = ()
     if layout.drifting and plant.of_run:
         params = plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn))
@@ -92,7 +92,7 @@ def over_losses(p: Plan) -> Realisation | None:
         common_times.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
     )
     one = p.problem._replace(schedule=sure)
-    layout = p.layout._replace(width=1, watch=False, lifted=0)
+    layout = p.layout._replace(width=1, watch=False)
     form, drawn = form_of(layout, one), form_of(layout, p.problem)
     if (drawn.moving, drawn.other) != (form.moving, form.other) or any(form.other) or asks_last_arrival(layout, one):
         return None

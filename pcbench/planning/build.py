@@ -6,7 +6,6 @@ The least error that any causal estimator can have in a cell.
 from collections.abc import Callable, Container, Iterable, Iterator
 from functools import partial
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
@@ -14,8 +13,6 @@ from pydantic import BaseModel
 from pcbench import plants
 from pcbench.dynamics import linear
 from pcbench.engine import runner
-from pcbench.engine.products import matmul
-from pcbench.engine.products.affine_detection import plant_goes
 from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.observers.parts import assumed_noise
@@ -197,7 +194,7 @@ def draft(
     )
     return Plan(
         cell=cell,
-        layout=layout._replace(lifted=_chunks(layout, problem, ask) if cell.engine == "products" else 0),
+        layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
         bound=bound(cell, known, ask) if options else None,
@@ -205,17 +202,6 @@ def draft(
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
-
-
-def _chunks(layout: Layout, problem: GridPointParams, ask: memo.Once) -> int:
-    """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
-    schedule = problem.schedule
-    room = matmul.room(schedule.event, len(problem.windows)) if isinstance(schedule, common_times.Schedule) else 0
-    if not room or layout.plant.errors:
-        return 0
-    bare = layout._replace(observers=(), width=1, ring=1)
-    shapes = tuple(np.shape(a) for a in jax.tree.leaves((problem.params, problem.inputs, problem.process_std)))
-    return room if ask("lifted", (bare, shapes), lambda: plant_goes(bare, problem._replace(gains={}))) else 0
 
 
 def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:

@@ -55,7 +55,6 @@ class Capacity(NamedTuple):
     ahead: int = 0  # and ahead
     falls: int = 0  # jumps of the unknown input
     pending: int = 0  # commands on their way over a network
-    chunks: int = 0  # of a flow that goes by them
     outliers: bool = False  # some samples are outliers,
     rounding: bool = False  # are rounded,
     tail: bool = False  # have noise of Student's distribution
@@ -78,7 +77,6 @@ def room_of(p: Plan) -> Capacity:
         ahead=power_of_2(ahead),
         falls=len(p.problem.jumps),
         pending=power_of_2(p.layout.pending),
-        chunks=p.layout.lifted,
         outliers=bool(p.problem.outliers),
         rounding=bool(p.problem.rounding),
         tail=not isinstance(p.problem.tail, tuple),
@@ -114,7 +112,7 @@ def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan
             rounding=problem.rounding or (Rounding(no_step, np.asarray(0.0)) if room.rounding else ()),
             tail=np.asarray(np.inf) if room.tail and isinstance(problem.tail, tuple) else problem.tail,
         )
-    layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
+    layout = p.layout._replace(ring=room.ring)
     if p.reach:
         law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.ahead), p.cell.times.ticks)
         problem = problem._replace(control=law, line=line)

@@ -4,8 +4,7 @@ Errors are read after the jump of each tick, on ticks 0 .. N-1. Sums run over a 
 of its windows; the last is the tail).
 
 A new metric also touches `statistics.metric_matrix` (RUN_METRICS), `dataset.columns` (MEANING), `moments.stats_rows` (ORDER); a
-new sum also `engine.products` (`block_metrics`, `flow`), `external.score` and `simulation.reverse_mode`, which compute the sums
-on their own. CONTRIBUTING.md has the list.
+new sum also `external.score` and `simulation.reverse_mode`, which compute the sums on their own. CONTRIBUTING.md has the list.
 """
 
 from typing import NamedTuple

@@ -32,7 +32,6 @@ class Layout(NamedTuple):
     commands: int = 0  # rows of the closed loop's ring of commands
     scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
     pending: int = 0  # commands that a network on the way to the plant has room for; 0: there is an actuator line
-    lifted: int = 0  # room for the chunks by which an affine flow goes; 0: tick by tick
     defined: bool = False  # the program is `simulate_runs` itself, not the engine that is equal to it
     consistency: bool = False  # errors are compared with the covariances that observers believe them to have
 

@@ -23,9 +23,6 @@ from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.times import Timing, require_few_cells, times_of, to_ticks
 from pcbench.toml_text import TomlTable
 
-MANY = 300_000  # runs of a scenario from which products save more than they take to compile
-
-
 V = TypeVar("V")
 
 
@@ -42,7 +39,7 @@ class Cell(NamedTuple):
     own: dict[str, UserPlugin]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
-    engine: str = "steps"  # or definition, or products, see `Study`
+    engine: str = "steps"  # or definition, see `Study`
 
     @property
     def key(self) -> tuple[str, int]:
@@ -222,15 +219,14 @@ def _digest(decisive: object) -> str:
 
 
 def with_engine(grid: Grid, engine: str | None) -> Grid:
-    """Return the study with the engine that it names; if it names none, with the one that suits its size.
+    """Return the study with the engine that it names; if it names none, with steps.
 
     `engine` is the one with which its dataset was begun: it stays, and the definition computes what is added if that engine
     cannot.
     """
     study, every = grid
-    runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
     if engine is None:
-        name = usable(study.engine or ("products" if runs >= MANY else "steps"))
+        name = usable(study.engine or "steps")
     else:
         name = engine if study.engine is None or usable(study.engine) == engine else study.engine
     return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=usable(name)) for c in every])

@@ -112,11 +112,10 @@ class Study(BaseModel):
     evaluation: Literal["runs", "exact", "both"] = Field(
         "runs", description="simulated runs; exact numbers without a seed; or exact ones and runs of what has none"
     )
-    engine: Literal["definition", "steps", "products"] | None = Field(
+    engine: Literal["definition", "steps"] | None = Field(
         None,
-        description="definition: each run as it is defined, by vmap of lax.scan; steps: equal to it and faster; products: many "
-        "ticks at a time where plant and observer are affine; default: products for 300,000 runs of a scenario or more, else "
-        "steps. A dataset keeps the engine with which it began",
+        description="definition: each run as it is defined, by vmap of lax.scan; steps (the default): equal to it and faster. "
+        "A dataset keeps the engine with which it began",
     )
     schedules: int = Field(
         64, ge=2, le=100_000, strict=True, description="over which exact numbers of random cells are averaged"

@@ -35,32 +35,32 @@ def clock(monkeypatch):
     return SimpleNamespace(ends=ends, costs=costs)
 
 
-STEPPED = SimpleNamespace(ways={"a": "lifted", "b": "stepped"})
+STEPS = SimpleNamespace(layout=SimpleNamespace(defined=False))
 
 
 def test_estimate_is_of_ticks_after_the_first_arrival(clock):
-    found = timing.seconds(STEPPED, job(6000))
+    found = timing.seconds(STEPS, job(6000))
     assert clock.ends == [4, 8, 16, 32, 64]
     assert 0.3 * 3000 < found <= 3000
 
 
 def test_constant_cost_of_a_tick_is_found_exactly(clock):
     clock.costs[:] = 0.1, 0.1, 0
-    assert timing.seconds(STEPPED, job(5000)) == pytest.approx(500, rel=1e-3)
+    assert timing.seconds(STEPS, job(5000)) == pytest.approx(500, rel=1e-3)
 
 
 def test_call_that_is_clearly_short_is_timed_once(clock):
     clock.costs[:] = 1e-5, 1e-5, 0
-    assert timing.seconds(STEPPED, job(200)) < 61  # 0.02 s of it are the start of a call
+    assert timing.seconds(STEPS, job(200)) < 61  # 0.02 s of it are the start of a call
     assert len(clock.ends) <= 2
 
 
 def test_call_is_estimated_from_a_sixteenth_of_its_ticks_at_most(clock):
     clock.costs[:] = 0.001, 0.001, 0
-    timing.seconds(STEPPED, job(2000))
+    timing.seconds(STEPS, job(2000))
     assert max(clock.ends) <= 2000 / 16
 
 
-def test_lifted_call_is_not_timed(clock):
-    assert timing.seconds(SimpleNamespace(ways={"a": "lifted"}), job(6000)) == 0
+def test_call_of_the_definition_is_not_timed(clock):
+    assert timing.seconds(SimpleNamespace(layout=SimpleNamespace(defined=True)), job(6000)) == 0
     assert not clock.ends

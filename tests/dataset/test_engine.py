@@ -1,4 +1,4 @@
-"""Which engine computes a study: chosen by its size, written into the dataset, and kept from then on."""
+"""Which engine computes a study: written into its dataset, and kept from then on."""
 
 import shutil
 
@@ -11,7 +11,7 @@ import pcbench
 from pcbench.dataset import block_files, compare, manifest, merge, storage, table_diff, verify
 from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
-from pcbench.study import grid, parse
+from pcbench.study import parse
 
 KEYS = ["cell", "observer", "seed", "signal"]
 RANDOM = {
@@ -35,43 +35,35 @@ STUDY = {"name": "engines", "scenarios": ["cart/white"], "observers": ["kf"], "s
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 
-def claimed(folder, **changes):
-    return manifest.claim(storage.target(str(folder)), parse.grid_of(STUDY | changes, {}, []))
-
-
-def test_products_are_for_studies_of_many_runs(tmp_path):
-    few, many = grid.MANY // 2 - 1, grid.MANY // 2
-    two = {"axes": {"delay": [0.1, 0.2]}}
-    assert claimed(tmp_path, seeds=few, **two).study.engine == "steps"
-    found = claimed(tmp_path, seeds=many, **two)
-    assert found.study.engine == "products"
-    assert {cell.engine for cell in found.cells} == {"products"}
-    assert claimed(tmp_path, seeds=many, engine="steps", **two).study.engine == "steps"
-
-
 @pytest.mark.ci
-def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkeypatch):
+def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path):
     """More seeds do not change the engine; another one is refused by name; both give the same numbers."""
-    for engine in ("steps", "products"):
+    for engine in ("steps", "definition"):
         pcbench.run(STUDY | {"engine": engine}, out=tmp_path / engine)
-        rows = pd.read_parquet(tmp_path / engine / "runs")
-        assert len(rows)
-    monkeypatch.setattr(grid, "MANY", 1)
-    assert pcbench.run(STUDY, out=tmp_path / "steps").cost.runs == 0
-    grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "steps")
-    assert (grown.cost.runs, grown.study.engine) == (2, "steps")
-    with pytest.raises(UserError, match="engine: 'steps' there, 'products' here"):
-        pcbench.run(STUDY | {"engine": "products"}, out=tmp_path / "steps")
-    assert pcbench.open_result(tmp_path / "products").study.engine == "products"
-    a, b = (pd.read_parquet(tmp_path / e / "runs").sort_values(["seed", "signal"]) for e in ("steps", "products"))
+    assert pcbench.run(STUDY, out=tmp_path / "definition").cost.runs == 0
+    grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "definition")
+    assert (grown.cost.runs, grown.study.engine) == (2, "definition")
+    with pytest.raises(UserError, match="engine: 'definition' there, 'steps' here"):
+        pcbench.run(STUDY | {"engine": "steps"}, out=tmp_path / "definition")
+    assert pcbench.open_result(tmp_path / "steps").study.engine == "steps"
+    a, b = (pd.read_parquet(tmp_path / e / "runs").sort_values(["seed", "signal"]) for e in ("definition", "steps"))
     a = a[a.seed < 4]
     for name in ("rmse", "max_abs_error", "settling_time"):
         np.testing.assert_allclose(a[name], b[name], rtol=1e-11)
-    assert compare.compare(tmp_path / "products", tmp_path / "steps").largest < 1e-11
+    assert compare.compare(tmp_path / "steps", tmp_path / "definition").largest < 1e-11
+
+
+@pytest.mark.ci
+def test_a_dataset_without_its_text_keeps_the_engine_of_its_blocks(tmp_path):
+    pcbench.run(STUDY | {"engine": "definition"}, out=tmp_path / "out")
+    (tmp_path / "out" / "study.toml").unlink()
+    claimed = manifest.claim(storage.target(str(tmp_path / "out")), parse.grid_of(STUDY, {}, []))
+    assert claimed.study.engine == "definition"
+    assert {cell.engine for cell in claimed.cells} == {"definition"}
 
 
 def test_an_engine_that_is_none_is_refused():
-    with pytest.raises(UserError, match="engine: got 'plain', expected 'definition', 'steps' or 'products'"):
+    with pytest.raises(UserError, match="engine: got 'plain', expected 'definition' or 'steps'"):
         parse.grid_of(STUDY | {"engine": "plain"}, {}, [])
 
 
@@ -81,7 +73,7 @@ def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
     path = tmp_path / "out" / "study.toml"
     path.write_text(path.read_text().replace('engine = "steps"', "engine = 5"))
     for read_again in (lambda: pcbench.run(STUDY, out=tmp_path / "out"), lambda: pcbench.open_result(tmp_path / "out")):
-        with pytest.raises(UserError, match="engine: got 5, expected 'definition', 'steps' or 'products'"):
+        with pytest.raises(UserError, match="engine: got 5, expected 'definition' or 'steps'"):
             read_again()
 
 
@@ -151,7 +143,7 @@ def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_pa
 
 @pytest.mark.ci
 def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
-    """A nees of errors of 1e-5, and what one engine steps whose plant goes by products in the other."""
+    """A nees of errors of 1e-5."""
     small = RANDOM["lti"] | {
         "noise_std": 3e-6,
         "process_std": [2e-7, 5e-7],
@@ -160,11 +152,10 @@ def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
     }
     small = RANDOM | {"lti": small | {"input": "zero"}, "observers": ["kf"], "axes": {}, "seeds": 3}
     small |= {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
-    for study, engines in ((small, ("definition", "steps")), (STUDY | {"observers": ["ukf"]}, ("products", "steps"))):
-        outs = [tmp_path / engines[0] / engine for engine in engines]
-        for engine, out in zip(engines, outs, strict=True):
-            pcbench.run(study | {"engine": engine}, out=out)
-        assert merge.merge(outs, tmp_path / engines[0] / "both").missing == 0
+    outs = [tmp_path / engine for engine in ("definition", "steps")]
+    for out in outs:
+        pcbench.run(small | {"engine": out.name}, out=out)
+    assert merge.merge(outs, tmp_path / "both").missing == 0
 
 
 @pytest.mark.ci
@@ -188,8 +179,8 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
     assert (grown.study.engine, len(said)) == ("steps", 3)
     place = storage.target(tmp_path / "begun")
-    flows = [block_files.about_block(place, b)["flow"] for b in sorted(block_files.present(place))]
-    assert flows == ["stepped", "defined"]
+    engines = [block_files.about_block(place, b)["engine"] for b in sorted(block_files.present(place))]
+    assert engines == ["steps", "definition"]
 
 
 @pytest.mark.ci

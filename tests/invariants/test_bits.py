@@ -50,25 +50,16 @@ def alone(as_users_have_it):
     return results(SEVEN)["cart/gaussian-fast0"]
 
 
-ENGINES = [
-    (TWO, "steps"),
-    (TWO, "products"),
-    pytest.param((EVERYONE, "steps"), marks=pytest.mark.nightly),
-    pytest.param((EVERYONE, "products"), marks=pytest.mark.nightly),
-]
-
-
-@pytest.fixture(scope="module", params=ENGINES, ids=str)
+@pytest.fixture(scope="module", params=[TWO, pytest.param(EVERYONE, marks=pytest.mark.nightly)], ids=str)
 def some(request, as_users_have_it):
-    """Observers, the engine, and their run alone."""
-    observers, engine = request.param
-    return observers, engine, results(SEVEN, observers, engine=engine)["cart/gaussian-fast0"]
+    """Observers and their run alone."""
+    return request.param, results(SEVEN, request.param)["cart/gaussian-fast0"]
 
 
 @pytest.mark.ci
 def test_alone_equals_in_a_block(some):
-    observers, engine, alone = some
-    same(alone, results(np.arange(20), observers, engine=engine)["cart/gaussian-fast0"], 7, observers)
+    observers, alone = some
+    same(alone, results(np.arange(20), observers)["cart/gaussian-fast0"], 7, observers)
 
 
 @pytest.mark.nightly
@@ -81,15 +72,15 @@ def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
 
 @pytest.mark.ci
 def test_one_device_equals_two(some):
-    observers, engine, alone = some
-    same(alone, results(SEVEN, observers, devices=1, engine=engine)["cart/gaussian-fast0"], 0, observers)
+    observers, alone = some
+    same(alone, results(SEVEN, observers, devices=1)["cart/gaussian-fast0"], 0, observers)
 
 
 @pytest.mark.ci
 def test_alone_equals_without_another_observer(some):
     """Other observers make another program, the same bits."""
-    observers, engine, among = some
-    same(results(SEVEN, observers[-1:], engine=engine)["cart/gaussian-fast0"], among, 0, observers[-1:])
+    observers, among = some
+    same(results(SEVEN, observers[-1:])["cart/gaussian-fast0"], among, 0, observers[-1:])
 
 
 @pytest.mark.nightly
@@ -116,7 +107,7 @@ KINDS = [  # scenario, observers, axes: a shared schedule, a random one, nonline
     ("cart/gaussian", ["kf"], {"loss": [0.2]}, "steps"),
     *(
         pytest.param(*kind, engine, marks=pytest.mark.nightly)
-        for engine in ("steps", "products", "definition")
+        for engine in ("steps", "definition")
         for kind in (
             ("cart/gaussian", TWO, {"process_std": [[0.02, 0.0]]}),
             ("cart/gaussian", TWO, {"loss": [0.2]}),
@@ -179,8 +170,8 @@ FIVE = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]  # with ukf every call
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "every"),
-    [*((engine, FIVE) for engine in ("steps", "products", "definition")), ("steps", TWO), ("products", TWO)],
-    ids=["steps", "products", "definition", "steps without ukf", "products without ukf"],
+    [("steps", FIVE), ("definition", FIVE), ("steps", TWO)],
+    ids=["steps", "definition", "steps without ukf"],
 )
 def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(engine, every):
     scenario = {"base": "cart/white", "name": "short", "duration": 0.6, "steady_start": 0.3}

@@ -57,7 +57,7 @@ def loops(request):
     _, (cell,) = planned()
     layout = cell.layout._replace(random_initial_state=request.param, width=runner.WIDTH)
     made = runner.program(layout, runner.Job(cell.problem, 0, np.arange(2)))
-    text = made.compiled.as_text()
+    text = made.call.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
     blocks = re.split(r"\n(?=%|ENTRY)", text)
     return [b for b in blocks if b.lstrip("%").split(" ", 1)[0] in bodies and wide(b)]

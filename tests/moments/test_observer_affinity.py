@@ -9,6 +9,7 @@ import pcbench
 from pcbench import planning
 from pcbench.moments import solve
 from pcbench.moments.affinity import is_curved
+from pcbench.moments.dependence import reach
 from pcbench.moments.realisations import draw_realisation
 from pcbench.simulation import rng
 from pcbench.study import parse
@@ -43,6 +44,16 @@ STUDY = {
 ARM = {"base": "arm/sampled", "duration": 0.0605, "steady_start": 0.02}
 CART = {"base": "cart/gaussian", "duration": 2.0, "steady_start": 1.0}
 STRAIGHT = {"jump": "off", "flow": "memory"}
+
+
+def test_reach_looks_into_loops_and_branches():
+    def f(a, b, c):
+        looped = jax.lax.scan(lambda s, r: ((s[1], s[0] + r), s[1]), (a, b), jnp.ones(3))
+        chosen = jax.lax.cond(c > 0, lambda a, b: (a + 1, b), lambda a, b: (a, a * a), a, b)
+        return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
+
+    sets = [set(each) for each in jax.tree.leaves(reach(f, 1.0, 2.0, 3.0), is_leaf=lambda x: isinstance(x, frozenset))]
+    assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
 
 
 def study(folder, **lines):

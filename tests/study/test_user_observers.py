@@ -118,7 +118,7 @@ def test_it_is_the_program_of_the_same_observer_built_in(here):
     for name in ("model-only", "copied.py:OBSERVER"):
         (p,) = plan(parse.grid_of(BASE | {"observers": [name]}, {}, []).study)
         job = runner.Job(p.problem, 0, range(4))
-        programs.append(runner.program(p.layout._replace(width=4), job).compiled.as_text())
+        programs.append(runner.program(p.layout._replace(width=4), job).call.as_text())
     plain = [strip_metadata(text).replace("OBSERVER", "model-only") for text in programs]
     assert plain[0] == plain[1]
 

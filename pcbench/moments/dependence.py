@@ -1,0 +1,61 @@
+"""Which arguments each result of a function depends on, read from its jaxpr.
+
+An equation that applies a program is looked into; of any other every result depends on every operand. So what is found may be
+too much, never too little.
+"""
+
+from collections.abc import Callable
+
+import jax
+from jaxtyping import PyTree
+
+from pcbench.engine import jaxpr_compat
+from pcbench.engine.jaxpr_compat import CALLS, Eqn, Jaxpr, Literal
+
+Found = frozenset[int]  # numbers of arguments, as flattened
+NONE: Found = frozenset()
+
+
+def reach(f: Callable[..., PyTree], *args: PyTree) -> PyTree:
+    """Return by result, in the form of what f returns, the arguments it depends on.
+
+    Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
+    """
+    closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
+    out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
+    return jax.tree.unflatten(jax.tree.structure(shape), out)
+
+
+def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
+    known: dict[PyTree, Found] = dict(zip(jaxpr.invars, args, strict=True))
+
+    def of(v: PyTree) -> Found:
+        return NONE if isinstance(v, Literal) else known.get(v, NONE)
+
+    for eqn in jaxpr.eqns:
+        known.update(zip(eqn.outvars, _apply_equation(eqn, [of(v) for v in eqn.invars]), strict=True))
+    return [of(v) for v in jaxpr.outvars]
+
+
+def _apply_equation(eqn: Eqn, args: list[Found]) -> list[Found]:
+    name = eqn.primitive.name
+    if name in CALLS:
+        return _through(jaxpr_compat.callee(eqn.params).jaxpr, args)
+    if name == "cond":
+        each = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
+        return [args[0].union(*found) for found in zip(*each, strict=True)]
+    if name == "scan":
+        s = jaxpr_compat.scan(eqn.params)
+        fixed, carried, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
+        return _again(lambda c: _through(s.body.jaxpr, [*fixed, *c, *rows]), carried)
+    return [NONE.union(*args)] * len(eqn.outvars)
+
+
+def _again(body: Callable[[list[Found]], list[Found]], carried: list[Found]) -> list[Found]:
+    """The results of a body that is applied to its own first results until nothing is added."""
+    while True:
+        out = body(carried)
+        wider = [a | b for a, b in zip(carried, out, strict=False)]
+        if wider == carried:
+            return [*wider, *out[len(carried) :]]
+        carried = wider
