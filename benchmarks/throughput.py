@@ -6,7 +6,7 @@ With --small it has few lanes, few ticks and one turn, with every row and every 
 
 One lane-tick is one run of cart/white advanced by one tick: plant, pccebo and kfbo, and MAE, RMSE and peak of both states
 of both observers, in float64. Before anything is timed, the metrics of every row are compared with pcbench's for the same
-draws, with the fixed and with a random start; a difference above 1e-9 ends the program with exit code 1.
+draws; a difference above 1e-9 ends the program with exit code 1.
 
 Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. Each number of cores
 has a process of its own, whose runtime is given as many threads and no more (NPROC): one that waits does so by spinning, so
@@ -14,8 +14,7 @@ that with two a row on one core would be busy 2. All rows on one core are held t
 Rows of other kinds (process noise, a schedule for each run, a closed loop, a nonlinear plant) stand beside the definition of a
 run, `vmap` of `lax.scan`, which computes the same to 1e-9: an engine that is slower than it is none. Each has lane-ticks of
 its own, so that of these rows only the ratio to the definition can be compared.
-A turn of pcbench is what a user gets of a cell: jobs stacked, sent, simulated and read; the maps of a lifted flow are made anew
-in each turn, once for its calls, as they are in a study. All draw their noise inside the time.
+A turn of pcbench is what a user gets of a cell: jobs stacked, sent, simulated and read. All draw their noise inside the time.
 With --history a table of ratios on one core gets a line, one a release: they are of one process, whatever the machine.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
 """
@@ -56,13 +55,7 @@ TOLERANCE = 1e-9
 FEW = 64  # lanes with --small
 LANES = 256  # of other kinds
 JOBS = 3  # a device and turn: the next call is prepared while the last one runs, as in a study
-KINDS = {  # watch, random start, lifted
-    "pcbench, streams": (False, False, True),
-    "pcbench, streams, random start": (False, True, True),
-    "pcbench, full product": (True, False, True),
-    "pcbench, full product, random start": (True, True, True),
-    "pcbench, the same, stepped": (True, True, False),
-}
+MINE = "(d) pcbench"
 PLANT = {
     "A": [[0.0, 1.0], [-2.0, -3.0]],
     "B": [[0.0], [1.0]],
@@ -87,10 +80,8 @@ DEFINITION, OURS = ", by the definition", ", pcbench"  # how their rows end
 SHORT = {"process noise": 1.0, "a schedule for each run": 1.0, "closed loop": 1.0, "nonlinear plant": 100.0}  # [s]
 CAPTION = (
     "Every row: plant, pccebo and kfbo one tick on; MAE, RMSE and peak of both states streamed; float64; same numbers to "
-    "1e-9. NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the "
-    "same in all lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs "
-    "from lane to lane. (b) and (c) have what depends on the input alone prepared beforehand; the full product adds "
-    "settling time and divergence. Stepped: tick by tick in every lane. Ratios are of the best of one process, a "
+    "1e-9. All simulate the plant in every lane, which starts at random in pcbench's. (b) and (c) have what depends on the "
+    "input alone prepared beforehand; pcbench adds settling time and divergence. Ratios are of the best of one process, a "
     "process for a number of cores; busy is CPU over wall time. To definition: of the row above, the same runs by vmap of "
     "lax.scan, on all cores that XLA takes."
 )
@@ -110,41 +101,32 @@ def agree(what: str, got: Array, expected: Array, ticks: int) -> None:
         raise SystemExit(f"throughput: {what}: got metrics {worst:.1e} off pcbench's, expected {TOLERANCE:g} at most.")
 
 
-def pcbench_rows(
-    layout: Layout, problems: dict[bool, GridPointParams], cores: int, ticks: int
-) -> tuple[list[Row], dict[bool, Array]]:
-    """Return pcbench's rows by kind, and its sums for seeds 0 .. L-1 by random start."""
-    rows, sums, width = [], {}, layout.width
-    for kind, (watch, random, lifted) in KINDS.items():
-        jobs = [runner.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
-        mine = layout._replace(watch=watch, random_initial_state=random, lifted=layout.lifted if lifted else 0)
-        made = runner.program(mine, jobs[0])
-        got = sums_of(next(runner.serial(made, jobs[:1]))[1])
-        agree(kind, got, sums.setdefault(random, got), ticks)
-        work = partial(turn, mine, jobs, cores)
-        rows.append(Row(kind, cores, width * cores, width * len(jobs), work, made.compile_seconds))
-    return rows, sums
+def pcbench_row(layout: Layout, problem: GridPointParams, cores: int) -> tuple[Row, Array]:
+    """Return pcbench's row, and its sums for seeds 0 .. L-1."""
+    width = layout.width
+    jobs = [runner.Job(problem, 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
+    made = runner.program(layout, jobs[0])
+    sums = sums_of(next(runner.serial(made, jobs[:1]))[1])
+    work = partial(turn, layout, jobs, cores)
+    return Row(MINE, cores, width * cores, width * len(jobs), work, made.compile_seconds), sums
 
 
 def turn(layout: Layout, jobs: list[runner.Job], cores: int) -> None:
-    """Simulate a cell's jobs as if none of that kind had been simulated before."""
-    problem = jobs[0].problem._replace()  # of a cell that is new
-    for _ in runner.run(layout, [job._replace(problem=problem) for job in jobs], cores):
+    """Simulate a cell's jobs."""
+    for _ in runner.run(layout, jobs, cores):
         pass
 
 
-def check_baselines(case: Case, problems: dict[bool, GridPointParams], sums: dict[bool, Array]) -> None:
+def check_baselines(case: Case, problem: GridPointParams, sums: Array) -> None:
     """Exit unless every baseline finds pcbench's metrics in pcbench's draws."""
-    ticks, lanes = len(case.u), sums[False].shape[-1]
+    ticks, lanes = len(case.u), sums.shape[-1]
     seeds, samples = np.arange(lanes), -(-ticks // case.period)
     noise = np.asarray(jax.jit(jax.vmap(lambda seed: rng.measurement_noise(0, seed, samples)[0], 0, 1))(seeds))
     normal = np.asarray(rng.normals(rng.run_keys(np.asarray(0), seeds, "initial", 2), np.zeros(2, int)))
-    for random, expected in sums.items():
-        mean = problems[random].x0[:, None]
-        x0 = mean + problems[random].spread0 @ normal if random else np.tile(mean, lanes)
-        agree("a loop per run", one_run(case, x0[:, 0], noise[:, 0])[..., None], expected[..., :1], ticks)
-        agree("NumPy over runs", over_runs(case, x0, noise), expected, ticks)
-        agree("numba", runs_alone(case, x0, noise), expected, ticks)
+    x0 = problem.x0[:, None] + problem.spread0 @ normal
+    agree("a loop per run", one_run(case, x0[:, 0], noise[:, 0])[..., None], sums[..., :1], ticks)
+    agree("NumPy over runs", over_runs(case, x0, noise), sums, ticks)
+    agree("numba", runs_alone(case, x0, noise), sums, ticks)
 
 
 def baseline_rows(case: Case, problem: GridPointParams, width: int, cores: int) -> list[Row]:
@@ -256,11 +238,11 @@ def show(found: list[dict[str, Any]], console: Console) -> None:
 
 
 def remember(found: list[dict[str, Any]], path: Path) -> None:
-    """Add a line with pcbench's rates on one core over those of numba and of NumPy over runs."""
+    """Add a line with pcbench's rate on one core over those of numba and of NumPy over runs."""
     alone = {row["what"]: row["best"] for row in found if row["cores"] == 1}
     line = {"release": pcbench.__version__, "commit": (provenance.describe()["git"] or {}).get("commit", "")[:10]}
     for other, what in (("numba", "(c) numba, a loop per run"), ("NumPy", "(b) NumPy over runs")):
-        line |= {f"{kind} / {other}": f"{alone[kind] / alone[what]:.2f}" for kind in KINDS}
+        line[f"pcbench / {other}"] = f"{alone[MINE] / alone[what]:.2f}"
     new = not path.exists()
     with path.open("a", newline="") as file:
         table = csv.DictWriter(file, line)
@@ -276,24 +258,20 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
     jax.config.update("jax_platforms", "cpu")
     if not small:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
-    problems: dict[bool, GridPointParams] = {}
-    for random in (False, True):
-        given = {
-            "observers": OBSERVERS,
-            "options": {"scenario": {"random_initial_state": random}},
-            "engine": "products",
-        }
-        (planned,) = planning.plan(parse.grid_of(parse.load(SCENARIO, []), given, []).study)
-        ticks = 500 if small else planned.cell.times.ticks
-        windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
-        problems[random] = planned.problem._replace(windows=windows)
-        layout = planned.layout._replace(width=FEW if small else runner.WIDTH)
-    case = prepare(problems[False], ticks)
-    rows, sums = pcbench_rows(layout, problems, cores, ticks)
-    others = baseline_rows(case, problems[False], layout.width, cores)
-    check_baselines(case, problems, sums)
+    given = {"observers": OBSERVERS, "options": {"scenario": {"random_initial_state": True}}}
+    (planned,) = planning.plan(parse.grid_of(parse.load(SCENARIO, []), given, []).study)
+    ticks = 500 if small else planned.cell.times.ticks
+    windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
+    problem, layout = (
+        planned.problem._replace(windows=windows),
+        planned.layout._replace(width=FEW if small else runner.WIDTH),
+    )
+    case = prepare(problem, ticks)
+    mine, sums = pcbench_row(layout, problem, cores)
+    others = baseline_rows(case, problem, layout.width, cores)
+    check_baselines(case, problem, sums)
     more = other_rows(cores, small)
-    rows = [*others, *rows, *(row for row, _ in more)]
+    rows = [*others, mine, *(row for row, _ in more)]
     every = [ticks] * (len(rows) - len(more)) + [many for _, many in more]
     return report(rows, take(rows, 1 if small else 5), every)
 
