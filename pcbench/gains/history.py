@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow as pa
 import tomli_w
 
-import pcbench
 from pcbench import toml_text
 from pcbench.dataset import parquet_io, storage, stored_code
 from pcbench.dataset.seed_ranges import Seeds, seed_range
@@ -197,7 +196,7 @@ def _kept(whole: str, basis: TomlTable) -> Path:
 @lru_cache(maxsize=1)
 def _versions() -> str:
     """What decides the bits of an objective besides what is asked: pcbench's own text, and the libraries that compute."""
-    root = Path(pcbench.__file__).parent
+    root = Path(__file__).parents[1]
     text = b"".join(path.read_bytes() for path in sorted(root.rglob("*.py")))
     return (
         f"{hashlib.sha256(text).hexdigest()} {[version(name) for name in ('jax', 'jaxlib', 'numpy', 'scipy', 'optax')]}"
