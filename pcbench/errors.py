@@ -21,9 +21,9 @@ def printable(text: str, but: str = "") -> str:
 
 
 class UserError(ValueError):
-    """A mistake the user can mend. The CLI prints the sentence and exits with code 2.
+    """A mistake that the user can correct, as one sentence. The command line prints it and exits with code 2.
 
-    Whatever it quotes, it is one line: what cannot be printed is escaped.
+    The sentence is one line: characters that cannot be printed are escaped.
     """
 
     def __init__(self, sentence: str):
@@ -31,11 +31,11 @@ class UserError(ValueError):
 
 
 class DigitsError(UserError):
-    """A state so large that its rounding decides the errors: the sentence names the cell and the size."""
+    """A state so large that rounding dominates the errors. The sentence names the grid point and the size."""
 
 
 class DesignError(UserError):
-    """A gain that could not be found or certified: the sentence names the margin and the solver's status."""
+    """A gain that was not found or not certified. The sentence names the margin and the status of the solver."""
 
 
 def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.4) -> str:

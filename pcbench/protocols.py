@@ -47,33 +47,32 @@ def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 
 class Now(NamedTuple):
-    """What a function may know of the present.
+    """The present time and the inputs applied until now, as functions of plants and observers receive them.
 
     `u` and `past_u` are the input *applied* to the plant, held over [t_k, t_k+1). In `flow` and `step`, `u` is u_k,
     which equals `past_u(0)`. In `snapshot` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
-    Before t = 0 the input is 0; in a closed loop, what the commands of that time make it. A loop keeps the inputs that its
-    schedule can ask for: beyond them `past_u` is NaN.
+    Before t = 0 the input is 0. In a closed loop it follows from the commands of that time. A loop stores the inputs that
+    its schedule needs. `past_u` of an older one is NaN.
     """
 
-    t: Float[Array, ""]  # [s]
-    tick: Int[Array, ""]
-    dt: Float[Array, ""]  # [s]
-    u: Float[Array, " m"]
-    past_u: Callable[[Array], Array]  # age [ticks] -> u[m] applied `age` ticks ago
+    t: Float[Array, ""]  # time [s]
+    tick: Int[Array, ""]  # index of the tick
+    dt: Float[Array, ""]  # duration of a tick [s]
+    u: Float[Array, " m"]  # input held over the tick
+    past_u: Callable[[Array], Array]  # age [ticks] -> the input applied `age` ticks ago
 
 
 class Arrival(NamedTuple):
-    """What the network delivers to `jump`: one sampling instant; `mask` is False for channels that did not arrive."""
+    """A measurement that arrives at `jump`, with all channels that were sampled at the same time."""
 
-    value: Float[Array, " q"]  # measured; without meaning where `mask` is False
-    mask: Bool[Array, " q"]
-    age: Int[Array, " q"]  # ticks since the sample was taken, as the observer believes it
-    index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)
-    snapshot: Float[Array, " noted"]  # what the observer noted at the tick at which it believes the sample was taken
-    ticks_since_arrival: Int[
-        Array, ""
-    ]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
-    # of a recording that states it: variance of each value's noise over the variance that the design takes for its channel
+    value: Float[Array, " q"]  # measured values; a value is meaningless if its `mask` is False
+    mask: Bool[Array, " q"]  # whether the channel has arrived
+    age: Int[Array, " q"]  # ticks since the sample was taken, according to its timestamp
+    index: Int[Array, " q"]  # type: ignore[assignment]  # index of the sample in its channel (0 is the first)
+    snapshot: Float[Array, " noted"]  # result of `snapshot` at the tick at which the timestamp puts the sample
+    # ticks since the last tick at which a measurement arrived (from tick 0 before the first)
+    ticks_since_arrival: Int[Array, ""]
+    # noise variance of each value divided by the variance assumed in the design; None unless a recording contains variances
     variance_ratio: Float[Array, " q"] | None = None
 
 
@@ -96,7 +95,7 @@ class PlantField(Protocol):
 
 
 class Unknown(Protocol):
-    """Return, at now.t, what observers are not told."""
+    """Return the unknown inputs or parameters at now.t. Observers do not get them."""
 
     def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " s"]: ...
 
@@ -118,19 +117,18 @@ class OfRun(Protocol):
 class Plant(NamedTuple):
     """A plant as pure functions of its numbers `params`.
 
-    `unknown` has no value that observers are given; they may estimate it in addition to the state: unknown inputs,
-    parameters. A plant whose numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params.
-    `errors` are scored in addition to x - xhat; a plant has these or `unknown`.
+    Observers do not get the unknown inputs or parameters `unknown`, but may estimate them in addition to the state. A plant
+    has either `unknown` or `errors`.
     """
 
-    step: Step
-    output: Output
-    field: PlantField | None = None
-    unknown: Unknown | None = None
-    drawn: int = 0
-    of_run: OfRun | None = None
-    errors: OwnErrors | None = None
-    scored: int = 0  # how many they are
+    step: Step  # the state one tick later
+    output: Output  # the measured outputs
+    field: PlantField | None = None  # the time derivative of the state
+    unknown: Unknown | None = None  # the unknown inputs or parameters
+    drawn: int = 0  # random numbers per run, if parameters drift differently in each run
+    of_run: OfRun | None = None  # the numbers of a run, from its random numbers
+    errors: OwnErrors | None = None  # errors that are scored in addition to x - xhat
+    scored: int = 0  # number of these errors
 
 
 class Target(Protocol):
@@ -146,7 +144,7 @@ class Before(Protocol):
 
 
 class Command(Protocol):
-    """Return the command of now; coming(i) is the input applied i ticks on, as far as it is decided."""
+    """Return the present command; coming(i) is the input applied i ticks later, if it is decided."""
 
     def __call__(
         self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], /
@@ -154,13 +152,13 @@ class Command(Protocol):
 
 
 class StartLaw(Protocol):
-    """Return what a law keeps from tick to tick, as it is before tick 0, from the estimate at 0."""
+    """Return the memory of a law before tick 0, from the estimate at 0."""
 
     def __call__(self, params: Params, estimate: Array, /) -> Memory: ...
 
 
 class RememberingCommand(Protocol):
-    """Return the command of now, and what the law keeps, from what it has kept."""
+    """Return the present command and the new memory of the law."""
 
     def __call__(
         self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: Memory, /
@@ -170,13 +168,13 @@ class RememberingCommand(Protocol):
 class Controller(NamedTuple):
     """A control law as pure functions of its numbers `params`; m inputs, r states that are to follow a set point.
 
-    A law that keeps something from tick to tick has `start`, and a `command` that takes and returns it.
+    A law with a memory, such as an integral, has `start`, and a `command` that takes and returns the memory.
     """
 
-    target: Target
-    before: Before
-    command: Command | RememberingCommand
-    start: StartLaw | None = None
+    target: Target  # the set point at a tick
+    before: Before  # the command of a tick before 0
+    command: Command | RememberingCommand  # the command of the present tick
+    start: StartLaw | None = None  # the memory before tick 0
 
 
 class Init(Protocol):
@@ -186,7 +184,7 @@ class Init(Protocol):
 
 
 class Note(Protocol):
-    """Return what the observer will need to know of the present when the sample taken now arrives."""
+    """Return what `jump` will need of the present tick when the sample taken now arrives."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " noted"]: ...
 
@@ -210,34 +208,33 @@ class Estimate(Protocol):
 
 
 class OnSample(Protocol):
-    """Take note in memory that the channels of `mask` are sampled now, before anything of it arrives."""
+    """Return the memory after the channels of `mask` are sampled, before the sample arrives."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"], /) -> Memory: ...
 
 
 class Covariance(Protocol):
-    """Return the covariance that the observer believes its error to have now, of all that it estimates."""
+    """Return the assumed covariance of the present error of all estimated signals."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "signals signals"]: ...
 
 
 class InnovationStats(NamedTuple):
-    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that the observer assumes for nu.
+    """Statistics of an innovation nu (measurement minus prediction), relative to its assumed covariance S.
 
-    With the next two it says too how likely the sample was, and whether samples repeat each other, with the last one which
-    channels were judged; they may be left out. Taken one after the other the numbers of nu are independent, nu_j with the
-    variance s_j.
+    `log_det` is needed for the likelihood, `normalized_sum` for the whiteness test, and `each` for the NIS of each channel.
+    If the components of nu are decorrelated one after the other, nu_j has the variance s_j.
     """
 
-    nis_sum: Float[Array, ""]
-    dof: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
-    log_det: PyTree = None  # log det S, of the numbers that count
-    normalized_sum: PyTree = None  # sum of nu_j / sqrt(s_j) over them
-    each: PyTree = None  # [q] nu_j / sqrt(s_j), NaN of a channel that does not count
+    nis_sum: Float[Array, ""]  # nu' S^-1 nu
+    dof: Float[Array, ""]  # number of components that count; 0: the measurement is not judged
+    log_det: PyTree = None  # log det S, of the components that count
+    normalized_sum: PyTree = None  # sum of nu_j / sqrt(s_j) over the components that count
+    each: PyTree = None  # nu_j / sqrt(s_j) of each channel [q]; NaN if the channel does not count
 
 
 class Innovation(Protocol):
-    """Return how far what arrives is from what is expected of it, given all that arrived before, whatever was taken since."""
+    """Return the statistics of a measurement relative to its prediction, given all measurements that arrived before."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> InnovationStats: ...
 
@@ -259,13 +256,13 @@ class InitRandom(Protocol):
 class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
-    init: Init
-    snapshot: Note  # when a sample is taken
-    jump: Jump  # when something arrives
-    flow: Flow  # from tick to tick
-    estimate: Estimate
-    field: ObserverField | None = None  # where it runs on continuous measurement as well
-    covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
-    on_sample: OnSample | None = None  # for observers that need to know at sampling time that a sample will come
-    innovation: Innovation | None = None  # where it says what it expects of a sample
-    init_random: InitRandom | None = None  # where it draws numbers itself
+    init: Init  # the memory at the start of a run
+    snapshot: Note  # called when a sample is taken: what `jump` needs of that tick
+    jump: Jump  # called when a measurement arrives
+    flow: Flow  # called at each tick: moves the memory to the next tick
+    estimate: Estimate  # the estimate of the present state
+    field: ObserverField | None = None  # time derivative of the memory, for continuous measurement
+    covariance: Covariance | None = None  # assumed covariance of the error; `now` is that of a jump
+    on_sample: OnSample | None = None  # called when a sample is taken, before it arrives
+    innovation: Innovation | None = None  # statistics of a measurement relative to its prediction
+    init_random: InitRandom | None = None  # the memory at the start of a run, for an observer that draws random numbers

@@ -13,18 +13,16 @@ from pcbench.synthesis.lqr import Law
 
 
 class ControllerSpec(NamedTuple):
-    """A controller, its options, and how its numbers are made."""
+    """A control law, its options, and the computation of its numbers."""
 
-    controller: Callable[[Any], Controller] | Controller  # options -> the law; or the law, whatever the options
-    options: type[BaseModel]
-    prepare: Callable[[Any, ControllerContext], Params]  # options -> params
-    summary: str
-    check: Callable[[Any, Sizes], None] | None = (
-        None  # raises UserError where options do not fit; None: it is for one plant
-    )
-    linear: Callable[[Any, ControllerContext], Law | None] | None = (
-        None  # the law about its set point, as eigenvalues need it
-    )
+    controller: Callable[[Any], Controller] | Controller  # options -> the law; or the law, for all options
+    options: type[BaseModel]  # a pydantic model
+    prepare: Callable[[Any, ControllerContext], Params]  # (options, context) -> params of the law
+    summary: str  # one line for `pcbench list`
+    # raises UserError if options do not fit the plant; None: the law is for one plant
+    check: Callable[[Any, Sizes], None] | None = None
+    # the law linearised about its set point, for the eigenvalues of the loop
+    linear: Callable[[Any, ControllerContext], Law | None] | None = None
 
 
 def _pd(options: Any, context: ControllerContext) -> Params:

@@ -33,24 +33,25 @@ class Joint(NamedTuple):
 
 
 class Exact:
-    """What a study's numbers are over infinitely many seeds, where that has an exact answer (see `pcbench.moments`)."""
+    """The exact results of a study: expected values over infinitely many seeds."""
 
     def __init__(self, grid: Grid, schedules: int):
         self.grid, self.schedules = grid, schedules
 
     @cached_property
     def stats(self) -> pd.DataFrame:
-        """One row per cell, observer, signal and metric, like a result's `stats`: see its `method` and `reason`.
+        """One row per grid point, observer, signal and metric, like `stats` of a result.
 
-        A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
-        of them, n says how many, and se is of schedules alone.
+        `method` shows whether a row is exact, and `reason` explains why not. `mean` is the expected value, and `se` is 0. If
+        each run has its own schedule, `mean` is over the first `schedules` of them, `n` is their number, and `se` is the
+        standard error over schedules.
         """
         return pd.DataFrame(columns.concat_columns(self.rows(m) for m in self.solved(self.grid.cells)))
 
     def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
-        """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
+        """Return mean and standard deviation of the errors at ticks 0 .. N, of all grid points or of one.
 
-        Where runs have schedules of their own they are over noise and schedules. Observers without an exact answer are missing.
+        If each run has its own schedule, they are over noise and schedules. Observers without exact results are missing.
         """
         frames = []
         for m in self.solved(self._chosen(scenario, cell), "std"):
@@ -60,7 +61,7 @@ class Exact:
         return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
     def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[np.generic]]]:
-        """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
+        """Yield the moments of a grid point by column, for each observer and signal with exact results."""
         cell = m.planned.cell
         names = [name for name, _ in signals_of(cell.scenario)]
         ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).every(cell.times.ticks))
@@ -77,9 +78,9 @@ class Exact:
                 yield dict(zip(OVER_TIME, (*words, cell.scenario.dt * ticks, mean[:, i], std[:, i]), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
-        """Return the joint covariance of all errors of one cell, whose observers see the same noise.
+        """Return the joint covariance of all errors of one grid point, where all observers get the same noise.
 
-        Raises UserError where one of them has no exact answer, or drives a plant of its own.
+        Raises UserError if an observer has no exact results, or if several observers close a loop.
         """
         chosen = self._chosen(scenario, cell)
         if len(chosen) > 1:

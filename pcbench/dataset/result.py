@@ -57,9 +57,10 @@ def _damage_error(target: storage.Target, name: str) -> UserError:
 
 
 class Result:
-    """A study's results: three tables as pandas frames (see `columns.MEANING`), and its provenance.
+    """The results of a study: the tables `stats`, `pairs` and `runs` as pandas frames, and the provenance.
 
-    Without a folder of its own it keeps a temporary one, which is removed with it.
+    The page *Columns of the tables* lists their columns. If the study has no folder, the files are in a temporary one,
+    which is removed with the result.
     """
 
     def __init__(
@@ -76,17 +77,17 @@ class Result:
 
     @cached_property
     def stats(self) -> "pd.DataFrame":
-        """One row per cell, observer, signal and metric."""
+        """One row per grid point, observer, signal and metric."""
         return self._closing("stats.parquet")
 
     @cached_property
     def pairs(self) -> "pd.DataFrame":
-        """One row per cell, pair of observers, signal and metric."""
+        """One row per grid point, pair of observers, signal and metric."""
         return self._closing("pairs.parquet")
 
     @cached_property
     def runs(self) -> "pd.DataFrame":
-        """One row per cell, observer, seed and signal."""
+        """One row per grid point, observer, seed and signal."""
         if not block_files.present(self._target):
             raise UserError(
                 f"{self._target.name}: has no runs, its numbers are exact; run the study with evaluation = 'runs'."
@@ -97,16 +98,16 @@ class Result:
 
     @cached_property
     def scenarios(self) -> list[str]:
-        """The scenarios that there are numbers of, in the study's order."""
+        """Names of the scenarios with results, in the order of the study."""
         return [str(name) for name in self.stats.scenario.unique()]
 
     @cached_property
     def moments(self) -> "pd.DataFrame":
-        """Mean and standard deviation of the errors over time, where they are exact: scenario, cell, observer, signal, t."""
+        """Exact mean and standard deviation of the errors over time, per scenario, grid point, observer, signal and t."""
         return self._moments(storage.names(self._target, moments_tables.FOLDER))
 
     def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":
-        """Return the same of one cell, of whose file alone it is read; none where nothing is exact there."""
+        """Return the rows of `moments` of one grid point; none if it has no exact results."""
         name = moments_tables.place(scenario, cell)
         return self._moments([name] if storage.get(self._target, name) is not None else [])
 
@@ -126,14 +127,14 @@ class Result:
         return pd.concat(frames, ignore_index=True)[first] if frames else pd.DataFrame({name: [] for name in first})
 
     def ranks(self, metric: str) -> str:
-        """Return the metric that ranks observers where that is asked for: in exact results, of a root its pooled form."""
+        """Return the metric that ranks observers: for a root mean square in exact results, its pooled form."""
         plain = metric.removeprefix("steady_")
         roots = self.exact and plain in ("rmse", "tracking_rmse", "input_rms")
         return f"{metric.removesuffix(plain)}pooled_{plain}" if roots else metric
 
     @cached_property
     def exact(self) -> bool:
-        """Whether some numbers are exact."""
+        """Whether some results are exact."""
         return bool((self.stats.method == "exact").any())
 
     @cached_property
@@ -142,7 +143,7 @@ class Result:
         return [{(str(key[0]), str(key[1])): part for key, part in groups} for groups in each]
 
     def signals(self, scenario: str) -> list[str]:
-        """Return the signals of a scenario that there are numbers of, in their order."""
+        """Return the signals of a scenario with results, in their order."""
         return [signal for name, signal in self._by_signal[0] if name == scenario]
 
     def stats_of(self, scenario: str, signal: str) -> "pd.DataFrame":
@@ -150,11 +151,11 @@ class Result:
         return self._by_signal[0][scenario, signal]
 
     def pairs_of(self, scenario: str, signal: str) -> "pd.DataFrame":
-        """Return the rows of `pairs` of one signal; none of one observer alone."""
+        """Return the rows of `pairs` of one signal; none if there is only one observer."""
         return self._by_signal[1].get((scenario, signal), self.pairs.iloc[:0])
 
     def runs_of(self, scenario: str, metrics: list[str], cell: int) -> "pd.DataFrame":
-        """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
+        """Return some metrics of the runs of one grid point, with the columns observer, seed, signal and diverged."""
         import pyarrow.dataset as ds
 
         here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
@@ -164,7 +165,7 @@ class Result:
         return rows.sort_values(["rank", "seed"], kind="stable", ignore_index=True).drop(columns="rank")
 
     def unproven(self, scenario: str) -> str:
-        """Return a sentence that names the observers of a scenario whose gains nothing proves, and why; empty: none is."""
+        """Return a sentence that names the observers of a scenario without a certificate, and why; empty if there are none."""
         reasons: dict[str, list[str]] = {}
         for observer, c in self.provenance.get("certificates", {}).get(scenario, {}).items():
             if is_certified(c) is False:

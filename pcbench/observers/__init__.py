@@ -45,28 +45,28 @@ Takes = Literal["any schedule", "one clock", "one constant delay", "constant del
 
 
 class ObserverSpec(NamedTuple):
-    """An observer, the options a study may give it, and how its gains are found.
+    """An observer, its options, the design of its gains, and the schedules that it accepts.
 
-    `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together;
-    samples of one constant age only; or sampled regularly, all channels together, each of a constant age of its own.
+    `takes` names the accepted schedules. "any schedule" includes lost and out-of-sequence samples of each channel. "one
+    clock" is the same with all channels sampled together. "one constant delay" is a constant delay of all channels.
+    "constant delays" is periodic sampling of all channels together, with a constant delay of each channel.
     """
 
-    observer: Observer
-    options: type[BaseModel]
-    design: Callable[[DesignContext, Any], Design]
-    knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
-    summary: str
-    takes: Takes = "one constant delay"
-    lanes: int | None = None  # runs a call, if the last bits depend on how many run together; None: they do not
-    expensive: bool = (
-        False  # its runs may take much longer than others': it has its own program, and its turn comes last
-    )
-    nonlinear: bool = False  # it is designed for plants without a linear model
-    smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
-    loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs
-    elsewhere: bool = False  # its estimates are made elsewhere, and scored: it is never simulated
-    measurement_noise: bool = False  # it uses the variance of each measurement, where a recording states it
-    # options of gains for the noise and delays as they are; None: it has none such
+    observer: Observer  # the functions
+    options: type[BaseModel]  # a pydantic model
+    design: Callable[[DesignContext, Any], Design]  # (context, options) -> gains and certificate
+    knows_schedule: bool  # whether the error stays 0 with the true model, a true initial state and no noise
+    summary: str  # one line for `pcbench list`
+    takes: Takes = "one constant delay"  # accepted schedules
+    lanes: int | None = None  # fixed runs per call, if the last bits depend on that number; None: they do not
+    # whether its runs may take much longer than those of other observers: it then runs last, in its own program
+    expensive: bool = False
+    nonlinear: bool = False  # whether it is designed for plants without a linear model
+    smooth: bool = True  # whether the estimate is differentiable by the options, and loops have a fixed length
+    loops: bool = True  # whether its estimate can close a loop
+    elsewhere: bool = False  # whether another program computes the estimates, which are only scored
+    measurement_noise: bool = False  # whether it uses the variance of each measurement of a recording
+    # options with which the gains suit the true noise and delays; None: there are none
     designed: Mapping[str, Any] | None = None
 
 

@@ -45,31 +45,31 @@ Range = str | tuple[str, float, float]  # a unit, or (unit, least, most) where o
 
 
 class PlantSpec(NamedTuple):
-    """A plant with what the tables and the observers need to know of it."""
+    """A plant with its signals, its parameters and the models that designs use."""
 
-    plant: Plant
-    signals: tuple[tuple[str, str], ...]  # (state, unit); empty: the scenario's
+    plant: Plant  # the functions
+    signals: tuple[tuple[str, str], ...]  # name and unit of each state; empty: those of the scenario
     numbers: PyTree  # default parameters, a NamedTuple
-    nominal: Callable[[PyTree], Model]  # the linear model that observers know
-    prepare: Callable[[PyTree, float, int], Params]  # (numbers, dt [s], ticks) -> params
-    summary: str
-    unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
-    heavy: bool = False  # a tick costs so much that fewer lanes a call are as fast
+    nominal: Callable[[PyTree], Model]  # parameters -> the linear model that designs use
+    prepare: Callable[[PyTree, float, int], Params]  # (parameters, tick [s], number of ticks) -> params of `plant`
+    summary: str  # one line for `pcbench list`
+    unknowns: tuple[tuple[str, str], ...] = ()  # name and unit of each unknown input or parameter
+    heavy: bool = False  # whether a tick is so expensive that fewer runs per call are as fast
     model: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
-    successor: Callable[..., Array] | None = None  # likewise -> x one tick later, of a plant that is given by its step
-    sensor: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
-    output_residual: Callable[..., Array] | None = None  # (params, y, yhat) -> y less yhat; None: their difference
-    parts: Callable[..., tuple[Array, Array]] | None = None  # (params, u, x) -> a, phi of a p + phi, parameters p
+    successor: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> x one tick later; None: see `model`
+    sensor: Callable[..., Array] | None = None  # (params, now, x, unknowns) -> y; None: that of `nominal`
+    output_residual: Callable[..., Array] | None = None  # (params, y, yhat) -> residual; None: the difference
+    parts: Callable[..., tuple[Array, Array]] | None = None  # (params, u, x) -> a, phi of a p + phi with parameters p
     inverse: Callable[..., Array] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
-    ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
-    drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
-    # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
+    ranges: tuple[tuple[float, float], ...] = ()  # range of each unknown input or parameter; empty: no limits
+    drifts: bool = True  # whether the axis `parameter_drift` has an effect
+    # parameters -> dx/dt at the operating point, if signals are deviations from it
     residual: Callable[[PyTree], np.ndarray] | None = None
-    operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
-    tick: float | None = None  # s, of a plant given by its step; None: any
-    errors: tuple[tuple[str, str], ...] = ()  # (an error of one's own, unit), as `plant.errors` returns them
+    operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # state and input at the operating point
+    tick: float | None = None  # tick of a plant that is given by its step [s]; None: any
+    errors: tuple[tuple[str, str], ...] = ()  # name and unit of each error that `plant.errors` returns
 
 
 class NoNumbers(NamedTuple):

@@ -24,72 +24,74 @@ def power_of_2(many: int) -> int:
 
 
 class Certificate(NamedTuple):
-    """The inequality that was checked again, the gain's margin in it, and the solver that found the gain."""
+    """The inequality that was checked again in float64, the margin of the gain, and the solver that found the gain."""
 
-    inequality: str
-    margin: float  # > 0: certified; inf: nothing was to be proven, as the inequality says
-    solver: str
-    status: str
-    numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
-    rate: float = float("nan")  # [1/s] the decay of the error that is promised, without noise; NaN: none is
-    fallback: str = ""  # why the first solver's answer was not taken; empty: it was, or there was no solver
+    inequality: str  # the inequality, or the reason why there is none
+    margin: float  # certified if greater than 0; inf: there is nothing to certify
+    solver: str  # name of the solver
+    status: str  # status that the solver returned
+    numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates of the certificate, by name
+    rate: float = float("nan")  # certified decay rate of the error without noise [1/s]; NaN: none
+    fallback: str = (
+        ""  # why the answer of the first solver was rejected; empty: it was accepted, or no solver was needed
+    )
 
 
 class Design(NamedTuple):
-    """An observer's numbers with their proof."""
+    """The gains of an observer with their certificate."""
 
-    gains: Any
-    certificate: Certificate
-    # whether its prediction to now carries the unknown input it has found; None: no such
+    gains: Any  # arrays that the functions of the observer receive
+    certificate: Certificate  # use `no_certificate` if there is none
+    # whether the prediction to the present includes the estimated unknown input; None: no input is estimated
     predicts_unknown_input: bool | None = None
 
 
 class DesignContext(NamedTuple):
-    """What an observer is designed with at a grid point. n states, m inputs, q outputs."""
+    """What a design may use at a grid point: n states, m inputs, q outputs, s unknown inputs or parameters."""
 
-    scenario: str
-    model: Model  # nominal
-    dt: float  # [s]
-    ticks: int  # horizon N
-    period: tuple[int, ...]  # [q] ticks; the mean where intervals vary
-    delay: tuple[int, ...]  # [q] ticks, as the observer believes it; the mean where it varies
-    noise_std: tuple[float, ...]  # [q] of one sample, as designers assume it
-    P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
-    input_intensity: float  # process noise through the input that a designer assumes, per second
-    noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
-    sensors: int = 1  # groups of channels whose samples are taken, delayed and lost together
-    overtaking: int = 0  # K: how many newer samples may arrive before one
-    spare: int = 0  # K that there is room for at least, so that cells share programs
-    # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
+    scenario: str  # name, for error messages
+    model: Model  # nominal linear model
+    dt: float  # duration of a tick [s]
+    ticks: int  # number of ticks of a run
+    period: tuple[int, ...]  # mean sampling period [ticks], of each output
+    delay: tuple[int, ...]  # mean assumed delay [ticks], of each output
+    noise_std: tuple[float, ...]  # assumed standard deviation of the noise of a sample, of each output
+    P0: np.ndarray  # prior covariance of x(0) about xhat(0), n by n
+    input_intensity: float  # assumed intensity of process noise through the input, per second
+    noise_correlation: tuple[tuple[float, ...], ...] = ()  # of the outputs, q by q; empty: independent
+    sensors: int = 1  # number of sensors: groups of outputs that are sampled, delayed and lost together
+    overtaking: int = 0  # how many newer samples may arrive before an older one
+    spare: int = 0  # least room for such newer samples, so that grid points share compiled programs
+    # assumed noise of a tick: standard deviations of n states, or an n by n root of the covariance; empty: none
     process_std: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
-    error: int = 0  # [ticks] the believed delay less the true one
-    reach: int = 0  # [samples] the longest delay; it, `overtaking` and `flight` are the most of a study's cells
-    flight: int = 1  # [samples] how many can be on their way at once, the one that is taken now too
-    latest: int = 0  # [ticks] the greatest age with which a sample can arrive, as the observer believes it
-    unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
-    unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start
-    unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
-    # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
+    error: int = 0  # assumed delay minus true delay [ticks]
+    reach: int = 0  # longest delay [samples]; like `overtaking` and `flight` the maximum over the grid points
+    flight: int = 1  # how many samples can be in transit at once, the one that is taken now included
+    latest: int = 0  # greatest age of a sample that arrives, according to its timestamp [ticks]
+    unknown_std: tuple[float, ...] = ()  # typical size of each unknown input or parameter
+    unknown0: tuple[float, ...] = ()  # initial estimate of each unknown input or parameter
+    unknown_range: tuple[tuple[float, float], ...] = ()  # range of each unknown input or parameter
+    # (now, x, unknowns) -> dx/dt, if the model is not linear
     field: Callable[..., Any] | None = None
-    # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
+    # (u, x) -> a, phi of accelerations a p + phi with parameters p, if the plant has this form
     parts: Callable[..., tuple[Any, Any]] | None = None
-    variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
-    # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
+    variant: Any = None  # (parameters by name) -> the model with these parameters
+    # (now, x, unknowns) -> x one tick later, if the plant is given by its step
     successor: Callable[..., Any] | None = None
-    sensor: Callable[..., Any] | None = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
-    # (y[q], yhat[q]) -> y less yhat, where outputs wrap; None: their difference
+    sensor: Callable[..., Any] | None = None  # (now, x, unknowns) -> y; None: that of the model
+    # (y, yhat) -> residual, if outputs wrap around; None: their difference
     residual: Callable[..., Any] | None = None
-    xhat0: tuple[float, ...] = ()  # [n] the estimate at t = 0, where it is the same in all runs
-    intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
+    xhat0: tuple[float, ...] = ()  # initial estimate, if it is the same in all runs
+    intervals: tuple[int, ...] = ()  # all intervals between samples of a shared clock [ticks]; empty: the period
 
     @property
     def noise_variance(self) -> np.ndarray:
-        """Variance of one sample of each channel, [q]; where there is none NO_NOISE, so that nothing is divided by 0."""
+        """Variance of the noise of a sample, of each output; 1e-12 for an output without noise, so that it has an inverse."""
         return np.array([std**2 or NO_NOISE for std in self.noise_std])
 
     @property
     def noise_covariance(self) -> np.ndarray:
-        """Covariance of one sample's noise, [q, q]."""
+        """Covariance of the noise of a sample, q by q."""
         size = np.sqrt(self.noise_variance)
         return np.outer(size, size) * (
             np.array(self.noise_correlation) if self.noise_correlation else np.eye(len(size))
@@ -97,20 +99,20 @@ class DesignContext(NamedTuple):
 
     @property
     def process_noise(self) -> np.ndarray:
-        """Covariance [n, n] of the noise added to the state at every tick."""
+        """Covariance of the noise that is added to the state at every tick, n by n."""
         S = np.asarray(self.process_std, float)
         if not S.size:
             return np.zeros_like(self.P0)
         return S @ S.T if S.ndim == 2 else np.diag(np.square(S))
 
     def roomier(self, other: "DesignContext") -> "DesignContext":
-        """Return the same with as much room for samples as another has, where that is more."""
+        """Return a copy with at least as much room for samples as another context."""
         most = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
         return self._replace(**most)
 
     @property
     def room(self) -> np.ndarray:
-        """Room [K] for the samples that may be overtaken (`protocols.Room`)."""
+        """Room for the newer samples that may arrive before an older one (`protocols.Room`)."""
         return np.zeros(max(self.overtaking, self.spare))
 
 

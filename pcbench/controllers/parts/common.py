@@ -40,22 +40,20 @@ class Options(BaseModel):
 
 
 class ControllerContext(NamedTuple):
-    """What a controller is designed with at a grid point. n states, m inputs, q outputs."""
+    """What the design of a control law may use at a grid point."""
 
-    model: Model  # linear, as observers know it
-    dt: float  # [s]
-    ticks: int  # horizon N
-    rows: int  # commands that the loop keeps from before tick 0
-    ahead: int  # ticks past the horizon for which a set point may be asked
-    late: int  # [ticks] mean delay from command to plant
-    states: tuple[str, ...]  # [n] names
-    delay: Delay  # from command to plant, of the time
-    field: Callable[..., Array] | None = (
-        None  # (now, x[n], unknowns) -> dx/dt, where observers are told a nonlinear model
-    )
-    inverse: Callable[..., Array] | None = (
-        None  # (unknowns, path, rates, accelerations) -> u[m], where the plant has one
-    )
+    model: Model  # nominal linear model
+    dt: float  # duration of a tick [s]
+    ticks: int  # number of ticks of a run
+    rows: int  # number of commands before tick 0 that the loop stores
+    ahead: int  # number of ticks after the run for which a set point may be needed
+    late: int  # mean delay from command to plant [ticks]
+    states: tuple[str, ...]  # names of the states
+    delay: Delay  # delay from command to plant as a function of time [s]
+    # (now, x, unknowns) -> dx/dt, if the nominal model is not linear
+    field: Callable[..., Array] | None = None
+    # (unknowns, path, rates, accelerations) -> u, if the plant has an inverse
+    inverse: Callable[..., Array] | None = None
 
     @property
     def tick(self) -> tuple[Matrix, Matrix]:
