@@ -31,6 +31,12 @@ def test_a_page_is_short_and_has_a_title(name):
 
 
 @pytest.mark.parametrize("name", TEXTS)
+def test_an_inner_list_has_four_spaces(name):
+    """The site takes the entries of one with fewer for those of the outer list."""
+    assert re.findall(r"^ {1,3}(?:[-*]|\d+\.) .*", prose(TEXTS[name]), re.M) == []
+
+
+@pytest.mark.parametrize("name", TEXTS)
 def test_every_link_leads_to_a_file(name):
     here = ROOT if name == "README.md" else (GUIDE / name).parent
     for link in LINK.findall(prose(TEXTS[name])):
