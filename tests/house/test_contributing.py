@@ -64,7 +64,7 @@ def test_every_command_that_is_quoted_exists():
     asked = re.search(r'pip install -e "\.\[([\w,]+)\]"', block)[1].split(",")
     assert set(asked) <= set(PROJECT["project"]["optional-dependencies"])
     assert re.findall(r"--group (\w+)", block) == list(PROJECT["dependency-groups"])
-    for script in (".ci/run", ".ci/docs", ".ci/site", ".ci/smoke"):
+    for script in (".ci/run", ".ci/docs", ".ci/site", ".ci/search", ".ci/smoke"):
         assert script in block
         assert (ROOT / script).stat().st_mode & 0o100
     for command in set(re.findall(r"`pcbench ((?:external )?[\w-]+)", TEXT)):

@@ -17,7 +17,8 @@ from documents import PAGES, ROOT
 pytest.importorskip("mkdocs")
 pytest.importorskip("mkdocstrings")
 SHOWN = {
-    "index.html": "Which observer should you use",
+    "index.html": "Find out which observer",
+    "reference/python.html": "pcbench.find_limit",
     "pcbench/guide/choose_an_observer.html": "pccebo-riccati",
     "notebooks/01_first_look.html": "<img",
     "reference/pcbench.observers.kf.html": "delay-compensated discrete Kalman filter",
@@ -79,6 +80,13 @@ def test_it_has_every_page_and_module(site):
     for path in (ROOT / "pcbench" / "observers").glob("*.py"):
         if path.stem != "__init__":
             assert (site / "reference" / f"pcbench.observers.{path.stem}.html").exists()
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(CHROMIUM is None, reason="no browser here")
+def test_search_finds_the_right_page_first_and_asks_no_other_host(site):
+    done = subprocess.run([sys.executable, ROOT / ".ci" / "search", site], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.nightly
