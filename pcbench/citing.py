@@ -1,18 +1,16 @@
-"""BibTeX of what a study used: entries of references.bib, found by the words that docstrings and scenarios give as source.
+"""BibTeX of what a study used: entries of references.bib, found by the words in the sources of observers and scenarios.
 
 Where a result says which solvers its gains were certified by, these alone are cited; of a study that has not run, none.
 """
 
-import inspect
 import re
-import sys
 from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.dataset import close, manifest, storage
-from pcbench.observers import OBSERVERS
+from pcbench.observers.methods import METHODS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Study, observers_of, scenarios_of
@@ -21,7 +19,6 @@ from pcbench.study.parse import outline
 
 FILE = Path(__file__).parent / "references.bib"
 ENTRY = re.compile(r"^% known by: (?P<words>[^\n]+)\n(?P<text>@\w+\{(?P<key>[\w-]+),.*?^\})$", re.M | re.S)
-SOURCE = re.compile(r"Source: (.*?)(?:Different from print|Time index|Not claimed|$)", re.S)
 ALWAYS = ("pcbench", "jax", "numpy", "scipy")  # every number is theirs
 SOLVERS = ("CLARABEL", "SCS")
 MODELLING = "cvxpy"  # what states the inequalities to them
@@ -39,12 +36,6 @@ def references() -> list[Reference]:
     """Return every entry there is."""
     entries = ENTRY.finditer(FILE.read_text(encoding="utf-8"))
     return [Reference(m["key"], m["words"].strip(), m["text"]) for m in entries]
-
-
-def source_of(observer: str) -> str:
-    """Return what the docstring of an observer's module says of its source; empty where it says nothing."""
-    match = SOURCE.search(inspect.getdoc(sys.modules[OBSERVERS[observer].design.__module__]) or "")
-    return " ".join(match[1].split()) if match else ""
 
 
 def find_citations(sources: Iterable[str]) -> list[str]:
@@ -90,5 +81,5 @@ def _sources(study: Study) -> list[str]:
         if s.name not in SCENARIOS and s.plant in PLANTS and s.plant != "lti":
             sources += [p.source for p in SCENARIOS.values() if p.plant == s.plant][:1]
         labels = [o for o in observers_of(study, s.name) if not own_in(study, o)]
-        sources += [s.source, *(source_of(base_in(study, o) or o) for o in labels)]
+        sources += [s.source, *(METHODS[base_in(study, o) or o].source for o in labels)]
     return sources

@@ -37,6 +37,7 @@ from pcbench.observers import (
     smo,
     ukf,
 )
+from pcbench.observers.methods import METHODS, Method
 from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -68,6 +69,7 @@ class ObserverSpec(NamedTuple):
     measurement_noise: bool = False  # whether it uses the variance of each measurement of a recording
     # options with which the gains suit the true noise and delays; None: there are none
     designed: Mapping[str, Any] | None = None
+    method: Method | None = None  # the same in words, of an observer of pcbench
 
 
 def _of(module: ModuleType, summary: str, takes: Takes = "any schedule", knows_schedule: bool = True) -> ObserverSpec:
@@ -159,6 +161,7 @@ for _name in (
     *("oosm-a1", "oosm-b1", "oosm-lag", "ekf", "ekf-iterated", "ukf", "mhe", "particle"),
 ):
     OBSERVERS[_name] = OBSERVERS[_name]._replace(measurement_noise=True)
+OBSERVERS = {name: entry._replace(method=METHODS[name]) for name, entry in OBSERVERS.items()}
 
 
 def base_of(label: str) -> str | None:
