@@ -20,9 +20,9 @@ from pcbench.synthesis import lqr
 class Lqr(common.Options):
     """The weights and what all laws have."""
 
-    Q1: Weight = Field(description="[n, n] of the state: a number, a diagonal, or rows")
-    Q2: Weight = Field(description="[m, m] of the input, likewise")
-    knows_delay: bool = Field(True, strict=True, description="predict the state to when the command acts")
+    Q1: Weight = Field(description="weight of the state: a number, n numbers, or [n, n]")
+    Q2: Weight = Field(description="weight of the input: a number, m numbers, or [m, m]")
+    knows_delay: bool = Field(True, strict=True, description="use the state predicted to the arrival of the command")
 
 
 def check(options: Lqr, sizes: Sizes) -> None:

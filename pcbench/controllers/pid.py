@@ -30,10 +30,12 @@ Gain = Number | list[Number] | Rows
 class Options(common.Options):
     """Gains [m, q] from the outputs' errors to the inputs; one number, or a list, for as many inputs as outputs."""
 
-    Kp: Gain = Field(description="[m, q] proportional")
-    Ki: Gain = Field(0.0, description="[m, q] integral [1/s]; default: none")
-    Kd: Gain = Field(0.0, description="[m, q] derivative [s]; default: none")
-    filter: Annotated[float, Strict()] = Field(0.0, ge=0, description="time constant of the derivative's filter [s]")
+    Kp: Gain = Field(description="[m, q] proportional gain")
+    Ki: Gain = Field(0.0, description="[m, q] integral gain [1/s]")
+    Kd: Gain = Field(0.0, description="[m, q] derivative gain [s]")
+    filter: Annotated[float, Strict()] = Field(
+        0.0, ge=0, description="time constant of the filter of the derivative [s]"
+    )
 
 
 class Params(NamedTuple):

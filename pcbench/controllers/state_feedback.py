@@ -30,8 +30,8 @@ from pcbench.synthesis import lqr
 class Options(common.Options):
     """The gain and what all laws have."""
 
-    K: Rows = Field(description="[m, n]: u = -K (xhat - x_ref)")
-    knows_delay: bool = Field(False, strict=True, description="predict the state to when the command acts")
+    K: Rows = Field(description="[m, n] gain")
+    knows_delay: bool = Field(False, strict=True, description="use the state predicted to the arrival of the command")
 
 
 class Params(NamedTuple):

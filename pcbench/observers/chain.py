@@ -73,17 +73,17 @@ class Options(StrictOptions):
 
     gain: Literal["poles", "companion", "riccati"] = way(
         "poles",
-        description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
+        description="gain of each link: pole placement, the companion form of the source, or a Riccati equation",
     )
-    pole: Pole = tunable(1e-4, (-1, 1), description="of each link, over its d samples; unused by riccati")
-    pole_per_tick: Pole | None = Field(None, description="instead of pole: per sample, r^d for a link")
+    pole: Pole = tunable(1e-4, (-1, 1), description="pole of each link over its delay; no effect on riccati")
+    pole_per_tick: Pole | None = Field(None, description="pole per sample, instead of `pole`")
     output: Literal["updated", "deadbeat"] = Field(
-        "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
+        "updated", description="predicted output of a link: from its corrected estimate, or with V = C A^d pinv(C)"
     )
-    q: float | None = tunable(
-        None, ge=0, description="riccati: process noise through the input besides the scenario's, per second"
+    q: float | None = tunable(None, ge=0, description="riccati: additional process noise through the input [1/s]")
+    shared: bool = Field(
+        False, description="search for a common Lyapunov matrix of all links too (condition (29) of the source)"
     )
-    shared: bool = Field(False, description="also look for one P for all links, the paper's condition (29)")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:

@@ -46,7 +46,7 @@ class Memory(NamedTuple):
 class Options(unknown_delay.Options):
     """What the filter assumes."""
 
-    delay_walk: float = Field(0.0, ge=0, description="how far the delay walks: variance [s^2] a second")
+    delay_walk: float = Field(0.0, ge=0, description="variance of the random walk of the delay per second [s^2/s]")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:

@@ -26,9 +26,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 class Options(nonlinear_model.Options):
     """What the filter assumes, and how often it looks again."""
 
-    iterations: int = Field(
-        3, ge=1, le=100, description="corrections by a sample, each by the slope where the last led"
-    )
+    iterations: int = Field(3, ge=1, le=100, description="corrections per sample")
 
 
 def tick(gains: Gains, now: Now, state: State) -> State:

@@ -34,9 +34,11 @@ OBSERVER = assumed_age.OBSERVER
 class Options(StrictOptions):
     """Which of the two, and the delay it believes in."""
 
-    variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
-    delay: int | None = Field(None, ge=1, le=200, description="samples; default: the shortest of the channels'")
-    pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: F = pole I, or distinct poles where C is not invertible")
+    variant: Literal["held", "theorem1"] = Field(
+        "held", description="held: a slow observer without oscillation; theorem1: a single link of `chain`"
+    )
+    delay: int | None = Field(None, ge=1, le=200, description="assumed delay [samples]; default: the shortest delay")
+    pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: pole of the error over the delay")
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -64,9 +64,9 @@ class Memory(NamedTuple):
 class Options(StrictOptions):
     """The tuning."""
 
-    theta: float = tunable(4.0, gt=0, description="tuning [1/s]")
-    robust: bool = Field(False, description="speeds and parameters clipped, a leak in S")
-    rho: float = Field(0.1, gt=0, description="robust: the leak")
+    theta: float = tunable(4.0, gt=0, description="gain parameter [1/s]; larger is faster")
+    robust: bool = Field(False, description="limit rates and parameters to their range, and add a leak to S")
+    rho: float = Field(0.1, gt=0, description="robust: size of the leak")
 
 
 def init(gains: Gains, xhat0: Float[Array, " 2*d"]) -> Memory:

@@ -55,7 +55,7 @@ class Options(linear_filter.Options):
     lag: float | None = Field(
         None,
         ge=0,
-        description="how far behind now the filter runs [s]; default: the greatest age that the schedule can bring",
+        description="age at which measurements are used [s]; default: the largest delay of the schedule",
     )
 
 

@@ -22,7 +22,7 @@ class Options(linear_filter.Options):
     max_age: float | None = Field(
         None,
         ge=0,
-        description="the oldest age [s] that is used; default: one sampling period, the shortest of the channels",
+        description="largest age of a measurement that is used [s]; default: the shortest sampling period",
     )
 
 

@@ -24,7 +24,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 class Options(linear_filter.Options):
     """How far it can go back."""
 
-    keep: int = Field(8, ge=1, le=256, description="past samples that are kept, and filtered again")
+    keep: int = Field(8, ge=1, le=256, description="number of past measurements that are stored and filtered again")
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:

@@ -63,15 +63,15 @@ class Options(StrictOptions):
 
     R: Variances | Literal["noise"] = tunable(
         1.0,
-        description="assumed intensity of measurement noise: of all outputs, of each, or in full; 'noise': a sample's variance "
-        "times the period",
+        description='assumed intensity of the measurement noise: one number, q numbers, or [q, q]; "noise": the variance of a '
+        "sample times the period",
     )
     Q: Variance | Sizes = Field(
         0.002,
-        description="assumed intensity of process noise: a number through the input, one for each state, or in full",
+        description="assumed intensity of the process noise: one number (through the input), n numbers, or [n, n]",
     )
-    lag_aware: bool = Field(False, description="use d + te/2 instead of d")
-    sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
+    lag_aware: bool = Field(False, description="add half a sampling period to the delay")
+    sampled_innovation: bool = Field(False, description="hold the innovation instead of the measurement")
 
     @model_validator(mode="after")
     def _one_variant(self) -> "Options":

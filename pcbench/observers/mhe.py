@@ -72,12 +72,14 @@ class Options(nonlinear_model.Options):
     """What it assumes, how far it looks back, and within which bounds."""
 
     window: int | None = Field(
-        None, ge=1, le=1000, description="samples that it looks back over; default: 10, or all where a run has fewer"
+        None, ge=1, le=1000, description="number of measurements in the window; default: 10, or all if a run has fewer"
     )
-    iterations: int = Field(2, ge=1, le=100, description="of Gauss-Newton, at every sample")
-    lower: float | list[float] | None = Field(None, description="least value of every state, or of each; default: none")
+    iterations: int = Field(2, ge=1, le=100, description="Gauss-Newton steps per measurement")
+    lower: float | list[float] | None = Field(
+        None, description="lower bound of all states, or n bounds; default: no bound"
+    )
     upper: float | list[float] | None = Field(
-        None, description="greatest value of every state, or of each; default: none"
+        None, description="upper bound of all states, or n bounds; default: no bound"
     )
 
 

@@ -59,7 +59,7 @@ class Options(unknown_delay.Options):
     """What the filters assume."""
 
     delays: list[float] | None = Field(
-        None, min_length=1, description="s, of each filter; default: 21 evenly to the longest"
+        None, min_length=1, description="candidate delays [s]; default: 21 values from 0 to `longest`"
     )
 
 

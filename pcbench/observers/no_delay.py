@@ -32,9 +32,9 @@ class Options(StrictOptions):
     """Which of the two, and its pole."""
 
     variant: Literal["aligned", "plain"] = Field(
-        "aligned", description="samples against their own time, or against now"
+        "aligned", description="compare a sample with the estimate of its own time, or with the present estimate"
     )
-    pole: Pole = tunable(1e-4, (-1, 1), description="A - K C = pole I, or distinct poles where C is not invertible")
+    pole: Pole = tunable(1e-4, (-1, 1), description="pole of A - K C")
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -28,7 +28,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 class Options(linear_filter.Options):
     """How far it can go back."""
 
-    keep: int = Field(4, ge=1, le=64, description="past samples whose mean and covariance are kept")
+    keep: int = Field(4, ge=1, le=64, description="number of past estimates that are stored with their covariance")
 
 
 def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:

@@ -57,8 +57,10 @@ class Cloud(NamedTuple):
 class Options(nonlinear_model.Options):
     """What it assumes, and how many particles it has."""
 
-    particles: int = Field(300, ge=2, description="how many there are")
-    resample: float = tunable(0.5, (0.0, 1.0), ge=0, le=1, description="share of effective particles that is too few")
+    particles: int = Field(300, ge=2, description="number of particles")
+    resample: float = tunable(
+        0.5, (0.0, 1.0), ge=0, le=1, description="fraction of effective particles below which it resamples"
+    )
 
 
 def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"]) -> Cloud:

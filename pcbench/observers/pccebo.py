@@ -52,14 +52,22 @@ class Options(StrictOptions):
 
     gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = way(
         "lmi",
-        description="LMI (23); a stationary Kalman filter's; the fastest decay over a range; the least noise in the estimate, "
-        "by its covariance or by its energy",
+        description="design: LMI (23), stationary Kalman filter, fastest decay over a range, or least noise in the estimate "
+        "(H2 or H-infinity norm)",
     )
-    L: list[list[float]] | None = tunable(None, description="the gain itself [n, q], instead of a computed one")
-    q: float = Field(0.002, gt=0, description="riccati, h2, hinf: assumed intensity of process noise through the input")
-    decay: float | None = Field(None, gt=0, description="least rate [1/s] at which errors are proven to decay")
-    period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the mean")
-    parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
+    L: list[list[float]] | None = tunable(None, description="[n, q] gain, instead of a computed one")
+    q: float = Field(
+        0.002, gt=0, description="riccati, h2, hinf: assumed intensity of the process noise through the input"
+    )
+    decay: float | None = Field(
+        None, gt=0, description="decay rate of the error that the certificate must contain [1/s]"
+    )
+    period_range: Range | None = Field(
+        None, description="shortest and longest sampling interval of the certificate [s]; default: the mean"
+    )
+    parameter_range: dict[str, Range] | None = Field(
+        None, description="smallest and largest value of model parameters, by name, of the certificate"
+    )
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:

@@ -66,16 +66,21 @@ class ReducedState(NamedTuple):
 class Proportional(StrictOptions):
     """PCO's gain, in the coordinates [y; w]."""
 
-    Kp: Given = tunable(None, description="gain [n-l, l] (a number where that is 1 x 1), or 'lmi'; default: by LMI")
-    decay: float = Field(0.0, ge=0, description="least rate [1/s] at which errors are proven to decay")
-    period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the schedule's own")
-    parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
+    Kp: Given = tunable(None, description="[n - q, q] gain, a number if it is 1 x 1; default: by LMI")
+    decay: float = Field(0.0, ge=0, description="decay rate of the error that the certificate must contain [1/s]")
+    period_range: Range | None = Field(
+        None,
+        description="shortest and longest sampling interval of the certificate [s]; default: those of the schedule",
+    )
+    parameter_range: dict[str, Range] | None = Field(
+        None, description="smallest and largest value of model parameters, by name, of the certificate"
+    )
 
 
 class ProportionalIntegral(Proportional):
     """PI-PCO's gains, in the coordinates [y; w]."""
 
-    Ki: Given = tunable(None, description="gain of the integral, as Kp; default: by LMI")
+    Ki: Given = tunable(None, description="[n - q, q] gain of the integral, a number if it is 1 x 1; default: by LMI")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:

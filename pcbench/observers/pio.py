@@ -52,9 +52,9 @@ class IntegralLaw(NamedTuple):
 class Options(unknown_input.Options):
     """How the gains are found, and the injection."""
 
-    alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s] that smo's L1 is found for")
-    beta: float = tunable(1.0, gt=0, description="design: decay rate [1/s]")
-    xi: float = tunable(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
+    alpha: float = Field(1.0, gt=0, description="design: decay rate of the unmeasured part of the error [1/s]")
+    beta: float = tunable(1.0, gt=0, description="design: decay rate of the error [1/s]")
+    xi: float = tunable(2.0, gt=0, description="bound of the slope of the unknown input, scaled by E222 [per second]")
 
 
 def inject(

@@ -48,9 +48,9 @@ class SlidingLaw(NamedTuple):
 class Options(unknown_input.Options):
     """How the gains are found, and the injection."""
 
-    alpha: float = tunable(1.0, gt=0, description="design: decay rate [1/s]")
-    rho: float = tunable(1.0, gt=0, description="size of the injection: the largest |E222 f| found")
-    eps: float = tunable(0.005, gt=0, description="width of the layer in which it is smooth")
+    alpha: float = tunable(1.0, gt=0, description="design: decay rate of the error [1/s]")
+    rho: float = tunable(1.0, gt=0, description="bound of the unknown input, scaled by E222")
+    eps: float = tunable(0.005, gt=0, description="width of the boundary layer in which the injection is smooth")
 
 
 def inject(

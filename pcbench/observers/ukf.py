@@ -45,10 +45,10 @@ class Points(NamedTuple):
 class Options(nonlinear_model.Options):
     """What the filter assumes, and where its points are."""
 
-    form: Literal["unscented", "cubature"] = Field("unscented", description="which points, and what they weigh")
-    alpha: float = tunable(0.1, (1e-3, 1.0), ge=1e-3, le=1, description="how far out points are, for `unscented`")
-    beta: float = tunable(2.0, ge=0, description="what is known of the distribution beyond its covariance; normal: 2")
-    kappa: float = Field(0.0, description="adds to the number of states where the points' reach is found")
+    form: Literal["unscented", "cubature"] = Field("unscented", description="sigma points and weights")
+    alpha: float = tunable(0.1, (1e-3, 1.0), ge=1e-3, le=1, description="unscented: spread of the sigma points")
+    beta: float = tunable(2.0, ge=0, description="unscented: parameter of the distribution, 2 for a Gaussian one")
+    kappa: float = Field(0.0, description="unscented: second spread parameter, added to the number of states")
 
 
 def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:

@@ -27,14 +27,16 @@ class Network(BaseModel):
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
     use: str = Field(
-        description="which law: "
+        description="control law: "
         + ", ".join(name for name, e in CONTROLLERS.items() if e.check)
         + ", or your own MODULE:NAME"
     )
-    actuator_delay: Size = Field(0.0, description="from command to plant [s]")
-    command_jitter: Size = Field(0.0, description="a command comes up to this much later [s]")
-    command_loss: Size = Field(0.0, le=1, description="probability that a command never comes: the last one is held")
-    command_std: Size = Field(0.0, description="standard deviation of the noise of a command")
+    actuator_delay: Size = Field(0.0, description="delay from command to plant [s]")
+    command_jitter: Size = Field(0.0, description="largest additional delay of a command [s]")
+    command_loss: Size = Field(
+        0.0, le=1, description="probability that a command is lost; the plant holds the last one"
+    )
+    command_std: Size = Field(0.0, description="standard deviation of the noise of a command [unit of the input]")
 
 
 def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:

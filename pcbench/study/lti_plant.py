@@ -57,22 +57,23 @@ class LtiTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     parameters: dict[str, Number] | None = Field(
-        None, description='named numbers; entries of A to E may be formulas of them, such as "-k/m"'
+        None, description='numbers by name; entries of A to E may be formulas of them, such as "-k/m"'
     )
     plant: Differing | None = Field(
-        None, description="true values that no observer is designed with: any of A to E, or of the parameters"
+        None, description="true values that differ from the assumed ones: any of A to E, or of the parameters"
     )
     A: Rows = Field(description="[n, n]")
     B: Rows = Field(description="[n, m]")
     C: Rows = Field(description="[q, n]")
-    D: Rows | None = Field(None, description="[q, m]; left out: zero")
-    E: Rows | None = Field(None, description="[n, r] how an unknown input enters; left out: there is none")
-    dt: Positive | None = Field(None, description="tick of a discrete plant [s]; left out: a continuous plant")
-    tick: Positive | None = Field(None, description="tick of the simulation [s]; default 0.001, or dt")
-    states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
-    G: NumberRows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
+    D: Rows | None = Field(None, description="[q, m] direct feedthrough; default: 0")
+    E: Rows | None = Field(None, description="[n, r] matrix of an unknown input; default: no unknown input")
+    dt: Positive | None = Field(None, description="tick of a discrete plant [s]; default: the plant is continuous")
+    tick: Positive | None = Field(None, description="tick of the simulation [s]; default: 0.001, or dt")
+    states: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
+    G: NumberRows | None = Field(None, description="[n, g] matrix of the process noise; default: identity")
     QN: Intensity | None = Field(
-        None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
+        None,
+        description="intensity of the process noise [1/s], with dt its covariance per tick: one number, g numbers, or [g, g]",
     )
 
 

@@ -96,31 +96,36 @@ class Experiment(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     noise_correlation: NumberRows | None = Field(
-        None, description="[q][q] between the channels' noise; default: they are independent"
+        None, description="[q, q] correlation of the channels' noise; default: independent"
     )
-    assumed_process_std: Size | list[Size] | None = Field(None, description="[n] instead of the plant's process noise")
+    assumed_process_std: Size | list[Size] | None = Field(
+        None, description="[n] process noise that designs assume [unit of the state]; default: process_std"
+    )
     input: object = Field(
         None,
-        description="a signal's name, or one for each input, with commas; or a wave, values, rows, a CSV file; default: sine",
+        description="input of an open loop, as below; default: sine",
     )
-    unknown_input: object = Field(None, description="of what pushes: as `input` says it")
+    unknown_input: object = Field(None, description="unknown input, in the same forms")
     unknown_std: Positive | list[Positive] | None = Field(
-        None, description="[s] typical size of the unknowns; default: ones"
+        None, description="typical size of each unknown input or parameter; default: 1"
     )
-    x0: Number | list[Number] | None = Field(None, description="[n] x(0)")
-    xhat0: Number | list[Number] | None = Field(None, description="[n] xhat(0); default: zeros")
+    x0: Number | list[Number] | None = Field(None, description="[n] true initial state")
+    xhat0: Number | list[Number] | None = Field(None, description="[n] initial estimate; default: 0")
     prior_std: Size | list[Size] | None = Field(
-        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1"
+        None,
+        description="[n] standard deviation of x(0) about xhat(0); default: |x0 - xhat0|, and 1 for a state where this is 0",
     )
     settle_band: Size | list[Size] | None = Field(
-        None, description="for each signal, |e| of a settled run; default: 5 % of the prior"
+        None, description="largest |e| of a settled run, one per signal; default: 5 % of prior_std"
     )
     divergence_threshold: Positive | list[Positive] | None = Field(
-        None, description="a run has diverged when an |e| leaves it"
+        None, description="a run whose |e| exceeds it has diverged; one number, or one per signal"
     )
-    duration: Positive | None = Field(None, description="s; default 10")
-    steady_start: Size | None = Field(None, description="s, where the tail starts; default: 30 % of the horizon")
-    observers: list[str] | None = Field(None, min_length=1, description="those that run unless a study names others")
+    duration: Positive | None = Field(None, description="duration of a run [s]; default: 10")
+    steady_start: Size | None = Field(
+        None, description="start of the steady_* metrics [s]; default: 30 % of the duration"
+    )
+    observers: list[str] | None = Field(None, min_length=1, description="observers, if the study names none")
 
     def given(self) -> TomlTable:
         """Return what the table says of the scenario's fields."""
@@ -132,37 +137,45 @@ class Experiment(BaseModel):
 class ScenarioTable(Experiment):
     """A scenario of a user's own, or `base` with some fields changed; what is left out is the base's, or a default."""
 
-    base: str | None = Field(None, description="a published scenario, of which the other keys change fields")
+    base: str | None = Field(None, description="built-in scenario that the other keys change")
     name: str | None = Field(
-        None, pattern=r"^\w[\w./+-]*$", max_length=100, description="what tables call it; default: the study's name"
+        None, pattern=r"^\w[\w./+-]*$", max_length=100, description="name in tables; default: the name of the study"
     )
-    summary: Words | None = Field(None, description="in a few words")
+    summary: Words | None = Field(None, description="description in a few words")
     source: Words | None = Field(None, description="paper and section")
-    plant: str | None = Field(None, description="pcbench list plants")
-    dt: Positive | None = Field(None, description="s, the tick; default 0.001")
+    plant: str | None = Field(None, description="name of a plant (pcbench list plants), or MODULE:NAME")
+    dt: Positive | None = Field(None, description="duration of a tick [s]; default: 0.001")
     # what is true of the plant and told to no observer
-    parameters: TomlTable | None = Field(None, description="the plant's, where they differ from its own")
+    parameters: TomlTable | None = Field(None, description="true parameters of the plant that differ from its defaults")
     # what drives the plant
-    controller: str | None = Field(None, description="what gives the commands of a closed loop; empty: it is open")
-    control: TomlTable | None = Field(None, description="the controller's options")
+    controller: str | None = Field(None, description="control law of a closed loop; empty: open loop")
+    control: TomlTable | None = Field(None, description="options of the control law")
     # how it is measured
-    prefilled: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
+    prefilled: Switch | None = Field(
+        None, description="sampling begins before t = 0, so that the first sample arrives at t = 0"
+    )
     delay_sine: list[Number] | None = Field(
-        None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
+        None, min_length=2, max_length=2, description="a [s] and w [rad/s] of a delay that varies as delay + a sin(w t)"
     )
-    continuous: Switch | None = Field(None, description="measured at every stage of the integration, without noise")
+    continuous: Switch | None = Field(None, description="continuous measurement, without noise or delay")
     # what designers and observers assume
-    model: TomlTable | None = Field(None, description="the plant's parameters as observers know them")
-    drift_intensity: Size | None = Field(None, description="1/s, process noise through the input where it drifts")
-    unknown0: Number | list[Number] | None = Field(
-        None, description="[s] what observers take for the unknowns at the start"
+    model: TomlTable | None = Field(
+        None, description="parameters that observers assume, if they differ from the plant's defaults"
     )
-    assumed_noise_std: Size | list[Size] | None = Field(None, description="[q] for channels without noise")
+    drift_intensity: Size | None = Field(
+        None, description="process noise through the input that designs assume for a drifting plant [1/s]"
+    )
+    unknown0: Number | list[Number] | None = Field(
+        None, description="initial estimate of each unknown input or parameter; default: 0"
+    )
+    assumed_noise_std: Size | list[Size] | None = Field(
+        None, description="[q] noise that designs assume for channels without noise"
+    )
     initial_box: Size | list[Size] | None = Field(
-        None, description="[n] a random start draws xhat(0) this close to x(0)"
+        None, description="[n] largest distance of a random xhat(0) from x(0)"
     )
     # what runs are judged by
     signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
-    unknowns: list[str] | None = Field(None, description="[s] names of unknowns with units")
-    headline: list[str] | None = Field(None, description="signals that a closing table shows")
-    options: dict[str, TomlTable] | None = Field(None, description="of observers, by label")
+    unknowns: list[str] | None = Field(None, description="names of unknown inputs or parameters with units")
+    headline: list[str] | None = Field(None, description="signals of the closing table")
+    options: dict[str, TomlTable] | None = Field(None, description="options by observer or label")

@@ -20,21 +20,23 @@ class Choices(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     random_initial_state: bool = Field(
         False,
-        description="draw x(0) from N(xhat(0), P0) for each seed, or xhat(0) in a box about x(0) where there is one",
+        description="draw x(0) from N(xhat0, P0) in each run; with initial_box draw xhat(0) about x(0) instead",
     )
-    initial_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
-    input: str | None = Field(None, description="name of the input signal")
-    unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
-    feedforward: bool | None = Field(None, description="a controller adds the input that its path needs")
+    initial_spread: float = Field(
+        0.0, ge=0, description="draw x(0) about x0 in each run, with this standard deviation relative to x0"
+    )
+    input: str | None = Field(None, description="input signal")
+    unknown_input: str | None = Field(None, description="signal of the unknown input")
+    feedforward: bool | None = Field(None, description="the controller adds the input that its path needs")
     predictor: bool | None = Field(
-        None, description="a controller acts on the state predicted to its command's arrival"
+        None, description="the controller uses the state predicted to the arrival of its command"
     )
-    path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
+    path: str | None = Field(None, description="path that the controller follows: " + ", ".join(PATHS))
     consistency: bool = Field(
         False,
-        description="say whether observers know how wrong they are, of those that have a covariance (random_initial_state)",
+        description="compute NEES and NIS of observers with a covariance; needs random_initial_state = true",
     )
-    precision: str = Field("float64", description="float64: no other is offered")
+    precision: str = Field("float64", description="floating-point type, float64 only")
 
     def loop(self) -> TomlTable:
         """Return what is chosen of a closed loop, None where it is the scenario's."""
@@ -52,16 +54,19 @@ class Tune(BaseModel):
     """`[tune]`: what gains are tuned for, and the effort, the same for every observer of a study."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    objective: str = Field(
-        "rmse", description="metric of the tables to make small; by default rmse, of an exact objective pooled_rmse"
+    objective: str = Field("rmse", description="metric to minimise; default with exact_objective: pooled_rmse")
+    signal: str | None = Field(None, description="signal of the metric; default: the first signal of the closing table")
+    only: list[str] | None = Field(None, min_length=1, description="options to tune; default: all that can be tuned")
+    exact_objective: bool = Field(
+        False, description="minimise the expected value over all noise, without training runs"
     )
-    signal: str | None = Field(None, description="of which signal; default: the first that a closing table shows")
-    only: list[str] | None = Field(None, min_length=1, description="options that are tuned; default: all that may be")
-    exact_objective: bool = Field(False, description="take its expected value over all noise, without training runs")
-    budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
-    training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
+    budget: int = Field(60, ge=1, le=100_000, description="maximum number of simulations of all training runs")
+    training: int = Field(
+        256, ge=2, le=100_000, description="number of training runs; their seeds differ from those of the study"
+    )
     cells: Literal["first", "all"] = Field(
-        "first", description="first: gains are tuned in the first cell and used in all; all: in every cell for itself"
+        "first",
+        description="first: tune at the first grid point and use the gains at all; all: tune at every grid point",
     )
 
     @model_validator(mode="before")
@@ -77,64 +82,68 @@ class TunedCell(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     cell: TomlTable = Field(description="value of each axis")
-    options: dict[str, TomlTable] = Field(description="all options of each tuned label in this cell")
+    options: dict[str, TomlTable] = Field(description="all options of each tuned label at this grid point")
 
 
 class TunedOptions(BaseModel):
     """`[tuned]` of a study that was run: which options were tuned, and where."""
 
     model_config = ConfigDict(extra="forbid")
-    scenario: str
-    cell: TomlTable = Field(description="value of each axis with which they were tuned; of several cells the first")
-    metric: str
-    signal: str
-    options: dict[str, TomlTable] = Field(description="tuned options by label; none where the start was kept")
-    cells: list[TunedCell] | None = Field(None, description="the options of every cell, if each was tuned for itself")
+    scenario: str = Field(description="scenario of the training runs")
+    cell: TomlTable = Field(
+        description="value of each axis at the grid point of the tuning, or at the first of several"
+    )
+    metric: str = Field(description="metric that was minimised")
+    signal: str = Field(description="signal of the metric")
+    options: dict[str, TomlTable] = Field(
+        description="tuned options by label; empty if no gains were better than the first"
+    )
+    cells: list[TunedCell] | None = Field(None, description="options of every grid point, if each was tuned")
 
 
 class Study(BaseModel):
     """A study as it stands in a TOML file; seconds and SI units."""
 
     model_config = ConfigDict(extra="forbid")
-    name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100)
-    scenarios: list[str] = Field(min_length=1)
-    observers: list[str] | None = None
+    name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100, description="name of the study and of its folder")
+    scenarios: list[str] = Field(
+        min_length=1, description="names of scenarios; not needed with [scenario], [scenarios] or [lti]"
+    )
+    observers: list[str] | None = Field(None, description='names, labels, or "all"; default: those of each scenario')
     excluded: dict[str, str] | None = Field(
-        None, description='why observers that `observers = "all"` would have are not among them; pcbench writes it'
+        None, description='reasons why `observers = "all"` leaves out observers; pcbench writes it'
     )
-    tuned: TunedOptions | None = Field(
-        None, description="which options were tuned, in which cell and for which metric; pcbench writes it"
-    )
-    custom_observers: dict[str, str] = Field({}, description="MODULE:NAME of your own observers, by label")
-    seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
-    first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
-    root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
+    tuned: TunedOptions | None = Field(None, description="tuned options, with grid point and metric; pcbench writes it")
+    custom_observers: dict[str, str] = Field({}, description="your own observers: MODULE:NAME by label")
+    seeds: int = Field(256, gt=0, le=10_000_000, strict=True, description="number of runs per grid point and observer")
+    first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True, description="index of the first seed")
+    root_seed: int = Field(0, ge=0, lt=2**32, strict=True, description="root of all random numbers of the study")
     evaluation: Literal["runs", "exact", "both"] = Field(
-        "runs", description="simulated runs; exact numbers without a seed; or exact ones and runs of what has none"
+        "runs",
+        description="runs: simulated runs; exact: expected values without seeds; both: exact values, and runs for all others",
     )
     engine: Literal["definition", "steps"] | None = Field(
         None,
-        description="definition: each run as it is defined, by vmap of lax.scan; steps (the default): equal to it and faster. "
-        "A dataset keeps the engine with which it began",
+        description="definition: the reference, one lax.scan per run; steps (the default): the same numbers, faster. A dataset "
+        "keeps its first engine",
     )
     schedules: int = Field(
-        64, ge=2, le=100_000, strict=True, description="over which exact numbers of random cells are averaged"
+        64, ge=2, le=100_000, strict=True, description="number of random schedules over which exact values are averaged"
     )
-    axes: dict[str, Values] = {}
+    axes: dict[str, Values] = Field({}, description="list of values by axis")
     vary: Literal["all", "one-at-a-time"] = Field(
         "all",
-        description="a cell for every combination of the axes; each: for one axis at a time, the others at their first",
+        description="all: one grid point per combination of the axes; one-at-a-time: one axis varies, the others keep their "
+        "first value",
     )
-    options: dict[str, TomlTable] = {}
+    options: dict[str, TomlTable] = Field({}, description="options by observer or label, and [options.scenario]")
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
     tables: dict[str, ScenarioTable] | None = Field(
-        None, description="your own scenarios, by name; a study file writes [scenarios.NAME]"
+        None, description="your own scenarios by name; a study file has [scenarios.NAME]"
     )
-    controller: TomlTable | None = Field(None, description="a law that closes the loop of every scenario")
-    tuning: str | list[str] = Field(
-        "published", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them"
-    )
+    controller: TomlTable | None = Field(None, description="control law that closes the loop of every scenario")
+    tuning: str | list[str] = Field("published", description="gains: " + ", ".join(TUNINGS) + ", or a list of these")
     tune: Tune = Tune()
     # what is a user's own, once the study is read: observers by label of `use`, plants and controllers by MODULE:NAME
     _own: dict[str, UserPlugin] = PrivateAttr({})

@@ -20,7 +20,7 @@ from pcbench.protocols import Delay
 
 Rows = list[list[Number]]
 Weight = Number | list[Number] | Rows  # one for all, a diagonal, or a matrix
-COST = "weight of the metric `lq_cost`; default: there is none"
+COST = "weight of the metric `lq_cost`; default: no such metric"
 
 
 class Options(BaseModel):
@@ -28,13 +28,15 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     period: Positive | None = Field(
-        None, description="between decisions [s], the command held between; default: one tick"
+        None, description="period of the controller, which holds its command in between [s]; default: one tick"
     )
     limit: Positive | list[Positive] | None = Field(
-        None, description="largest command, one or one for each input; default: none"
+        None, description="largest command, one number or one per input; default: unlimited"
     )
-    offset: Number | list[Number] = Field(0.0, description="[m] added to every command: the operating point's input")
-    set_point: SetPoints = Field({}, description="by state: a number, or a table with step, sine or table; default: 0")
+    offset: Number | list[Number] = Field(0.0, description="[m] input of the operating point, added to every command")
+    set_point: SetPoints = Field(
+        {}, description="set point by state: a number, or a table with `step`, `sine` or `table`; default: 0"
+    )
     Q1: Weight | None = Field(None, description=COST)
     Q2: Weight | None = Field(None, description=COST)
 

@@ -26,14 +26,14 @@ class Options(StrictOptions):
 
     R: Variances | None = tunable(
         None,
-        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
+        description="assumed variance of a measurement: one number, q numbers, or [q, q]; default: that of the scenario",
     )
     q: Size | list[Size] | None = tunable(
-        None, description="assumed intensity of process noise through the input, or through each"
+        None, description="assumed intensity of the process noise through the input: one number, or m numbers"
     )
     Q: Sizes | None = tunable(
         None,
-        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
+        description="assumed covariance of the process noise of a tick: n numbers, or [n, n]; default: that of the scenario",
     )
 
 

@@ -55,12 +55,12 @@ class Options(assumed_noise.Options):
     bias_variance: float | None = Field(
         None,
         gt=0,
-        description="prior variance of a constant input bias, estimated in addition to the state; default: no bias",
+        description="prior variance of a constant input bias that is estimated too; default: no bias",
     )
     input_walk: float = Field(
         1.0,
         ge=0,
-        description="how far an unknown input walks: variance over the square of its size [1/s]; 0: not estimated",
+        description="variance of the random walk of an unknown input, relative to unknown_std^2 [1/s]; 0: not estimated",
     )
 
 

@@ -55,7 +55,11 @@ class Gains(NamedTuple):
 class Options(assumed_noise.Options):
     """What a filter assumes."""
 
-    walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
+    walk: float = tunable(
+        1.0,
+        ge=0,
+        description="variance of the random walk of unknown inputs and parameters, relative to unknown_std^2 [1/s]",
+    )
 
 
 def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:

@@ -21,11 +21,15 @@ from pcbench.observers.parts.kalman import Posterior
 from pcbench.protocols import Leaf
 
 GATE: Any = Field(
-    None, gt=0, description="standard deviations of an innovation beyond which a sample is left out; default: none is"
+    None,
+    gt=0,
+    description="number of standard deviations of the innovation beyond which a sample is rejected; default: no gate",
 )
-OPENS: Any = Field(5, ge=1, le=10_000, description="samples left out in a row, after which the next is used")
+OPENS: Any = Field(5, ge=1, le=10_000, description="number of rejected samples in a row after which the next is used")
 HUBER: Any = Field(
-    None, gt=0, description="standard deviations of an innovation beyond which it counts no more; default: it does"
+    None,
+    gt=0,
+    description="number of standard deviations beyond which the weight of an innovation decreases; default: no limit",
 )
 
 

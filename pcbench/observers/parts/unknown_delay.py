@@ -53,12 +53,14 @@ class Gains(NamedTuple):
 class Options(assumed_noise.Options):
     """What the filter assumes of noise, and of the delay."""
 
-    delay: float | None = Field(None, ge=0, description="s, mean of the prior of the delay; default: the scenario's")
-    delay_std: float | None = Field(None, gt=0, description="s, its standard deviation; default: the scenario's")
-    longest: float | None = Field(None, gt=0, description="s, the longest delay; default: mean and three deviations")
-    stamps: bool = Field(
-        True, description="stamps say by how much ages differ, but for a constant; else ages are not read"
+    delay: float | None = Field(None, ge=0, description="prior mean of the delay [s]; default: that of the scenario")
+    delay_std: float | None = Field(
+        None, gt=0, description="prior standard deviation of the delay [s]; default: that of the scenario"
     )
+    longest: float | None = Field(
+        None, gt=0, description="longest delay [s]; default: the mean plus three standard deviations"
+    )
+    stamps: bool = Field(True, description="use the differences between timestamps; false: use no timestamps")
 
 
 def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:

@@ -74,9 +74,9 @@ class Memory(NamedTuple):
 class Options(StrictOptions):
     """What the two have in common."""
 
-    gains: Literal["design", "paper"] = way("design", description="by LMI, or as printed (for the arm)")
-    measurement: Literal["predict", "hold"] = Field("predict", description="y between samples")
-    reconstruct: bool = Field(False, description="the prediction to now carries the input found")
+    gains: Literal["design", "paper"] = way("design", description="by LMI, or as published (for the arm)")
+    measurement: Literal["predict", "hold"] = Field("predict", description="output between samples: predicted, or held")
+    reconstruct: bool = Field(False, description="use the estimated unknown input in the prediction to the present")
 
 
 def observer(law: Injection) -> Observer:
