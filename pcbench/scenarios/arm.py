@@ -28,7 +28,7 @@ LABELS = {f"{name}-{what}": option for name in PRINTED for what, option in VARIA
 
 SINE = Scenario(
     name="arm/sine",
-    summary="unknown input 0.25 sin(2 pi t), measured continuously",
+    summary="unknown input 0.25 sin(2 pi t), continuous measurement",
     source=PAPER,
     plant="arm",
     observers=("smo", "pio", "model-only"),
@@ -51,13 +51,13 @@ ARM = (
     SINE,
     SINE.having(
         name="arm/sawtooth",
-        summary="unknown saw-tooth, 0.35 every 2 s, measured continuously",
+        summary="unknown sawtooth input, continuous measurement",
         unknown_input="arm-sawtooth",
     ),
     SINE.having(
         name="arm/sampled",
-        summary="as arm/sine, te = d = 0.02 s, noise of 1e-3",
-        source="ours, after Peng 2017",
+        summary="as arm/sine, period and delay 0.02 s, noise of 0.001",
+        source="our choice, after Peng 2017",
         observers=("smo", "smo-reconstruct", "pio", "pio-reconstruct", "kf", "model-only"),
         sampling_period=(0.02, 0.02),
         delay=(0.02, 0.02),

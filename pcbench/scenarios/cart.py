@@ -19,7 +19,7 @@ PCO = {"pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}}
 
 NOMINAL = Scenario(
     name="cart/nominal",
-    summary="no noise, te = d = 0.2 s",
+    summary="no noise, period and delay 0.2 s",
     source=PAPER + "6.1",
     plant="cart",
     observers=("pccebo", "kfbo", "kf", "model-only"),
@@ -33,8 +33,8 @@ NOMINAL = Scenario(
 
 UNKNOWN = NOMINAL.having(
     name="cart/unknown-delay",
-    summary="samples every 0.1 s with an unknown delay of 0.2 s, assumed to be 0.3 s; noise of 0.05 m",
-    source="chosen here: the cart of " + PAPER + "6 driven by a sine, whose slope tells the delay",
+    summary="unknown delay of 0.2 s, assumed to be 0.3 s; period 0.1 s, noise of 0.05 m",
+    source="our choice: the cart of " + PAPER + "6 with a sine input, whose slope shows the delay",
     plant="late-cart",
     observers=("ekf-delay", "mmae-delay", "kf", "model-only"),
     x0=(0.0, 0.0),
@@ -53,7 +53,7 @@ UNKNOWN = NOMINAL.having(
 
 CAMERA = NOMINAL.having(
     name="cart/variable",
-    summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
+    summary="varying intervals of 0.2 s on average, delay of one interval, noise of variance 0.001",
     source=VARIABLE,
     observers=("pco", "pi-pco", "pccebo", "kf", "kf-bias", "model-only"),
     delay=(INTERVAL,),
@@ -67,7 +67,7 @@ CART = (
     NOMINAL,
     NOMINAL.having(
         name="cart/gaussian",
-        summary="noise of variance 1, te = d = 0.6 s",
+        summary="noise of variance 1, period and delay 0.6 s",
         source=PAPER + "6.2",
         sampling_period=(0.6,),
         delay=(0.6,),
@@ -76,7 +76,7 @@ CART = (
     ),
     NOMINAL.having(
         name="cart/gaussian-fast",
-        summary="noise of variance 1, te = 0.2 s, d = 0.6 s",
+        summary="noise of variance 1, period 0.2 s, delay 0.6 s",
         source=PAPER + "6.2, other reading",
         delay=(0.6,),
         noise_std=(1.0,),
@@ -84,19 +84,19 @@ CART = (
     ),
     NOMINAL.having(
         name="cart/white",
-        summary="white noise of power 0.07: variance 0.35 a sample, te = d = 0.2 s",
+        summary="noise of variance 0.35, period and delay 0.2 s",
         source=PAPER + "6.2",
         noise_std=(sqrt(0.07 / 0.2),),
     ),
     NOMINAL.having(
         name="cart/drift",
-        summary="drifting parameters, no noise, te = d = 0.2 s",
+        summary="drifting parameters, no noise, period and delay 0.2 s",
         source=PAPER + "6.3",
         parameter_drift=1.0,
     ),
     NOMINAL.having(
         name="cart/slow",
-        summary="no noise, te = d = 1 s",
+        summary="no noise, period and delay 1 s",
         source=PAPER + "6.4",
         sampling_period=(1.0,),
         delay=(1.0,),
@@ -105,13 +105,13 @@ CART = (
     CAMERA,
     CAMERA.having(
         name="cart/variable-bias",
-        summary="as cart/variable; the plant's input has a bias of 0.2 that no model contains",
+        summary="as cart/variable, with an input bias of 0.2",
         source=VARIABLE + ", other plant",
         parameters={"input_bias": 0.2},
     ),
     CAMERA.having(
         name="cart/variable-gain",
-        summary="as cart/variable; the plant's gain is 10 % larger than the model's",
+        summary="as cart/variable, with a true input gain 10 % larger",
         source=VARIABLE + ", other plant",
         parameters={"b": 390.5},
     ),

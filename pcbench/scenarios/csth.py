@@ -54,16 +54,16 @@ def make_csth(name: str, summary: str, source: str, tick: float) -> Scenario:
     )
 
 
-PHYSICAL = make_csth("csth/10s", "physical plant, 10 s samples, no noise", PAPER + ", made consistent", 10.0)
+PHYSICAL = make_csth("csth/10s", "physical plant, period 10 s, no noise", PAPER + ", made consistent", 10.0)
 CSTH = (
-    make_csth("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0).having(
+    make_csth("csth/literal", "the published recursion with a tick of 1, no noise", PAPER, 1.0).having(
         input="heater-literal", model={"literal": True}
     ),
-    make_csth("csth/1s", "physical plant, 1 s samples, no noise", PAPER + ", made consistent", 1.0),
+    make_csth("csth/1s", "physical plant, period 1 s, no noise", PAPER + ", made consistent", 1.0),
     PHYSICAL,
     PHYSICAL.having(
         name="csth/10s-noise",
-        summary="physical plant, 10 s samples, measurement and process noise",
+        summary="physical plant, period 10 s, with noise",
         source=PAPER + ", with noise",
         noise_std=NOISE,
         process_std=tuple(sqrt(10.0) * s for s in ROUGHNESS),

@@ -23,7 +23,7 @@ LABELS: dict[str, TomlTable] = {
 
 CONSTANT = Scenario(
     name="helicopter/constant",
-    summary="closed loop, commands and samples 0.025 s late, te = 0.2 s, no noise",
+    summary="closed loop, period 0.2 s, both delays 0.025 s, no noise",
     source=PAPER + ".1",
     plant="helicopter",
     observers=("high-gain", "high-gain-robust", "ekf"),
@@ -54,7 +54,7 @@ HELICOPTER = (
     CONSTANT,
     CONSTANT.having(
         name="helicopter/varying",
-        summary="as helicopter/constant, 0.03 + 0.015 sin 2t s late",
+        summary="as helicopter/constant, delays 0.03 + 0.015 sin(2t) s",
         source=PAPER + ".2",
         delay=(0.03, 0.03),
         delay_sine=(0.015, 2.0),

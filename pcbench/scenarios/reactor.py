@@ -20,7 +20,7 @@ LABELS: dict[str, TomlTable] = {
 
 BATCH = Scenario(
     name="reactor/batch",
-    summary="total pressure of 2 A <-> B every 0.1 s, a poor start",
+    summary="total pressure every 0.1 s, poor initial estimate",
     source="Haseltine, Rawlings 2005",
     plant="reactor",
     observers=("ekf", "ekf-inflated-q", "ekf-iterated", "ukf", "mhe", "mhe-bounded"),
