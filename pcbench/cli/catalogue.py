@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from pcbench import controllers, observers, plants
+from pcbench.cli import facts
 from pcbench.controllers import CONTROLLERS
 from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
@@ -19,7 +20,7 @@ from pcbench.scenarios.scenario import RECORDS
 from pcbench.scenarios.sources import Table, Wave
 from pcbench.statistics import RUN_METRICS
 from pcbench.study import STUDIES, Choices, Study, observers_of, parse
-from pcbench.study.axes import AXES, axes_of
+from pcbench.study.axes import AXES, COMMANDS, axes_of
 from pcbench.study.plugins import registry, user_code
 
 TAKES = {
@@ -53,6 +54,7 @@ def observer(o: observers.ObserverSpec) -> Description:
         "knows_schedule": o.knows_schedule,
         "samples": TAKES[o.takes],
         "plants": "nonlinear ones too" if o.nonlinear else "linear",
+        **facts.observer_facts(o),
         "options": options(o.options),
     }
 
@@ -69,30 +71,14 @@ def options(model: type[BaseModel]) -> dict[str, Description]:
     properties = model.model_json_schema()["properties"]
     return {
         name: {
-            **_kind(properties[name]),
+            **facts.option_type(properties[name]),
             "default": properties[name].get("default"),
             "description": field.description or "",
             "tunable": TUNABLE in extra(field),
+            **({"required": True} if field.is_required() else {}),
         }
         for name, field in model.model_fields.items()
     }
-
-
-def _kind(schema: Description) -> Description:
-    """The type of an option in words, and its range or its choices."""
-    schema = next((each for each in schema.get("anyOf", []) if each.get("type") != "null"), schema)
-    if "enum" in schema:
-        return {"type": "choice", "choices": schema["enum"]}
-    signs = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
-    ends = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if schema.get(key) is not None]
-    if ends[1:] and ends[1].startswith(">"):  # of two lower ends the exclusive one
-        del ends[1]
-    kind = schema.get("type", "value")
-    if kind == "array":
-        inner = schema.get("items", {}).get("type", "value")
-        kind = "matrix" if inner == "array" else f"list of {inner}s"
-    words = {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}
-    return {"type": words.get(kind, kind), "range": " and ".join(ends) or None}
 
 
 def scenario(s: Scenario, study: Study | None = None) -> Description:
@@ -159,7 +145,7 @@ def study(s: Study) -> Description:
 def axis(name: str) -> Description:
     """Return what an axis of a study holds."""
     unit = AXIS_UNITS.get(name, "s")
-    return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else "")}
+    return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else ""), **facts.axis_facts(name)}
 
 
 METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
@@ -170,6 +156,7 @@ METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
     "divergence_rate": "fraction of runs whose error became non-finite or left the scenario's divergence threshold",
     "unsettled_rate": "fraction of the other runs whose error left its band in the tail",
 }
+METRICS |= facts.FURTHER_METRICS
 CATALOGUE: dict[
     str, tuple[Mapping[str, Any], Callable[[Any], Description]]
 ] = {  # by kind: what there is, described how
@@ -178,8 +165,8 @@ CATALOGUE: dict[
     "plants": (PLANTS, plant),
     "controllers": (CONTROLLERS, controller),
     "studies": (STUDIES, study),
-    "axes": ({name: name for name in AXES}, axis),
-    "metrics": (METRICS, lambda meaning: {"summary": meaning}),
+    "axes": ({name: name for name in (*AXES, *COMMANDS)}, axis),
+    "metrics": ({name: name for name in METRICS}, lambda name: {"summary": METRICS[name], **facts.metric_facts(name)}),
     "choices": (options(Choices), lambda option: {"summary": option["description"]} | option),
 }
 OWN = ("observers", "plants", "controllers", "scenarios")  # kinds of what may be a user's own

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pcbench.cli import catalogue
+from pcbench.cli import catalogue, facts
 from pcbench.cli.catalogue import CATALOGUE, list_catalogue
 from pcbench.controllers import CONTROLLERS
 from pcbench.errors import UserError
@@ -76,7 +76,7 @@ def test_observers_say_what_they_know_and_take():
     ],
 )
 def test_an_option_says_its_type_and_range(schema, said):
-    kind = catalogue._kind(schema)
+    kind = facts.option_type(schema)
     assert (kind["type"], kind["range"]) == said
 
 
