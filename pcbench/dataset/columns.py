@@ -52,7 +52,7 @@ MEANING = {
     "steady_mse": "mean of e^2 from steady_start on [unit squared]",
     "steady_max_abs_error": "largest |e| from steady_start on",
     "tracking_rmse": "root mean square of the set point minus the state, in a closed loop; null: the signal has no set point",
-    "steady_tracking_rmse": "the same from steady_start on",
+    "steady_tracking_rmse": "tracking_rmse from steady_start on",
     "status": "diverged; or unsettled: the error of this signal left its band after steady_start; or settled",
     "diverged": "in runs: the error became non-finite or exceeded the scenario's divergence threshold (its metrics are null). "
     "In stats: the number of such runs, which are left out of all means",
@@ -78,10 +78,10 @@ MEANING = {
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
     "lq_cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "
     "in a closed loop with weights; one number per run, in the row of its first signal",
-    "steady_lq_cost": "the same from steady_start on",
+    "steady_lq_cost": "lq_cost from steady_start on",
     "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a closed loop; one number per run, in the row of its "
     "first signal",
-    "steady_input_rms": "the same from steady_start on",
+    "steady_input_rms": "input_rms from steady_start on",
     "nees": "normalised estimation error squared: e' P^-1 e / n at tick N-1. P is the observer's covariance of its error of "
     "the plant's n states, without states that are known exactly. The mean is 1 if P is true. One number per run, in the row "
     "of its first signal",

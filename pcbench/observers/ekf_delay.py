@@ -140,4 +140,4 @@ def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; a delay among the states makes it nonlinear, and nothing proves it."""
     gains = unknown_delay.design(setting, options, "ekf-delay")
     walk = np.asarray(options.delay_walk * setting.dt)
-    return Design(gains._replace(own=walk), no_certificate("a delay among the states: the filter is nonlinear"))
+    return Design(gains._replace(own=walk), no_certificate("the delay is a state, so the filter is nonlinear"))

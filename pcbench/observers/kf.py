@@ -37,5 +37,5 @@ class Options(linear_filter.Options):
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods."""
     guarded = robust_update.of(options.gate, options.gate_opens, options.huber)
-    why = "it leaves out, or weighs less, what is far from what it expects" if guarded else ""
+    why = "it rejects outliers or decreases their weight" if guarded else ""
     return linear_filter.design(setting, options, "kf", unproven=why, guarded=guarded)

@@ -114,5 +114,8 @@ OBSERVER = Observer(
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for what is on its way."""
-    own, why = stochastic_cloning.room(setting, "kf-alexander"), "its covariance counts on what has not arrived"
+    own, why = (
+        stochastic_cloning.room(setting, "kf-alexander"),
+        "its covariance includes measurements that have not arrived",
+    )
     return linear_filter.design(setting, options, "kf-alexander", own=own, unproven=why)

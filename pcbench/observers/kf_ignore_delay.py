@@ -43,6 +43,4 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; it needs no room, as to it no sample is older than another."""
-    return linear_filter.design(
-        setting, options, "kf-ignore-delay", np.zeros(0), unproven="it takes late samples for those of now"
-    )
+    return linear_filter.design(setting, options, "kf-ignore-delay", np.zeros(0), unproven="it ignores delays")

@@ -34,5 +34,8 @@ OBSERVER = stochastic_cloning.observer(local)
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, with room for the copies."""
-    own, why = stochastic_cloning.room(setting, "kf-larsen"), "an innovation of the past, not smoothed"
+    own, why = (
+        stochastic_cloning.room(setting, "kf-larsen"),
+        "its innovation ignores measurements that arrive in between",
+    )
     return linear_filter.design(setting, options, "kf-larsen", own=own, unproven=why)

@@ -178,4 +178,4 @@ def design(setting: DesignContext, options: Options) -> Design:
         )
     if len(ticks) > MOST:
         raise UserError(f"{where}: delays: got {len(ticks)} filters, expected at most {MOST}; write fewer delays.")
-    return Design(gains._replace(own=ticks), no_certificate("the weights are not linear in what is measured"))
+    return Design(gains._replace(own=ticks), no_certificate("the weights are not linear in the measurements"))

@@ -95,4 +95,10 @@ def limit() -> float:
 def certificate(theta: float, period: float) -> Certificate:
     """Say what is known of a tuning [1/s] at a sampling period [s]; there is no proof, as the plant is nonlinear."""
     numbers = {"theta_Ts": theta * period, "linear_limit": limit(), "radius": radius(theta * period)}
-    return Certificate("none: nonlinear; linear limit of theta Ts shown", float("inf"), "none", "not needed", numbers)
+    return Certificate(
+        "none: the observer is nonlinear; the numbers are of its linear limit",
+        float("inf"),
+        "none",
+        "not needed",
+        numbers,
+    )

@@ -229,6 +229,6 @@ def design(
         residual=setting.residual,
     )
     numbers = {"R": R, **assumed_noise.option("Q", process)}
-    why = "none: the slope at the estimate is no proof"
+    why = "none: the model is nonlinear, or linearised at the estimate"
     proof = Certificate(why, float("inf"), "none", "not needed", numbers)
     return Design(gains._replace(own=own(gains)), proof, True if setting.model.E is not None else None)
