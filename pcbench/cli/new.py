@@ -84,7 +84,10 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         *("recordings", "gains", "export-to-c", "large-studies"),
     ),
     "Concepts": ("timing-model", "glossary", "how-it-works", "exact-evaluation", "limitations"),
-    "Reference": ("results", "columns", "versioning"),
+    "Reference": (
+        *("results", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
+        "versioning",
+    ),
     "Findings": ("five-papers",),
     "About": ("comparison", "decisions"),  # the decisions' own pages follow
 }

@@ -3,21 +3,17 @@
 import re
 
 import pyarrow.parquet as pq
-import schema_page
+from documents import PAGES
+from reference_pages import orders
 
-SECTIONS = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", schema_page.PAGE.read_text(), re.S | re.M))
-TYPES = {
-    name: kind for text in SECTIONS.values() for name, kind in re.findall(r"^\| `([\w.]+)` \| (.*?) \|", text, re.M)
-}
-AXES = re.findall(r"^\| `(\w+)`", SECTIONS["Axes"], re.M)
-
-
-def test_the_page_is_made_from_the_code():
-    assert schema_page.PAGE.read_text() == schema_page.page(), "run: python tests/support/schema_page.py"
+PAGE = PAGES["columns.md"]
+SECTIONS = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.S | re.M))
+TYPES = dict(re.findall(r"^- `([\w.]+)` \((.*?)(?:, in .*?)?\): ", PAGE, re.M))
+AXES = re.findall(r"^- `(\w+)`", SECTIONS["Axes"], re.M)
 
 
 def test_tables_have_the_columns_of_the_page_in_their_order(whole):
-    for name, order in schema_page.orders().items():
+    for name, order in orders().items():
         file = next((whole / "runs").rglob("*.parquet")) if name == "runs/" else whole / name
         schema = pq.ParquetFile(file).schema_arrow
         there = [column for column in schema.names if column not in AXES]
@@ -32,6 +28,5 @@ def test_tables_have_the_columns_of_the_page_in_their_order(whole):
 
 
 def test_every_meaning_in_the_metadata_stands_on_the_page(whole):
-    page = schema_page.PAGE.read_text()
     for field in pq.ParquetFile(whole / "stats.parquet").schema_arrow:
-        assert schema_page.in_table(field.metadata[b"meaning"].decode()) in page
+        assert field.metadata[b"meaning"].decode() in PAGE
