@@ -3,18 +3,18 @@
 import re
 
 import pytest
-from documents import PAGES
+from documents import PAGES, prose
+from reference_pages import certificates
 
 from pcbench import plots
 from pcbench.checking import observer
+from pcbench.cli import commands
 from pcbench.engine import runner
+from pcbench.fields import FIELDS
 from pcbench.observers import OBSERVERS
-from pcbench.planning import plan
 from pcbench.protocols import Observer
-from pcbench.runtime import config
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, parse
-from pcbench.synthesis.certificate import is_certified
+from pcbench.study import STUDIES
 
 
 def named(page, begin):
@@ -49,20 +49,76 @@ def test_the_observers_that_a_sentence_names_are_all_of_them(page, begin, holds)
     assert sorted(named(page, begin)) == sorted(observers(holds))
 
 
-@pytest.mark.nightly
 def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
-    elsewhere = {"high-gain": "helicopter/constant", "smo": "arm/sampled", "pio": "arm/sampled"}
-    asked = {"cart/gaussian": [name for name in OBSERVERS if name not in elsewhere]}
-    for name, scenario in elsewhere.items():
-        asked.setdefault(scenario, []).append(name)
-    proofs = {}
-    with config.float64():
-        for scenario, names in asked.items():
-            (planned,) = plan(parse.grid_of(scenario, {"observers": names}, []).study)
-            proofs |= planned.certificates
-    unproven = [name for name, proof in proofs.items() if is_certified(proof._asdict()) is False]
-    assert len(proofs) == len(OBSERVERS)
+    unproven = [name for name, proof in certificates().items() if proof.startswith("no,")]
     assert sorted(named("limitations.md", "There is no certificate for")) == sorted(unproven)
+
+
+MISSING = re.compile(  # what says that something is missing
+    r"\bnot supported\b|\bcannot\b|\bno\b.*\byet\b|\bdo(?:es)? not (?:support|have|read|write|export|accept|take)\b"
+    r"|\b(?:takes?|exports?|reads?|writes?|supports?|offers?) no\b|\black(?:s|ing)?\b|^there (?:is|are) no\b|^no\b",
+    re.IGNORECASE,
+)
+FEATURES = {  # what exists, and the words by which a page would name it
+    "replay": r"recording|recorded|\blogs?\b|\bbags?\b|smooth",
+    "export": r"\bexport|\bC code\b",
+    "external run": r"languages?\b",
+    "tune": r"\btun(?:e|es|ed|ing)\b",
+    "find-limit": r"maximum (?:allowable )?delay",
+    "info": r"MCAP|ULog|MAT-file|rosbag",
+    "ukf": r"unscented|cubature|sigma.point",
+    "particle": r"particle",
+    "mhe": r"moving.horizon",
+    "smo": r"sliding.mode",
+    "high-gain": r"high.gain",
+    "oosm-a1": r"retrodict|out-of-sequence",
+    "kf-cloning": r"cloning",
+    "student_t_dof": r"Student's t|outliers?",
+    "command_loss": r"commands",
+    "parameter_drift": r"\bdrift",
+}
+REVIEWED = {  # sentences that name what exists and are right
+    "*pcbench lacks:* several objects, data association, tuning on a recorded truth.": "tunes on recordings by likelihood",
+    "There is no certificate for": "a test above compares the list",
+}
+
+
+def claims(text):
+    """The sentences of a page that call something missing, each with the names of existing things in it."""
+    names = {*commands.ALL, *OBSERVERS, *(f.name for f in FIELDS)}
+    for block in re.split(r"\n\s*\n|\n\s*[-*] |\n#+ |\||(?=\*pcbench lacks)|(?=\*It adds)", prose(text)):
+        for sentence in re.split(r"(?<=[.;])\s+", " ".join(block.split())):
+            if MISSING.search(sentence):
+                words = {name for name, pattern in FEATURES.items() if re.search(pattern, sentence, re.IGNORECASE)}
+                yield sentence, words | names & set(re.findall(r"`(?:pcbench )?([^`]+)`", sentence))
+
+
+@pytest.mark.parametrize("page", ["limitations.md", "comparison.md"])
+def test_page_calls_nothing_missing_that_exists(page):
+    wrong = {sentence: there for sentence, there in claims(PAGES[page]) if there}
+    assert {sentence: there for sentence, there in wrong.items() if not sentence.startswith(tuple(REVIEWED))} == {}
+
+
+def test_features_exist_and_reviewed_sentences_are_on_a_page():
+    assert FEATURES.keys() <= {*commands.ALL, *OBSERVERS, *(f.name for f in FIELDS)}
+    shown = [sentence for page in ("limitations.md", "comparison.md") for sentence, _ in claims(PAGES[page])]
+    assert all(any(sentence.startswith(begin) for sentence in shown) for begin in REVIEWED)
+
+
+@pytest.mark.parametrize(
+    ("text", "there"),
+    [
+        ("pcbench takes no log.", {"replay"}),
+        ("It exports no observer to C.", {"export"}),
+        ("`particle` is not supported.", {"particle"}),
+        ("The axis `loss` cannot be varied.", {"loss"}),
+        ("There is no smoothing.", {"replay"}),
+        ("*pcbench lacks:* tuning on data, other languages.", {"tune", "external run"}),
+        ("There is no `pcbench find-limit` yet.", {"find-limit"}),
+    ],
+)
+def test_wrong_claims_are_found(text, there):
+    assert [names for _, names in claims(f"# Title\n\n{text}\n")] == [there]
 
 
 def test_every_check_of_an_observer_is_named():
