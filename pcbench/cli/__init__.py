@@ -1,6 +1,7 @@
 """The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
 
 import gc
+import os
 import signal
 import sys
 from threading import Event
@@ -26,6 +27,7 @@ def main() -> None:
     interrupts.watch()
     sys.unraisablehook = unraisable
     thread_pools.one()
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would read the metadata of all packages
     try:
         from pcbench.cli.commands import app
         from pcbench.cli.shared import speak
