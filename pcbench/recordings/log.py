@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError, unreadable
+from pcbench.recordings.csv_dialects import FOUND, CsvOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Columns = dict[str, Floats]  # fields of a file by their names, [K] each, times in seconds
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
 class Batch(NamedTuple):
@@ -81,6 +82,9 @@ class Source(NamedTuple):
     where: str  # as a sentence names what asks for them
     topics: set[str]  # all that will be asked for of this file
     loaded: dict[str, Any]  # what the first source of a log has read or checked, for all of them
+    csv: CsvOptions = FOUND
+    frame: str = ""  # of messages that hold transforms: the child frame of those that are meant
+    defaulted: bool = False  # the field of stamps is nobody's choice: a message without it counts when it was received
 
     @property
     def place(self) -> str:

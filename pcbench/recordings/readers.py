@@ -28,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pcbench import toml_text
 from pcbench.errors import UserError, first_sentence
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
+from pcbench.recordings.csv_dialects import FOUND, CsvOptions
 from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table, table_of
 from pcbench.recordings.messages import RECEIVED
 from pcbench.signal_names import unit
@@ -55,6 +56,7 @@ class Mapping(BaseModel):
     model_config = ConfigDict(extra="forbid")
     log: str
     time_unit: Literal[*SECONDS] | None = None  # type: ignore[valid-type]
+    csv: CsvOptions = FOUND
     channels: dict[str, Column] = Field(min_length=1)
     inputs: dict[str, Column] = {}
     truth: dict[str, Column] = {}
@@ -77,8 +79,7 @@ FORMATS = {
     ".mcap": Format(mcap.columns, "header.stamp", RECEIVED),
     ".ulg": Format(ulog.columns, "timestamp_sample", "timestamp"),
     ".mat": Format(matlab.columns, "t", None),
-    ".csv": TABLE,
-    ".parquet": TABLE,
+    **dict.fromkeys((".csv", ".parquet", ".txt", ".tsv", ".tum", ".dat", ".lvm"), TABLE),
 }
 
 
@@ -110,7 +111,9 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
         valid = ", ".join(k for k in FORMATS if k)
         raise UserError(f"{path.name}: log: got {toml.log}, expected a folder of ROS 2 or one of {valid}; convert it.")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
-    source = Source(file, "", [], set(), toml.time_unit, path.name, topics={c.topic for c in every}, loaded={})
+    source = Source(
+        file, "", [], set(), toml.time_unit, path.name, topics={c.topic for c in every}, loaded={}, csv=toml.csv
+    )
     channels = [_channel(c, kind, source, i, name, delay) for i, (name, c) in enumerate(toml.channels.items())]
 
     def measurements() -> Iterator[Batch]:

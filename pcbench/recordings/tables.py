@@ -12,6 +12,7 @@ A simulated run is such a log too: what its samples brought and when, the input 
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,15 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from pcbench.errors import UserError, unknown, unreadable
+from pcbench.errors import UserError, short, unknown, unreadable
+from pcbench.recordings.csv_dialects import EMPTY, FOUND, CsvOptions, Dialect, dialect, squeezed
 from pcbench.recordings.log import SECONDS, Batch, Columns, Floats, Log, Source, Table, table_of
 
 KINDS = (".parquet", ".csv")
 NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
-HEAD = re.compile(r"^\s*(.*?)\s*(?:\[(.*)\])?\s*$")
+TIMES = (pa.types.is_timestamp, pa.types.is_time, pa.types.is_duration)
+NULLS = [*csv.ConvertOptions().null_values, "-", "None", "none"]  # cells in which there is nothing
+HEAD = re.compile(r"^\s*(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))?\s*$")
 LATEST = 1e11  # [s] what is said to be seconds is below it: the year 5138
 MANY = 1 << 16  # rows of a part
 BLOCK = 1 << 20  # bytes of a part of a CSV file
@@ -82,7 +86,10 @@ def _file(path: Path, what: str) -> Path | None:
 
 def _find_columns(path: Path, wanted: Sequence[str]) -> dict[str, str]:
     """The heads of a file's columns by name, those that are wanted among them."""
-    named = {name_and_unit(head)[0]: head for head in heads(path)}
+    every = heads(path)
+    named = {
+        name: find_column(every, name, path.name)[0] for name in [name_and_unit(head)[0] for head in every] if name
+    }
     require(path.name, list(named), wanted)
     return named
 
@@ -139,62 +146,88 @@ def as_tables(
     }
 
 
-def heads(path: Path) -> list[str]:
+def heads(path: Path, given: CsvOptions = FOUND) -> list[str]:
     """Return the heads of a file's columns as they are written; raise UserError where it cannot be read."""
-    try:
-        if path.suffix.lower() == ".parquet":
-            return list(pq.read_schema(path).names)
-        with csv.open_csv(path) as file:
-            return list(file.schema.names)
-    except (OSError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
+    with _readable(path):
+        return list(pq.read_schema(path).names if path.suffix.lower() == ".parquet" else dialect(path, given).names)
 
 
 def name_and_unit(head: str) -> tuple[str, str | None]:
     """Return the name and the unit of a column's head, such as "sampled [ms]"; None where it has none."""
     match = HEAD.match(head)
-    return (match[1], match[2]) if match else (head, None)
+    return (match[1], match[2] or match[3]) if match else (head, None)
 
 
-def batches(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterator[pa.RecordBatch]:
-    """Yield the columns `names` a part at a time; all but those of `words` are numbers. Errors name the file."""
-    try:
-        if path.suffix.lower() == ".parquet":
-            # else a group's whole column is read first
-            with pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
-                yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
-            return
-        types = {name: pa.string() if name in words else pa.float64() for name in names}
-        convert = csv.ConvertOptions(column_types=types, include_columns=list(names))
-        read = csv.ReadOptions(block_size=BLOCK, use_threads=False)
-        with csv.open_csv(path, read_options=read, convert_options=convert) as file:
+def batches(
+    path: Path, names: Sequence[str], words: Sequence[str] = (), given: CsvOptions = FOUND
+) -> Iterator[pa.RecordBatch]:
+    """Yield the columns `names` a part at a time; all but those of `words` are numbers or times. Errors name the file."""
+    if path.suffix.lower() == ".parquet":
+        # else a group's whole column is read first
+        with _readable(path), pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
+            yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
+        return
+    with _readable(path):
+        d = dialect(path, given)
+    types = {n: pa.string() if n in words else kind for n, kind in zip(d.names, d.types, strict=True) if n in names}
+    convert = csv.ConvertOptions(
+        column_types=types, include_columns=list(names), decimal_point=d.decimal, null_values=NULLS
+    )
+    read = csv.ReadOptions(
+        block_size=BLOCK, use_threads=False, encoding=d.encoding, column_names=d.names, skip_rows=d.skip
+    )
+    parse = csv.ParseOptions(
+        delimiter=d.separator, invalid_row_handler=lambda row: "skip" if EMPTY.fullmatch(row.text) else "error"
+    )
+    with _readable(path, d), pa.OSFile(str(path)) as raw:
+        text = pa.TransformInputStream(raw, squeezed()) if d.separator == " " else raw
+        with csv.open_csv(text, read_options=read, convert_options=convert, parse_options=parse) as file:
             yield from file
-    except (OSError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
 
 
 def columns(source: Source) -> Iterator[Columns]:
-    """Yield parts of columns; what is empty is NaN."""
-    require(source.place, heads(source.path), source.fields)
-    for part in batches(source.path, source.fields):
+    """Yield parts of columns; what is empty is NaN. A field may lack its unit, or be a part of a column: `pose.position.x`."""
+    every = heads(source.path, source.csv)
+    paths = {field: find_column(every, field, source.place) for field in source.fields}
+    for part in batches(source.path, sorted({head for head, _ in paths.values()}), given=source.csv):
         yield {
-            name: column_of(part, name, source.where, time=name in source.times, unit=source.unit)
-            for name in source.fields
+            name: column_of(part, head, source.where, inner, time=name in source.times, unit=source.unit)
+            for name, (head, inner) in paths.items()
         }
 
 
-def column_of(part: pa.RecordBatch, head: str, where: str, *, time: bool = False, unit: str | None = None) -> Floats:
-    """Return a column as numbers, NaN where it is empty, a `time` in seconds, of `unit` or the head's.
+def find_column(every: Sequence[str], field: str, where: str) -> tuple[str, str]:
+    """Return the head of the column of a field, and the parts within it; raise UserError for none, or several."""
+    bare = [name_and_unit(head)[0] for head in every]
+    parts = field.split(".")
+    for many in range(len(parts), 0, -1):
+        name = ".".join(parts[:many])
+        matches = [head for head in every if head == name] or [h for h, b in zip(every, bare, strict=True) if b == name]
+        if len(matches) > 1:
+            raise UserError(f"{where}: got {len(matches)} columns '{name}', expected one; rename them.")
+        if matches:
+            return matches[0], ".".join(parts[many:])
+    raise unknown(where, "column here", field, every)
+
+
+def column_of(
+    part: pa.RecordBatch, head: str, where: str, inner: str = "", *, time: bool = False, unit: str | None = None
+) -> Floats:
+    """Return a column, or what is within it, as numbers, NaN where it is empty, a `time` in seconds, of `unit` or the head's.
 
     Raises UserError where it holds something else, or its unit is unknown or must be said.
     """
     column, where, unit = part.column(head), f"{where}: {head}", unit or name_and_unit(head)[1]
-    if time and unit is not None and unit not in SECONDS:
-        raise unknown(where, "unit of time", unit, SECONDS)
-    if time and pa.types.is_timestamp(column.type):
-        column, unit = pc.cast(pc.cast(column, pa.timestamp("ns")), pa.int64()), "ns"
+    for name in filter(None, inner.split(".")):
+        column = _within(column, name, where)
+    column = pc.cast(column, pa.timestamp("s")) if time and pa.types.is_date(column.type) else column
+    if time and any(is_kind(column.type) for is_kind in TIMES):
+        whole = pa.int32() if pa.types.is_time32(column.type) else pa.int64()
+        column, unit = pc.cast(column, whole), column.type.unit
     if not any(holds(column.type) for holds in NUMBERS):
         raise UserError(f"{where}: got {column.type}, expected numbers; mend the column.")
+    if time and unit is not None and unit not in SECONDS:
+        raise unknown(where, "unit of time", unit, SECONDS)
     numbers = np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
     if not time:
         return numbers
@@ -204,6 +237,20 @@ def column_of(part: pa.RecordBatch, head: str, where: str, *, time: bool = False
             "head, such as 'sampled [ns]', or time_unit in a TOML."
         )
     return numbers * SECONDS[unit or "s"]
+
+
+def _within(column: pa.Array, name: str, where: str) -> pa.Array:
+    """A field of a column of structs, or a place of one of lists, from 0."""
+    if pa.types.is_struct(column.type):
+        inner = [each.name for each in column.type]
+        if name not in inner:
+            raise unknown(where, "field", name, inner)
+        return pc.struct_field(column, name)
+    if pa.types.is_list(column.type) and name.isdecimal():
+        return pa.array(
+            [None if each is None or len(each) <= int(name) else each[int(name)] for each in column.to_pylist()]
+        )
+    raise UserError(f"{where}: got {column.type}, which has no '{name}', expected a column of fields; write its name.")
 
 
 def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
@@ -223,6 +270,29 @@ def require(where: str, names: Sequence[str], wanted: Sequence[str]) -> None:
             raise unknown(where, "column here", name, names)
 
 
-def _unreadable(path: Path, error: Exception) -> UserError:
-    kind = path.suffix.lower().removeprefix(".")
-    return unreadable(error, str(path), f"a {kind} file of numbers under one line of heads; mend the file")
+CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): CSV conversion error to (\w+).*: invalid value '(.*)'")
+ROW = re.compile(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)")
+
+
+@contextmanager
+def _readable(path: Path, d: Dialect | None = None) -> Iterator[None]:
+    """Turn whatever a reader raises into a UserError that names the file and, of CSV, the row."""
+    try:
+        yield
+    except (UserError, ImportError):
+        raise
+    except Exception as error:  # pyarrow raises UnicodeDecodeError and ValueError, too
+        text = str(error)
+        if d and (cell := CELL.match(text)):
+            expected = "a number" if cell[3] == "double" else "a time as in the first rows"
+            raise UserError(
+                f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' as {d.names[int(cell[1])]}, expected "
+                f"{expected}; mend it, or leave it empty if nothing was measured."
+            ) from None
+        if d and (row := ROW.match(text)):
+            raise UserError(
+                f"{path.name}: row {int(row[1]) - d.skip}: got {row[3]} cells, expected {row[2]} as in the other rows; mend "
+                "that row, or remove it if the file was cut off there."
+            ) from None
+        kind = path.suffix.lower().removeprefix(".")
+        raise unreadable(error, str(path), f"a {kind} file of numbers under one line of heads; mend the file") from None

@@ -66,8 +66,9 @@ def test_a_column_of_another_kind_is_named(tmp_path, column):
         survey(readers.open_log(folder))
 
 
-@pytest.mark.parametrize("column", ["t", "x"])
-@pytest.mark.parametrize("value", ["much", [1.0], pd.Timedelta(1)])
+@pytest.mark.parametrize(
+    ("column", "value"), [("t", "much"), ("t", [1.0]), ("x", "much"), ("x", [1.0]), ("x", pd.Timedelta(1))]
+)
 def test_a_column_of_another_kind_in_a_table_of_any_shape_is_named(tmp_path, column, value):
     table = {"t": np.arange(3.0), "x": np.ones(3)} | {column: [value] * 3}
     pd.DataFrame(table).to_parquet(tmp_path / "run.parquet", index=False)
@@ -85,7 +86,7 @@ def test_a_word_among_numbers_is_quoted(tmp_path):
 def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
     folder = rows(tmp_path / "log", plain())
 
-    def full(*_):
+    def full(*_, **__):
         raise pa.ArrowMemoryError("malloc of 1048576 failed")
 
     monkeypatch.setattr(tables.csv, "open_csv", full)

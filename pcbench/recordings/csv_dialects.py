@@ -1,0 +1,182 @@
+"""How a program has written a table as text: encoding, separator, decimal sign, lines before the head, units below it.
+
+All is found in the first SAMPLE bytes, unless the table [csv] of a TOML gives it. Rows are the last lines that have one number
+of cells and a number or a time in each. The line above them is the head, a comment too; or the line above that, if the line
+between holds units. A table without a head has the columns 0, 1, ..., and those of a trajectory as TUM writes them.
+"""
+
+import codecs
+import csv
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.errors import UserError
+from pcbench.signal_names import UNIT
+
+SAMPLE, LINES = 1 << 16, 500  # bytes and lines that are looked at
+COMMENT = re.compile(r"\s*(#|%|//)\s*")
+EMPTY = re.compile(r"\s*((#|%|//).*)?")  # a line that is no row
+ALONE = 0.1  # a table of one column is what no separator explains better
+SEPARATORS = (";", "\t", ",", "|", " ")
+TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+KINDS: dict[str, tuple[re.Pattern[str], pa.DataType]] = {
+    "number": (re.compile(r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(inf|nan)", re.IGNORECASE), pa.float64()),
+    "zoned": (re.compile(r"\d{4}-\d\d-\d\d[T ][\d:]+(\.\d+)?(Z|[+-]\d\d(:?\d\d)?)"), pa.timestamp("ns", "UTC")),
+    "date": (re.compile(r"\d{4}-\d\d-\d\d([T ][\d:]+(\.\d+)?)?"), pa.timestamp("ns")),
+    "clock": (re.compile(r"\d\d:\d\d(:\d\d(\.\d+)?)?"), pa.time64("ns")),
+}
+
+
+class CsvOptions(BaseModel):
+    """What a TOML says of a CSV file; what it leaves out is found."""
+
+    model_config = ConfigDict(extra="forbid")
+    encoding: str | None = None
+    separator: str | None = Field(None, min_length=1, max_length=1)
+    decimal: str | None = Field(None, min_length=1, max_length=1)
+    head: int | None = Field(None, ge=0, description="number of the line with the names of the columns; 0: none")
+
+
+FOUND = CsvOptions()
+
+
+class Dialect(NamedTuple):
+    """How to read a file."""
+
+    encoding: str
+    separator: str
+    decimal: str
+    names: tuple[str, ...]  # of columns, each with its unit if one is given
+    types: tuple[pa.DataType, ...]  # of columns: numbers or times
+    skip: int  # lines before the first row
+
+
+class Layout(NamedTuple):
+    """How well a separator explains the lines of a file: better ones are larger."""
+
+    explained: float  # share of cells of rows that are numbers, times or empty
+    rows: int
+    separator: str
+    first: int  # row's line
+    many: int  # columns
+
+
+def dialect(path: Path, given: CsvOptions) -> Dialect:
+    """Return how a file is written; raise UserError if it is no text."""
+    with path.open("rb") as file:
+        sample = file.read(SAMPLE)
+        cut_off = bool(file.read(1))
+    encoding = given.encoding or _encoding(sample)
+    text = _decode(sample, encoding, path)
+    lines = re.split(r"\r\n|\n|\r", text)
+    lines = (lines[:-1] if cut_off and len(lines) > 1 else lines)[:LINES]
+    layouts = [_layout(lines, s) for s in ([given.separator] if given.separator else SEPARATORS)]
+    layout = max(layouts, key=lambda each: each[:2])
+    separator, many = layout.separator, layout.many
+    head, first = _head(lines, layout, given.head)
+    rows = [cells for line in lines[first:] if len(cells := _cells(line, separator)) == many and not _is_comment(line)]
+    columns = list(zip(*rows, strict=True)) or [()] * many
+    decimal = given.decimal or ("," if any("," in c and _kind(c) == "number" for row in rows for c in row) else ".")
+    if not head:
+        head = list(TUM if separator == " " and many == len(TUM) else map(str, range(many)))
+    types = tuple(KINDS[next((k for c in column if (k := _kind(c)) in KINDS), "number")][1] for column in columns)
+    return Dialect(encoding, separator, decimal, tuple(head), types, first)
+
+
+def _encoding(sample: bytes) -> str:
+    """The encoding that a file's first bytes are valid in: latin-1 is what every byte is valid in."""
+    for mark, name in ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
+        if sample.startswith(mark):
+            return name
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(sample)  # the last letter may be cut
+        return "utf-8"
+    except UnicodeDecodeError:
+        return "latin-1"
+
+
+def _decode(sample: bytes, encoding: str, path: Path) -> str:
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(sample).removeprefix("\ufeff")
+    except (LookupError, UnicodeError) as error:
+        raise UserError(f"{path.name}: encoding: {error}; write another in [csv], such as 'latin-1'.") from None
+    if "\0" in text or not text.strip():
+        got = "bytes that are no text" if text else "an empty file"
+        raise UserError(f"{path.name}: got {got}, expected a table as text; export it again.")
+    return text
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """The cells of a line."""
+    if separator == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+
+
+def _kind(cell: str) -> str:
+    """What a cell holds: a key of KINDS, a word, or nothing."""
+    return next((k for k, (pattern, _) in KINDS.items() if pattern.fullmatch(cell)), "word") if cell else "nothing"
+
+
+def _is_comment(line: str) -> bool:
+    return bool(COMMENT.match(line))
+
+
+def _layout(lines: list[str], separator: str) -> Layout:
+    """How well a separator explains some lines, and where their rows begin."""
+    cells = {i: _cells(line, separator) for i, line in enumerate(lines) if line.strip() and not _is_comment(line)}
+    kinds = {i: [_kind(cell) for cell in mine] for i, mine in cells.items()}
+    numbers = {i for i, mine in kinds.items() if KINDS.keys() & set(mine)}
+    counts = Counter(len(kinds[i]) for i in numbers)
+    many = max(counts, key=lambda n: (counts[n], n), default=len(next(iter(cells.values()), [])))
+    run: list[int] = []
+    for i in reversed(kinds):
+        if len(kinds[i]) == many and i in numbers:
+            run.append(i)
+        elif len(kinds[i]) == many and run and "word" in kinds[i]:
+            break
+    if len(run) > 1 and run[-1] == next(iter(kinds)):  # a head with a number among its names
+        below = [{kinds[i][c] for i in run[:-1]} for c in range(many)]
+        if any(kind == "word" and "word" not in each for kind, each in zip(kinds[run[-1]], below, strict=True)):
+            run.pop()
+    every = [kind for i in run for kind in kinds[i]]
+    explained = sum(kind != "word" for kind in every) / max(len(every), 1)
+    first = run[-1] if run else next(iter(cells), -1) + 1
+    return Layout(min(explained, 1.0 if many > 1 else ALONE), len(run), separator, first, many)
+
+
+def _head(lines: list[str], layout: Layout, given: int | None) -> tuple[list[str], int]:
+    """The names of the columns, with units if the line below holds them, and the line of the first row."""
+    if given is not None:
+        return (_cells(lines[given - 1], layout.separator) if 0 < given <= len(lines) else []), max(layout.first, given)
+    above = [line for line in lines[: layout.first] if line.strip()][-2:]
+    *before, names = [[], *(_cells(COMMENT.sub("", line), layout.separator) for line in above)]
+    units = [cell.strip("[]()") for cell in names]
+    if len(names) != layout.many:
+        return [], layout.first
+    over = before[-1] if before and not _is_comment(above[0]) else []
+    if len(over) == layout.many and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(over, units, strict=True)):
+        named = zip(over, units, strict=True)
+        names = [f"{name} [{unit}]" if unit and "[" not in name else name for name, unit in named]
+    return names, layout.first
+
+
+def squeezed() -> Callable[[bytes], bytes]:
+    """Return what makes one blank of each run of blanks in a file, a chunk at a time."""
+    rest = b""
+
+    def squeeze(chunk: bytes) -> bytes:
+        nonlocal rest
+        data = rest + bytes(chunk)
+        body = data.rstrip(b" \t\r\n")
+        rest = data[len(body) :]
+        out = re.sub(rb"[ \t]*([\r\n])[ \t]*|[ \t]+", lambda blank: blank[1] or b" ", body)
+        return out or (b"\n" if len(chunk) else b"")  # nothing is what ends a file
+
+    return squeeze
