@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.dynamics import expression
+from pcbench import expression
 from pcbench.dynamics.linear import Matrix, Model, one_tick
 from pcbench.protocols import Leaf, Now, Plant
 from pcbench.scenarios.scenario import NOTHING

@@ -123,16 +123,19 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
     rows = []
     for label, score in scores.items():
         s = jax.tree.map(np.asarray, score)
-        early, late = (int(n) for n in s.counts)
+        early, known = s.counts[0][:, None], s.counts.sum(0)[:, None]
         streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
         watch = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # of a tail without truth nothing is known
-            values = metrics.read(streams, watch, s.final[:, None], early + late, early, dt)
+            values = metrics.read(streams, watch, s.final[:, None], known, early, dt)
         values["unsettled"] = np.asarray(s.watch.unsettled > tail)[:, None]
         for metric, each in values.items():
-            for (signal, unit), value in zip(signals, np.broadcast_to(each, (len(each), 1)), strict=False):
-                unit = "1" if metric in ("unsettled", "diverged") else unit_of(metric, unit)
-                rows.append((label, signal, unit, metric, float(value[0])))
+            of_run = each.ndim == 1
+            every = zip(signals, each[:, None] if of_run else each, known.max(0) if of_run else known, strict=False)
+            for (signal, unit), value, many in every:
+                if many:
+                    unit = "1" if metric in ("unsettled", "diverged") else unit_of(metric, unit)
+                    rows.append((label, signal, unit, metric, float(value[0])))
     return pd.DataFrame(rows, columns=["observer", "signal", "unit", "metric", "value"])
 
 
@@ -142,7 +145,7 @@ def rounding_warnings(
     """Return a sentence for each observer of whose errors a float64 has no digits; `largest` [n + s] truth, by signal."""
     out = []
     for label, score in scores.items():
-        mae = np.asarray(score.tail.absolute) / max(float(score.counts[1]), 1.0)
+        mae = np.asarray(score.tail.absolute) / np.maximum(score.counts[1], 1.0)
         out += [
             f"{label}: fewer than two digits of the errors of {signals[i][0]} are left in float64, as it reaches "
             f"{digits.amount(float(largest[i]), signals[i][1])}; choose an origin near the state."

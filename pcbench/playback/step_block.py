@@ -6,7 +6,7 @@ deliver what arrives, take the errors, move the observer.
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,6 @@ from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 JUDGED = 4  # numbers of an InnovationStats, which are followed by one for each channel
-Tree = TypeVar("Tree")
 
 
 class Score(NamedTuple):
@@ -33,7 +32,7 @@ class Score(NamedTuple):
     tail: ErrorSums
     watch: SettlingState
     final: Array  # [n] the last error
-    counts: Array  # [2] ticks at which truth is known, before the tail and in it
+    counts: Array  # [2, n] ticks at which truth is known, before the tail and in it
 
 
 class Read(NamedTuple):
@@ -54,7 +53,7 @@ def init_run(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> t
     ((label, o),) = layout.observers
     n = o.estimate(p.gains[label], run.memories[label]).shape[0] + layout.plant.scored
     return run, Score(
-        metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros(2)
+        metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros((2, n))
     )
 
 
@@ -90,7 +89,7 @@ def run(
         read = Read(o.estimate(p.gains[label], run.memories[label]), surprise)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
-            score = _update_score(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends)
+            score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
         return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), read
 
     (run, score), seen = lax.scan(step, (start, score), (ticks, w, truth))
@@ -137,18 +136,15 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
 
 
 def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
-    """The score with the errors of tick k, if truth is known there."""
+    """The score with those errors e [n] of tick k for which truth is known [n]."""
     there, late = known & (k < ends[1]), k >= ends[0]
-
-    def kept(new: Tree, old: Tree, which: Array = there) -> Tree:
-        return jax.tree.map(lambda a, b: jnp.where(which, a, b), new, old)
-
+    e = jnp.where(there, e, 0.0)  # which changes no sum
     return Score(
-        before=kept(metrics.update(score.before, e), score.before, there & ~late),
-        tail=kept(metrics.update(score.tail, e), score.tail, there & late),
-        watch=kept(metrics.look(score.watch, k, e, p.band, p.bound, p.jumps), score.watch),
-        final=kept(e, score.final),
-        counts=score.counts + there * jnp.stack([~late, late]),
+        before=metrics.update(score.before, jnp.where(late, 0.0, e)),
+        tail=metrics.update(score.tail, jnp.where(late, e, 0.0)),
+        watch=metrics.look(score.watch, k, e, p.band, p.bound, p.jumps),
+        final=jnp.where(there, e, score.final),
+        counts=score.counts + jnp.stack([there & ~late, there & late]),
     )
 
 

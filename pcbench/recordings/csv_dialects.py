@@ -156,6 +156,7 @@ def _head(lines: list[str], layout: Layout, given: int | None) -> tuple[list[str
     if given is not None:
         return (_cells(lines[given - 1], layout.separator) if 0 < given <= len(lines) else []), max(layout.first, given)
     above = [line for line in lines[: layout.first] if line.strip()][-2:]
+    before: list[list[str]]
     *before, names = [[], *(_cells(COMMENT.sub("", line), layout.separator) for line in above)]
     units = [cell.strip("[]()") for cell in names]
     if len(names) != layout.many:

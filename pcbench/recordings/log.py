@@ -5,7 +5,7 @@ at a time, as often as it is asked for, so it may be longer than memory. Rows ma
 stamp one may come is found by reading it once (`survey`). Times are seconds of the log's own clock.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +32,11 @@ class Batch(NamedTuple):
     row: Ints  # [K] where it stands: the row of its table or the message of its topic, from 1
     std: Floats = np.zeros(0)  # [K] standard deviation of the value's noise, NaN: none is stated; [0]: of no value
 
+    def select(self, rows: NDArray[np.bool_]) -> "Batch":
+        """Return some of the samples."""
+        std = self.std[rows] if len(self.std) else self.std
+        return Batch(self.channel[rows], self.sampled[rows], self.arrived[rows], self.value[rows], self.row[rows], std)
+
 
 class Rows(NamedTuple):
     """K rows of inputs or truth."""
@@ -56,19 +61,6 @@ class Log(NamedTuple):
     measurements: Callable[[], Iterator[Batch]]
     inputs: Table | None = None
     truth: Table | None = None
-
-
-def table_of(columns: Callable[[], Iterator[Columns]], t: str, fields: Mapping[str, tuple[str, float]]) -> Table:
-    """Return the table of what `columns` reads, whose names stand for (field, scale); `t` is the field of times."""
-
-    def read() -> Iterator[Rows]:
-        row = 1
-        for part in columns():
-            values = np.stack([scale * part[field] for field, scale in fields.values()], 1)
-            yield Rows(part[t], values, np.arange(row, row + len(values)))
-            row += len(values)
-
-    return Table(tuple(fields), read)
 
 
 class Source(NamedTuple):

@@ -1,11 +1,12 @@
 """Fields of messages, one after the other: of bags and MCAP, whose readers hand out objects or dictionaries."""
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
-from pcbench.errors import UserError
+from pcbench.errors import UserError, unknown
 from pcbench.recordings.log import SECONDS, Columns, Source
 
 MANY = 1 << 14  # messages of a part
@@ -17,13 +18,26 @@ NONE = object()  # in place of a field that is not there
 def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[Columns]:
     """Yield parts of the fields of messages (received [ns], message); times in seconds, plain ones in the source's unit."""
     rows: list[list[float]] = []
-    for number, (received, message) in enumerate(messages, 1):
+    for number, (received, message) in enumerate(_of_frame(messages, source) if source.frame else messages, 1):
         rows.append([_number(received, message, field, source, number) for field in source.fields])
         if len(rows) == MANY:
             yield dict(zip(source.fields, np.array(rows, float).T, strict=True))
             rows = []
     if rows:
         yield dict(zip(source.fields, np.array(rows, float).T, strict=True))
+
+
+def _of_frame(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[tuple[int, object]]:
+    """The transforms to one child frame, of messages that hold some each."""
+    frames: set[str] = set()
+    for received, message in messages:
+        transforms = _member(message, "transforms")
+        for each in transforms if isinstance(transforms, list) else []:
+            frames.add(str(_member(each, "child_frame_id")))
+            if _member(each, "child_frame_id") == source.frame:
+                yield received, each
+    if source.frame not in frames:
+        raise unknown(f"{source.where}: {source.topic}", "child frame", source.frame, frames)
 
 
 def _number(received: int, message: Any, field: str, source: Source, number: int) -> float:
@@ -33,10 +47,13 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
     for part in field.split("."):
         is_list = part.isdecimal() and hasattr(value, "__len__")
         inner = (value[int(part)] if int(part) < len(value) else NONE) if is_list else _member(value, part)
+        if inner is NONE and field in source.times and source.defaulted:
+            return _seconds(*divmod(received, 10**9))
         if inner is NONE:
             names = list(value) if isinstance(value, dict) else [n for n in dir(value) if n[0] != "_"]
+            times = ', or sampled = "received" if it has no stamp' if field in source.times else ""
             raise UserError(
-                f"{where}: {field}: got no '{part}' among {', '.join(map(str, names[:12]))}; write one of them."
+                f"{where}: {field}: got no '{part}' among {', '.join(map(str, names[:12]))}; write one of them{times}."
             )
         value = inner
     if field in source.times:
@@ -44,6 +61,8 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
             stamp = [_member(value, name) for name in pair]
             if all(each is not NONE for each in stamp):
                 return _seconds(*stamp)
+    if value is None:  # as JSON has it where nothing was measured
+        return math.nan
     try:
         return float(value) * (SECONDS[source.unit or "s"] if field in source.times else 1.0)
     except (TypeError, ValueError):

@@ -3,10 +3,12 @@
     log = "flight.mcap"                 # beside the TOML: .bag, a folder or .db3 of ROS 2, .mcap, .ulg, .mat, .csv, .parquet
     [channels.y1]
     topic = "/camera/pose"              # of what has topics
-    field = "pose.position.x"
+    frame = "camera"                    # of /tf: the child frame
+    field = "pose.position.x"           # or formula = "yaw(pose.orientation)"
     unit = "m"                          # it must be said: a bag does not
     scale = 1.0                         # the channel's value is scale times the field
     sampled = "header.stamp"            # the field that holds the stamp; left out: as `FORMATS` has it
+    period = 0.1                        # [s], in place of stamps: rows come at 0, 0.1, 0.2 ...
     arrived = "received"                # the field that holds the arrival; "received": when the recorder got the message
     delay = 0.05                        # [s], in place of arrived: every sample is so late
     std = "accuracy"                    # the field of each value's standard deviation, or
@@ -14,11 +16,13 @@
     [inputs.u1]
     [truth.position]                    # likewise, with t in place of sampled, and nothing for arrivals
 
-Channels are in the order of the TOML. `time_unit` is of stamps that are plain numbers: "s" where it is left out.
+Channels are in the order of the TOML. `time_unit` is of stamps that are plain numbers: "s" where it is left out. A row
+without a value (an empty cell, NaN, null) is no measurement. `period`, `time_unit` and the table `[csv]` are of the whole file.
 """
 
 import heapq
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -29,7 +33,9 @@ from pcbench import toml_text
 from pcbench.errors import UserError, first_sentence
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
 from pcbench.recordings.csv_dialects import FOUND, CsvOptions
-from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table, table_of
+from pcbench.recordings.formulas import quantity
+from pcbench.recordings.inputs_and_truth import Times, merge, table_of
+from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table
 from pcbench.recordings.messages import RECEIVED
 from pcbench.signal_names import unit
 
@@ -38,12 +44,15 @@ class Column(BaseModel):
     """What says where a channel, an input or a state is."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    field: str
+    field: str | None = None
+    formula: str | None = Field(None, description="of fields, in place of one: see `formulas`")
     unit: str = Field(description="of the value")
     topic: str = ""
+    frame: str = Field("", description="of a topic of transforms such as /tf: the child frame")
     scale: float = 1.0
     sampled: str | None = None
     t: str | None = None
+    period: float | None = Field(None, gt=0, description="[s] from one row to the next, where there is no time")
     arrived: str | None = None
     delay: float | None = Field(None, ge=0)
     std: str | None = None
@@ -57,6 +66,7 @@ class Mapping(BaseModel):
     log: str
     time_unit: Literal[*SECONDS] | None = None  # type: ignore[valid-type]
     csv: CsvOptions = FOUND
+    period: float | None = Field(None, gt=0)
     channels: dict[str, Column] = Field(min_length=1)
     inputs: dict[str, Column] = {}
     truth: dict[str, Column] = {}
@@ -71,12 +81,14 @@ class Format(NamedTuple):
 
 
 BAG = Format(rosbag.columns, "header.stamp", RECEIVED)
+MCAP = Format(mcap.columns, "header.stamp", RECEIVED)
+MESSAGES = (BAG, MCAP)  # formats that hold messages
 TABLE = Format(tables.columns, "t", None)
 FORMATS = {
     ".bag": BAG,
     ".db3": BAG,
     "": BAG,
-    ".mcap": Format(mcap.columns, "header.stamp", RECEIVED),
+    ".mcap": MCAP,
     ".ulg": Format(ulog.columns, "timestamp_sample", "timestamp"),
     ".mat": Format(matlab.columns, "t", None),
     **dict.fromkeys((".csv", ".parquet", ".txt", ".tsv", ".tum", ".dat", ".lvm"), TABLE),
@@ -111,9 +123,12 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
         valid = ", ".join(k for k in FORMATS if k)
         raise UserError(f"{path.name}: log: got {toml.log}, expected a folder of ROS 2 or one of {valid}; convert it.")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
-    source = Source(
-        file, "", [], set(), toml.time_unit, path.name, topics={c.topic for c in every}, loaded={}, csv=toml.csv
-    )
+    if kind not in MESSAGES and (named := next((c.frame for c in every if c.frame), None)):
+        raise UserError(f"{path.name}: frame: got '{named}', expected it of bags and MCAP files alone; leave it out.")
+    for c in every:
+        c.period = c.period or (None if c.sampled or c.t else toml.period)
+    topics = {c.topic for c in every}
+    source = Source(file, "", [], set(), toml.time_unit, path.name, topics=topics, loaded={}, csv=toml.csv)
     channels = [_channel(c, kind, source, i, name, delay) for i, (name, c) in enumerate(toml.channels.items())]
 
     def measurements() -> Iterator[Batch]:
@@ -153,7 +168,8 @@ def _channel(
 ) -> Callable[[], Iterator[Batch]]:
     """What reads a channel; `delay` [s] or its own is in place of arrivals."""
     where, late = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
-    stamp, arrived = c.sampled or kind.stamp, c.arrived or (None if late is not None else kind.arrived)
+    stamp, times = _stamps(c, c.sampled, kind, where)
+    arrived = c.arrived or (None if late is not None or c.period else kind.arrived)
     if arrived is None and late is None:
         raise UserError(
             f"{where}: got neither arrived nor delay, expected one: this kind of file does not say when samples arrived; "
@@ -163,42 +179,65 @@ def _channel(
         raise UserError(f"{where}: got arrived and a delay, expected one of them; leave one out.")
     if c.std and c.variance:
         raise UserError(f"{where}: got std and variance, expected one of them; leave one out.")
-    times = [stamp] if arrived is None else [stamp, arrived]
-    spread = c.std or c.variance
-    fields = [c.field, *times, *([spread] if spread else [])]
-    source = source._replace(topic=c.topic, fields=fields, times=set(times))
+    if c.t:
+        raise UserError(f"{where}: got t, expected sampled: a channel has that in its place; write sampled.")
+    spread, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, where)
+    named = [each for each in (stamp, arrived) if each]
+    fields = [*value.fields, *named, *([spread] if spread else [])]
+    source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(named))
 
     def read() -> Iterator[Batch]:
-        row = 1
+        row, evaluate = 1, value.evaluator()
         for part in kind.columns(source):
-            many = len(part[c.field])
-            if many:
-                came = part[arrived] if arrived else part[stamp] + (late or 0.0)
-                rows, std = np.arange(row, row + many), np.zeros(0)
-                if spread:  # what is empty or below 0 becomes 0, which `require_sound` refuses
-                    std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
-                    std = abs(c.scale) * (std if c.std else np.sqrt(std))
-                yield Batch(np.full(many, index), part[stamp], came, c.scale * part[c.field], rows, std)
+            values = evaluate(part)
+            many, std = len(values), np.zeros(0)
+            rows = np.arange(row, row + many, dtype=np.int64)
             row += many
+            sampled = times(part, rows)
+            came = part[arrived] if arrived else sampled + (late or 0.0)
+            if spread:  # what is empty or below 0 becomes 0, which `require_sound` refuses
+                std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
+                std = abs(c.scale) * (std if c.std else np.sqrt(std))
+            exists = ~np.isnan(values)  # where there is no value, nothing was measured
+            if exists.any():
+                yield Batch(np.full(many, index), sampled, came, values, rows, std).select(exists)
 
     return read
 
 
+def _stamps(c: Column, field: str | None, kind: Format, where: str) -> tuple[str | None, Times]:
+    """The field of stamps, if there is one, and the stamps [s] of rows."""
+    if field and c.period:
+        raise UserError(f"{where}: got a field of times and a period, expected one of them; leave one out.")
+    if (period := c.period) is not None:
+        return None, lambda _, rows: period * (rows - 1.0)
+    name = field or kind.stamp
+    return name, lambda part, _: part[name]
+
+
 def _table(given: dict[str, Column], kind: Format, source: Source, what: str) -> Table | None:
-    """Inputs or truth: columns of one topic, which has one time for all."""
+    """Inputs or truth, of one topic or several; those of one topic with one time are read together."""
     if not given:
         return None
-    first = next(iter(given.values()))
+    groups: dict[tuple[object, ...], dict[str, Column]] = {}
     for name, c in given.items():
-        if c.std or c.variance:
-            key = "std" if c.std else "variance"
-            raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; leave it out.")
-        if (c.topic, c.t) != (first.topic, first.t) or c.arrived or c.sampled or c.delay is not None:
-            raise UserError(
-                f"{source.where}: {what}.{name}: got other times than {what}.{next(iter(given))}, expected one topic and one t "
-                f"for all {what}; write them so."
-            )
-    t = first.t or kind.stamp
-    fields = {name: (c.field, c.scale) for name, c in given.items()}
-    source = source._replace(topic=first.topic, fields=[t, *(c.field for c in given.values())], times={t})
-    return table_of(lambda: kind.columns(source), t, fields)
+        for key in ("std", "variance", "sampled", "arrived", "delay"):
+            if getattr(c, key) is not None:
+                remedy = "write t in its place" if key == "sampled" else "leave it out"
+                raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; {remedy}.")
+        groups.setdefault((c.topic, c.frame, c.t, c.period), {})[name] = c
+    tables = []
+    for group in groups.values():
+        c = next(iter(group.values()))
+        stamp, times = _stamps(c, c.t, kind, f"{source.where}: {what}")
+        values = {
+            name: quantity(c.field, c.formula, c.scale, f"{source.where}: {what}.{name}") for name, c in group.items()
+        }
+        fields = list(
+            dict.fromkeys([*(field for each in values.values() for field in each.fields), *filter(None, [stamp])])
+        )
+        mine = source._replace(
+            topic=c.topic, frame=c.frame, fields=fields, times={each for each in [stamp] if each}, defaulted=c.t is None
+        )
+        tables.append(table_of(partial(kind.columns, mine), times, values, f"{source.where}: {what}"))
+    return merge(tables, list(given), hold=what == "inputs")

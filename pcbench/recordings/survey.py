@@ -78,9 +78,7 @@ def survey(log: Log) -> Survey:
             continue
         require_sound(log, batch)
         for c in np.unique(batch.channel):
-            mine, std = batch.channel == c, batch.std
-            columns = [*(column[mine] for column in batch[:-1]), std[mine] if len(std) else std]
-            every[c] = _more(every[c], Batch(*columns))
+            every[c] = _more(every[c], batch.select(batch.channel == c))
         latest = np.maximum.accumulate(np.maximum(batch.sampled, newest))
         behind, newest = max(behind, float((latest - batch.sampled).max())), float(latest[-1])
         times = np.concatenate([batch.sampled, batch.arrived])

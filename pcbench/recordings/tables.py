@@ -23,7 +23,9 @@ from pyarrow import csv
 
 from pcbench.errors import UserError, short, unknown, unreadable
 from pcbench.recordings.csv_dialects import EMPTY, FOUND, CsvOptions, Dialect, dialect, squeezed
-from pcbench.recordings.log import SECONDS, Batch, Columns, Floats, Log, Source, Table, table_of
+from pcbench.recordings.formulas import quantity
+from pcbench.recordings.inputs_and_truth import merge, table_of
+from pcbench.recordings.log import SECONDS, Batch, Columns, Floats, Log, Source, Table
 
 KINDS = (".parquet", ".csv")
 NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
@@ -63,7 +65,7 @@ def open_tables(path: Path, delay: float | None = None) -> Log:
             sampled = column_of(part, named["sampled"], measured.name, time=True)
             late = column_of(part, named["arrived"], measured.name, time=True) if delay is None else sampled + delay
             channel = pc.index_in(words_of(part, named["channel"], measured.name), pa.array(channels))
-            yield Batch(
+            batch = Batch(
                 channel=channel.to_numpy(zero_copy_only=False).astype(int),
                 sampled=sampled,
                 arrived=late,
@@ -72,8 +74,9 @@ def open_tables(path: Path, delay: float | None = None) -> Log:
                 std=column_of(part, named["std"], measured.name) if "std" in named else np.zeros(0),
             )
             row += len(part)
+            yield batch.select(~np.isnan(batch.value) | np.isnan(late))  # without a value it was lost, or never taken
 
-    return Log(measured.name, channels, measurements, _table(inputs), _table(truth))
+    return Log(measured.name, channels, measurements, _table(inputs, "inputs"), _table(truth, "truth"))
 
 
 def _file(path: Path, what: str) -> Path | None:
@@ -111,18 +114,20 @@ def _channels(path: Path, head: str) -> tuple[str, ...]:
     return tuple(sorted(map(str, names), key=numbers_in))
 
 
-def _table(path: Path | None) -> Table | None:
+def _table(path: Path | None, what: str) -> Table | None:
     """A table of t and columns of numbers."""
     if path is None:
         return None
     named = _find_columns(path, ["t"])
-    source = Source(path, "", list(named.values()), {named["t"]}, None, path.name, topics=set(), loaded={})
-    fields = {name: (head, 1.0) for name, head in named.items() if name != "t"}
-    if not fields:
+    t = named.pop("t")
+    source = Source(path, "", [*named.values(), t], {t}, None, path.name, topics=set(), loaded={})
+    if not named:
         raise UserError(
             f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
         )
-    return table_of(lambda: columns(source), named["t"], fields)
+    quantities = {name: quantity(head, None, 1.0, path.name) for name, head in named.items()}
+    table = table_of(lambda: columns(source), lambda part, _: part[t], quantities, path.name)
+    return merge([table], table.names, hold=what == "inputs")
 
 
 def as_tables(

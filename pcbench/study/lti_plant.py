@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from pcbench.dynamics import expression
+from pcbench import expression
 from pcbench.errors import UserError, brief_repr, short, unknown
 from pcbench.plants import numbers_of, replace_numbers
 from pcbench.plants.lti import MATRICES, Numbers, actual

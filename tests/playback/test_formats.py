@@ -182,15 +182,15 @@ def test_what_is_no_flight_log_is_one_sentence(tmp_path):
             "got none.csv, expected a file or folder next to it",
         ),
         (
-            'log = "run.txt"\n[channels.y1]\nfield = "x"\nunit = "m"',
-            "got run.txt, expected a folder of ROS 2 or one of",
+            'log = "run.xyz"\n[channels.y1]\nfield = "x"\nunit = "m"',
+            "got run.xyz, expected a folder of ROS 2 or one of",
         ),
         ('log = "run.csv"\n[channels]', "channels"),
         ("log = ", "expected TOML such as"),
     ],
 )
 def test_a_mistake_in_the_toml_is_one_sentence(tmp_path, text, sentence):
-    for name in ("run.csv", "run.txt"):
+    for name in ("run.csv", "run.xyz"):
         (tmp_path / name).write_text("t,x\n0,1\n1,2\n")
     (tmp_path / "log.toml").write_text(text)
     with pytest.raises(UserError) as caught:

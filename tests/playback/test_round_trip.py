@@ -136,6 +136,24 @@ def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
     assert found["kf", "angle", "final_error"] == pytest.approx(e[-1], rel=1e-10)
 
 
+def test_truth_of_some_states_at_some_ticks_is_scored_there(traced, tmp_path):
+    study, frame, folder = traced["plain"]
+    shutil.copytree(folder, tmp_path / "log")
+    truth = pd.read_parquet(folder / "truth.parquet")
+    truth.loc[truth.index % 3 > 0, "angle"] = np.nan
+    truth.loc[truth.index % 5 > 0, "rate"] = np.nan
+    for columns in (["t", "angle", "rate"], ["t", "rate"]):
+        truth[columns].to_parquet(tmp_path / "log" / "truth.parquet", index=False)
+        found = pcbench.replay(tmp_path / "log", study, OBSERVERS).metrics
+        assert set(found.signal[found.metric == "mae"]) == set(columns[1:])
+        values = found.set_index(["observer", "signal", "metric"]).value
+        for name, every in (("angle", 3), ("rate", 5)):
+            if name in columns:
+                e = np.abs(frame[name] - frame[f"kf.{name}"]).to_numpy()[: len(frame) - 1][::every]
+                assert values["kf", name, "mae"] == pytest.approx(e.mean(), rel=1e-10)
+                assert values["kf", name, "max_abs_error"] == pytest.approx(e.max(), rel=1e-10)
+
+
 def test_truth_is_read_by_the_names_of_its_columns(traced, tmp_path):
     study, _, folder = traced["plain"]
     shutil.copytree(folder, tmp_path / "log")
@@ -171,7 +189,7 @@ def test_a_replay_that_is_refused_half_way_leaves_no_folder_but_one_that_was_the
     inputs.assign(t=inputs.t.where(inputs.index != 7, 0.0)).to_parquet(tmp_path / "log" / "inputs.parquet", index=False)
     (tmp_path / "there").mkdir()
     for out in ("new", "there"):
-        with pytest.raises(UserError, match="inputs: row 8: got the time 0 s after"):
+        with pytest.raises(UserError, match=r"inputs\.parquet: row 8: got the time 0 s after"):
             pcbench.replay(tmp_path / "log", study, OBSERVERS, out=tmp_path / out)
     assert not list((tmp_path / "there").iterdir())
     assert not (tmp_path / "new").exists()

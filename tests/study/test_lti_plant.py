@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from reference import linear
 
 import pcbench
-from pcbench import planning
-from pcbench.dynamics import expression
+from pcbench import expression, planning
 from pcbench.errors import UserError
 from pcbench.plants.lti import nominal
 from pcbench.study import parse

@@ -1,0 +1,77 @@
+"""Inputs and truth as one table each, from several topics: rows of all in the order of their times.
+
+An input that a row does not give keeps its value, and is 0 before its first. A state that a row does not give is NaN there.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from pcbench.errors import UserError
+from pcbench.recordings.formulas import Quantity
+from pcbench.recordings.log import Columns, Floats, Ints, Rows, Table
+from pcbench.recordings.times import require_forward
+
+Times = Callable[[Columns, Ints], Floats]  # of the rows of a part, by their numbers from 1
+
+
+def table_of(
+    columns: Callable[[], Iterator[Columns]], times: Times, quantities: Mapping[str, Quantity], where: str
+) -> Table:
+    """Return the table of what `columns` reads; rows in which nothing is given are left out."""
+
+    def read() -> Iterator[Rows]:
+        row, before = 1, -np.inf
+        evaluators = [each.evaluator() for each in quantities.values()]
+        for part in columns():
+            values = np.stack([evaluate(part) for evaluate in evaluators], 1)
+            rows = np.arange(row, row + len(values), dtype=np.int64)
+            row += len(values)
+            if (infinite := np.isinf(values)).any():
+                i, j = (int(place[0]) for place in np.nonzero(infinite))
+                raise UserError(
+                    f"{where}: row {rows[i]}: got {values[i, j]} as {list(quantities)[j]}, expected a finite number; mend it, "
+                    "or leave it empty."
+                )
+            exists = ~np.isnan(values).all(1)
+            some = Rows(times(part, rows)[exists], values[exists], rows[exists])
+            if len(some.t):
+                require_forward(where, before, some)
+                before = float(some.t[-1])
+                yield some
+
+    return Table(tuple(quantities), read)
+
+
+def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
+    """Return several tables as one, with columns in this `order`; what a row does not give is held, or NaN."""
+
+    def read() -> Iterator[Rows]:
+        carry = pd.Series(0.0, list(order))
+        for rows in _in_order([_frames(each) for each in tables]):
+            found = rows.groupby(level=0).last()  # of several rows at one time: the last that gives a value
+            values = found.reindex(columns=list(order))
+            if hold:
+                values = values.ffill().fillna(carry)
+                carry = values.iloc[-1]
+            yield Rows(found.index.to_numpy(), values.to_numpy(float), found["row"].to_numpy(int))
+
+    return Table(tuple(order), read)
+
+
+def _frames(table: Table) -> Iterator[pd.DataFrame]:
+    for rows in table.read():
+        yield pd.DataFrame(rows.values, rows.t, list(table.names)).assign(row=rows.row)
+
+
+def _in_order(readers: list[Iterator[pd.DataFrame]]) -> Iterator[pd.DataFrame]:
+    """Yield rows of several tables, each with times that rise, in parts whose times rise."""
+    waiting = [next(reader, None) for reader in readers]
+    while rest := [each for each in waiting if each is not None]:
+        until = min(each.index[-1] for each in rest)
+        yield pd.concat([each[each.index <= until] for each in rest])
+        for i, each in enumerate(waiting):
+            if each is not None:
+                later = each[each.index > until]
+                waiting[i] = later if len(later) else next(readers[i], None)
