@@ -54,7 +54,7 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
 
 
 EXTRAS = {"distributed": "dask", "control": "control"} | dict.fromkeys(
-    ("rosbags", "mcap", "mcap-ros2", "pyulog"), "logs"
+    ("rosbags", "mcap", "mcap-ros2", "pyulog", "h5py"), "logs"
 )  # by package, the extra of pcbench that installs it
 
 

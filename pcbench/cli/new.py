@@ -14,7 +14,7 @@ import typer
 
 from pcbench import toml_text
 from pcbench.cli.options import Json
-from pcbench.cli.shared import argument, console, option, setup
+from pcbench.cli.shared import argument, console, option, setup, write_new
 from pcbench.errors import UserError, short, unknown
 
 Kind = Literal["observer", "plant", "controller", "scenario"]
@@ -58,11 +58,7 @@ def new(
             text = text.replace('name = "my-cart-white"', f'name = "{name}"', 1)
         else:
             text = (TEMPLATES / (kind + path.suffix)).read_text(encoding="utf-8").replace(PLACEHOLDER, name)
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
-        except OSError as error:
-            raise UserError(f"new {kind}: {path} cannot be written ({error.strerror}); mend that.") from None
+        write_new(path, text, f"new {kind}")
     print(f"{' and '.join(map(str, paths))} {'are' if len(paths) > 1 else 'is'} written. Next:")
     for command in NEXT[kind]:
         print("  " + command.format(name=name))

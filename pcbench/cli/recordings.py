@@ -1,27 +1,65 @@
 """Commands for recorded data: what is in a log, and observers run on it."""
 
+from pathlib import Path
 from typing import Annotated
 
 from pcbench.cli.options import Json, Late, Quiet, Set, Start
-from pcbench.cli.shared import argument, console, names, option, out, say, setup, working
+from pcbench.cli.shared import (
+    argument,
+    console,
+    names,
+    option,
+    out,
+    require_effect,
+    say,
+    setup,
+    working,
+    write,
+    write_new,
+)
 
 File = Annotated[str, argument("a folder or file of tables, or a TOML that says what a bag holds", metavar="LOG")]
 
 
 def info(
-    file: File,
+    file: Annotated[str, argument("a recording of any format, or a TOML file that maps its fields to channels")],
     delay: Late = None,
-    picture: Annotated[str | None, out("picture of the delays to write: .svg, .pdf, .png")] = None,
+    picture: Annotated[
+        str | None, out("picture of the delays to write (.svg, .pdf, .png), or the file of --toml")
+    ] = None,
+    toml: Annotated[bool, option("print a TOML file to start from, that maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what is in a log: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
+    """Print what is in a recording: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
 
-    Example: pcbench info flight.toml --out delays.svg
+    Of a file without a TOML file it prints topics, fields, counts, rates and ranges.
+
+    Examples: pcbench info flight.bag;  pcbench info flight.bag --toml --out flight.toml;  pcbench info flight.toml
     """
     from pcbench.cli.render import recordings
     from pcbench.cli.render.tables import readable
-    from pcbench.recordings import survey
+    from pcbench.recordings import contents, survey
 
+    path = Path(file)
+    if contents.is_log(path):
+        require_effect({"--toml": toml}, "with a recording whose channels are known", "a file without a TOML file")
+    else:
+        require_effect(
+            {"--delay": delay, "--out": None if toml else picture, "--json": toml and as_json},
+            "with a file without channels",
+            "a TOML file (pcbench info FILE --toml writes one)",
+        )
+        topics = contents.contents(path)
+        if toml:
+            text = contents.starter_toml(path, topics, Path(picture or "x").absolute().parent)
+            write(text) if picture is None else write_new(Path(picture), text, "--out")
+        elif as_json:
+            print(readable({"log": file, "fields": contents.rows_of(topics)}))
+        else:
+            recordings.print_contents(
+                file, contents.rows_of(topics), [c.problem for c in topics if c.problem], console()
+            )
+        return
     table = survey.info(file, delay=delay)
     if picture is not None:
         from pcbench.plots import delays, save

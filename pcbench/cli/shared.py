@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -44,6 +45,15 @@ def say(*sentences: str) -> None:
 def write(text: str) -> None:
     """Print a text of several lines as it is, for a program or a file; what no terminal may obey is its escape."""
     print(printable(text, but="\n\t"), end="")
+
+
+def write_new(path: Path, text: str, where: str) -> None:
+    """Write a text into a file that does not exist; raise UserError if it does, or cannot be written."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise UserError(f"{where}: {path} cannot be written ({error.strerror}); give another name.") from None
 
 
 def console() -> "Screen":

@@ -85,7 +85,7 @@ def dialect(path: Path, given: CsvOptions) -> Dialect:
     decimal = given.decimal or ("," if any("," in c and _kind(c) == "number" for row in rows for c in row) else ".")
     if not head:
         head = list(TUM if separator == " " and many == len(TUM) else map(str, range(many)))
-    types = tuple(KINDS[next((k for c in column if (k := _kind(c)) in KINDS), "number")][1] for column in columns)
+    types = tuple(map(_type, columns))
     return Dialect(encoding, separator, decimal, tuple(head), types, first)
 
 
@@ -122,6 +122,12 @@ def _cells(line: str, separator: str) -> list[str]:
 def _kind(cell: str) -> str:
     """What a cell holds: a key of KINDS, a word, or nothing."""
     return next((k for k, (pattern, _) in KINDS.items() if pattern.fullmatch(cell)), "word") if cell else "nothing"
+
+
+def _type(cells: tuple[str, ...]) -> pa.DataType:
+    """The type of a column: that of its first number or time, text if it has words alone."""
+    kinds = [_kind(cell) for cell in cells]
+    return next((KINDS[kind][1] for kind in kinds if kind in KINDS), pa.string() if "word" in kinds else pa.float64())
 
 
 def _is_comment(line: str) -> bool:

@@ -5,7 +5,7 @@ at a time, as often as it is asked for, so it may be longer than memory. Rows ma
 stamp one may come is found by reading it once (`survey`). Times are seconds of the log's own clock.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Columns = dict[str, Floats]  # fields of a file by their names, [K] each, times in seconds
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+MOST = 2000  # fields of a topic that are looked at
+NO_TIME = " of times (write sampled = NAME, or period = SECONDS if the file has none)"  # in a sentence on a field
 
 
 class Batch(NamedTuple):
@@ -82,6 +84,16 @@ class Source(NamedTuple):
     def place(self) -> str:
         """What asks and the file, as a sentence names them."""
         return f"{self.where}: {self.path.name}"
+
+
+class Topic(NamedTuple):
+    """What a file has under one name. A module of a format has `topics`, which yields them."""
+
+    name: str
+    kind: str
+    numbers: list[str]
+    times: Sequence[str] = ()  # fields that are times by their type, the first one the stamp
+    frame: str = ""
 
 
 @contextmanager

@@ -2,34 +2,58 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pcbench.errors import UserError
 from pcbench.recordings import messages
 from pcbench.recordings.decompression import require_small_mcap
-from pcbench.recordings.log import Columns, Source, reading, require_topic
+from pcbench.recordings.log import Columns, Source, Topic, reading, require_topic
 
 if TYPE_CHECKING:
+    from mcap.reader import McapReader
     from mcap.records import Channel, Message, Schema
+
+
+def topics(source: Source) -> Iterator[Topic]:
+    """Yield the topics, each by its first message; one of another encoding has no fields."""
+    with _opened(source) as reader:
+        summary = reader.get_summary()
+        schemas, channels = (summary.schemas, summary.channels) if summary else ({}, {})
+        kinds = {each.topic: getattr(schemas.get(each.schema_id), "name", "") for each in channels.values()}
+        for schema, channel, _ in () if summary else reader.iter_messages(log_time_order=False):
+            kinds.setdefault(channel.topic, getattr(schema, "name", ""))
+        for name, kind in kinds.items():
+            raw = reader.iter_messages(topics=[name], log_time_order=False)
+            try:
+                yield from messages.topic_of(_decode(raw, source.where), name, kind)
+            except UserError:
+                yield Topic(name, f"{kind}, of an encoding that is not read", [], [])
 
 
 def columns(source: Source) -> Iterator[Columns]:
     """Yield parts of a topic's fields."""
+    with _opened(source) as reader:
+        summary = reader.get_summary()
+        if summary is not None:
+            require_topic(source.topic, {each.topic for each in summary.channels.values()}, source.where)
+        # in the order of their times; without an index as they were written, for to sort them all would be held
+        indexed = summary is not None and bool(summary.chunk_indexes)
+        raw = reader.iter_messages(topics=[source.topic], log_time_order=indexed)
+        yield from messages.columns(_decode(raw, source.where), source)
+
+
+@contextmanager
+def _opened(source: Source) -> Iterator["McapReader"]:
+    """The reader of a file; whatever it raises is a UserError."""
     from mcap.reader import make_reader
 
-    with reading(source, "a whole MCAP file; mend it"):
+    with reading(source, "a whole MCAP file; mend it with mcap recover"):
         if not source.loaded:
             require_small_mcap(source.path, source.place)
             source.loaded["is small"] = True
         with source.path.open("rb") as file:
-            reader = make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
-            summary = reader.get_summary()
-            if summary is not None:
-                require_topic(source.topic, {each.topic for each in summary.channels.values()}, source.where)
-            # in the order of their times; without an index as they were written, for to sort them all would be held
-            indexed = summary is not None and bool(summary.chunk_indexes)
-            raw = reader.iter_messages(topics=[source.topic], log_time_order=indexed)
-            yield from messages.columns(_decode(raw, source.where), source)
+            yield make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
 
 
 def _decode(raw: Iterable["tuple[Schema | None, Channel, Message]"], where: str) -> Iterator[tuple[int, object]]:

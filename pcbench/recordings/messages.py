@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from pcbench.errors import UserError, unknown
-from pcbench.recordings.log import SECONDS, Columns, Source
+from pcbench.recordings.log import MOST, SECONDS, Columns, Source, Topic
 
 MANY = 1 << 14  # messages of a part
+SHORT = 9  # places of a list that are fields each, such as those of a covariance of three numbers
 RECEIVED = "received"  # in place of a field: when the recorder got the message
 STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a stamp in ROS 2, MCAP's schemas, ROS 1
 NONE = object()  # in place of a field that is not there
@@ -25,6 +26,45 @@ def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[
             rows = []
     if rows:
         yield dict(zip(source.fields, np.array(rows, float).T, strict=True))
+
+
+def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> Iterator[Topic]:
+    """Yield what one topic has by its first message; of transforms every frame."""
+    frames: dict[str, None] = {}
+    for _, message in messages:
+        transforms = _member(message, "transforms")
+        if not isinstance(transforms, list):
+            numbers, times = _leaves(message)
+            yield Topic(name, kind, numbers, [*times, RECEIVED])
+            return
+        for each in transforms:
+            frame = str(_member(each, "child_frame_id"))
+            if frame not in frames:
+                frames[frame] = None
+                numbers, times = _leaves(each)
+                yield Topic(name, kind, numbers, [*times, RECEIVED], frame)
+
+
+def _leaves(message: object, prefix: str = "", depth: int = 8) -> tuple[list[str], list[str]]:
+    """The fields within a message that are numbers, and those that are times; of long lists none."""
+    numbers, times = [], []
+    for name in _names(message):
+        value, path = _member(message, name), f"{prefix}{name}"
+        if isinstance(value, bool | int | float | np.number):
+            numbers.append(path)
+        elif isinstance(value, list | tuple | np.ndarray):
+            short = value if len(value) <= SHORT else []
+            numbers += [f"{path}.{i}" for i, each in enumerate(short) if isinstance(each, int | float | np.number)]
+        elif any(all(_member(value, part) is not NONE for part in pair) for pair in STAMP):
+            times.append(path)
+        elif depth and not isinstance(value, str | bytes) and value is not None and not callable(value):
+            inner = _leaves(value, f"{path}.", depth - 1)
+            numbers, times = numbers + inner[0], times + inner[1]
+    return numbers[:MOST], times
+
+
+def _names(value: object) -> list[str]:
+    return list(map(str, value)) if isinstance(value, dict) else [name for name in dir(value) if name[0] != "_"]
 
 
 def _of_frame(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[tuple[int, object]]:
@@ -50,10 +90,9 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
         if inner is NONE and field in source.times and source.defaulted:
             return _seconds(*divmod(received, 10**9))
         if inner is NONE:
-            names = list(value) if isinstance(value, dict) else [n for n in dir(value) if n[0] != "_"]
             times = ', or sampled = "received" if it has no stamp' if field in source.times else ""
             raise UserError(
-                f"{where}: {field}: got no '{part}' among {', '.join(map(str, names[:12]))}; write one of them{times}."
+                f"{where}: {field}: got no '{part}' among {', '.join(_names(value)[:12])}; write one of them{times}."
             )
         value = inner
     if field in source.times:

@@ -107,8 +107,8 @@ def open_log(name: str | Path, delay: float | None = None) -> Log:
     if path.is_dir() or path.suffix.lower() in tables.KINDS:
         return tables.open_tables(path, delay)
     raise UserError(
-        f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; see "
-        "pcbench guide recordings."
+        f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; write "
+        f"one with pcbench info {path} --toml."
     )
 
 
@@ -118,10 +118,7 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     file = path.parent / toml.log
     if not file.exists():
         raise UserError(f"{path.name}: log: got {toml.log}, expected a file or folder next to it; correct the name.")
-    kind = FORMATS.get("" if file.is_dir() else file.suffix.lower())
-    if kind is None:
-        valid = ", ".join(k for k in FORMATS if k)
-        raise UserError(f"{path.name}: log: got {toml.log}, expected a folder of ROS 2 or one of {valid}; convert it.")
+    kind = format_of(file, f"{path.name}: log")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
     if kind not in MESSAGES and (named := next((c.frame for c in every if c.frame), None)):
         raise UserError(f"{path.name}: frame: got '{named}', expected it of bags and MCAP files alone; leave it out.")
@@ -136,6 +133,15 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
 
     inputs, truth = (_table(getattr(toml, what), kind, source, what) for what in ("inputs", "truth"))
     return Log(path.name, tuple(toml.channels), measurements, inputs, truth)
+
+
+def format_of(file: Path, where: str) -> Format:
+    """Return the format of a file by its name; raise UserError for an unknown one."""
+    kind = FORMATS.get("" if file.is_dir() else file.suffix.lower())
+    if kind is None:
+        valid = ", ".join(k for k in FORMATS if k)
+        raise UserError(f"{where}: got {file.name}, expected a folder of ROS 2 or one of {valid}; convert it.")
+    return kind
 
 
 def _read(path: Path) -> Mapping:

@@ -25,7 +25,7 @@ from pcbench.errors import UserError, short, unknown, unreadable
 from pcbench.recordings.csv_dialects import EMPTY, FOUND, CsvOptions, Dialect, dialect, squeezed
 from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import merge, table_of
-from pcbench.recordings.log import SECONDS, Batch, Columns, Floats, Log, Source, Table
+from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Batch, Columns, Floats, Log, Source, Table, Topic
 
 KINDS = (".parquet", ".csv")
 NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
@@ -193,7 +193,7 @@ def batches(
 def columns(source: Source) -> Iterator[Columns]:
     """Yield parts of columns; what is empty is NaN. A field may lack its unit, or be a part of a column: `pose.position.x`."""
     every = heads(source.path, source.csv)
-    paths = {field: find_column(every, field, source.place) for field in source.fields}
+    paths = {field: find_column(every, field, source.place, field in source.times) for field in source.fields}
     for part in batches(source.path, sorted({head for head, _ in paths.values()}), given=source.csv):
         yield {
             name: column_of(part, head, source.where, inner, time=name in source.times, unit=source.unit)
@@ -201,7 +201,27 @@ def columns(source: Source) -> Iterator[Columns]:
         }
 
 
-def find_column(every: Sequence[str], field: str, where: str) -> tuple[str, str]:
+def topics(source: Source) -> Iterator[Topic]:
+    """Yield the one topic of a table: its columns, and what is in structs."""
+    with _readable(source.path):
+        if source.path.suffix.lower() == ".parquet":
+            types = [(each.name, each.type) for each in pq.read_schema(source.path)]
+        else:
+            d = dialect(source.path, source.csv)
+            types = list(zip(d.names, d.types, strict=True))
+    numbers, times = [], []
+    while types:
+        name, kind = types.pop(0)
+        if pa.types.is_struct(kind):
+            types = [(f"{name}.{each.name}", each.type) for each in kind] + types
+        elif any(is_kind(kind) for is_kind in (*TIMES, pa.types.is_date)):
+            times.append(name)
+        elif any(holds(kind) for holds in NUMBERS):
+            numbers.append(name)
+    yield Topic("", "table", numbers[:MOST], times)
+
+
+def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
     """Return the head of the column of a field, and the parts within it; raise UserError for none, or several."""
     bare = [name_and_unit(head)[0] for head in every]
     parts = field.split(".")
@@ -212,7 +232,7 @@ def find_column(every: Sequence[str], field: str, where: str) -> tuple[str, str]
             raise UserError(f"{where}: got {len(matches)} columns '{name}', expected one; rename them.")
         if matches:
             return matches[0], ".".join(parts[many:])
-    raise unknown(where, "column here", field, every)
+    raise unknown(where, f"column{NO_TIME if time else ''} here", field, every)
 
 
 def column_of(

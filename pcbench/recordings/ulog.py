@@ -11,7 +11,7 @@ from io import StringIO
 import numpy as np
 
 from pcbench.errors import UserError, unknown
-from pcbench.recordings.log import SECONDS, Columns, Source, reading, require_topic
+from pcbench.recordings.log import SECONDS, Columns, Source, Topic, reading, require_topic
 
 
 def columns(source: Source) -> Iterator[Columns]:
@@ -29,6 +29,13 @@ def columns(source: Source) -> Iterator[Columns]:
             raise unknown(f"{source.where}: {source.topic}", "field", field, data)
         out[field] = np.asarray(data[column], float) * (SECONDS["us"] if field in source.times else 1.0)
     yield out
+
+
+def topics(source: Source) -> Iterator[Topic]:
+    """Yield the topics, with their instances."""
+    for name, data in _topics(source, None).items():
+        times = [each for each in ("timestamp_sample", "timestamp") if each in data]
+        yield Topic(name, "topic", [each for each in data if each not in times], times)
 
 
 def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.ndarray]]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -42,6 +43,29 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
             reading = "half a 95 % interval, if delays do not depend on one another"
             screen.say(f"{row['channel']}: drift {interval} ppm ({reading}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
+
+
+def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
+    """Print what is in a file: one table per topic, one row per field."""
+    for _, mine in groupby(rows, key=lambda row: (row["topic"], row["frame"])):
+        fields = list(mine)
+        first = fields[0]
+        where = " ".join(filter(None, [name, first["topic"], first["frame"], f"({first['kind']}),"]))
+        start, end = first["first"], first["last"]
+        span = "" if math.isnan(start) else f", {end - start:.6g} s from {start:.10g} s"
+        notes = [
+            "constant" if row["constant"] else f"{row['repeats']} repeated" if row["repeats"] else "" for row in fields
+        ]
+        columns = [
+            Column("field", [row["field"] for row in fields], left=True),
+            Column("values", [f"{row['rows'] - row['missing']:,}" for row in fields]),
+            Column("rate\n[1/s]", [_plain(row["rate"]) for row in fields]),
+            Column("least", [number(row["least"], ".6g") for row in fields]),
+            Column("most", [number(row["most"], ".6g") for row in fields]),
+            Column("note", notes, left=True),
+        ]
+        screen.fit(f"{where} {first['rows']:,} rows{span}", columns)
+    screen.say(*problems, f"A TOML file to start from: pcbench info {name} --toml --out start.toml")
 
 
 def odd(row: Row) -> list[str]:

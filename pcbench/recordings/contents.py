@@ -1,0 +1,167 @@
+"""What is in a file before anything says what is a channel: topics with their fields, rates and ranges; a TOML to start from.
+
+A field is *constant* if all its numbers are one, and *repeats* where a row has the number of the row before. Stamps are the
+first times by type (a header's, timestamp_sample), else a column that rises and is called t, time or stamp, else the first
+that rises.
+"""
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.recordings import matlab, mcap, readers, rosbag, tables, ulog
+from pcbench.recordings.log import SECONDS, Floats, Source, Topic
+from pcbench.recordings.running_stats import Spread, add
+from pcbench.signal_names import LONGEST_UNIT, UNIT
+
+TOPICS = {readers.BAG: rosbag.topics, readers.MCAP: mcap.topics, readers.TABLE: tables.topics}
+TOPICS |= {readers.FORMATS[".ulg"]: ulog.topics, readers.FORMATS[".mat"]: matlab.topics}
+TIME = re.compile(r"(t|time|stamp|timestamp|sampled|x_value|seconds_elapsed)\b", re.IGNORECASE)
+INPUT = re.compile(r"(u\d*|.*(input|cmd|command|control|motor|throttle|actuator|voltage|setpoint).*)", re.IGNORECASE)
+COUNTER = re.compile(r".*(seq|count|index|time|stamp)", re.IGNORECASE)
+ACTIVE = 8  # channels at most that a TOML begins with; further ones are comments
+EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a stamp that large counts from 1970 in this unit
+
+
+class FieldStats(NamedTuple):
+    """What is known of the numbers of one field."""
+
+    spread: Spread = Spread()
+    rows: int = 0
+    repeats: int = 0  # rows with the number of the row before
+    falls: int = 0  # rows with a number that is not above that of the row before
+    last: float = np.nan
+
+    @property
+    def constant(self) -> bool:
+        """Whether all its numbers are one."""
+        return self.spread.many > 1 and self.spread.least == self.spread.most
+
+
+class Contents(NamedTuple):
+    """What is in one topic."""
+
+    topic: Topic
+    fields: dict[str, FieldStats]
+    stamp: str | None  # the field of times
+    unit: str | None  # of its numbers; None: it is a time by its type
+    problem: str = ""  # why its numbers could not be read
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last stamp [s]."""
+        scale = SECONDS[self.unit or "s"]
+        spread = self.fields[self.stamp].spread if self.stamp else Spread()
+        return (scale * spread.least, scale * spread.most) if spread.many else (np.nan, np.nan)
+
+
+def is_log(path: Path) -> bool:
+    """Say whether a file or folder says by itself which channels it has."""
+    if path.suffix.lower() == ".toml" or not path.exists():
+        return True
+    measured = any((path / f"measurements{kind}").is_file() for kind in tables.KINDS)
+    if path.suffix.lower() in tables.KINDS and not path.is_dir():
+        measured = {tables.name_and_unit(head)[0] for head in tables.heads(path)}.issuperset(tables.COLUMNS)
+    return measured
+
+
+def contents(path: Path) -> list[Contents]:
+    """Return what is in a file; raise UserError if it cannot be read."""
+    kind = readers.format_of(path, path.name)
+    source = Source(path, "", [], set(), None, path.name, topics={""}, loaded={})
+    topics = list(TOPICS[kind](source))
+    source = source._replace(topics={each.name for each in topics}, loaded={})
+    out = [_contents(source, topic, kind) for topic in topics]
+    if not any(each.fields for each in out):
+        raise UserError(f"{path}: got no field of numbers, expected one at least; see whether this is the right file.")
+    return out
+
+
+def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
+    fields = list(dict.fromkeys([*topic.times, *topic.numbers]))
+    source = source._replace(topic=topic.name, frame=topic.frame, fields=fields, times=set(topic.times))
+    stats, problem = {field: FieldStats() for field in fields}, ""
+    try:
+        for part in kind.columns(source) if fields else ():
+            stats = {field: _more(stats[field], part[field]) for field in fields}
+    except UserError as error:
+        if not stats or kind not in readers.MESSAGES:
+            raise
+        problem = str(error)
+    if topic.times:
+        return Contents(topic, stats, topic.times[0], None, problem)
+    rising = [field for field, s in stats.items() if s.rows > 1 and s.rows == s.spread.many and not s.falls]
+    stamp = next((field for field in rising if TIME.match(field)), next(iter(rising), None))
+    unit = tables.name_and_unit(stamp)[1] if stamp else None
+    if stamp and unit not in SECONDS:
+        unit = next((unit for least, unit in EPOCHS if stats[stamp].spread.most > least), "s")
+    return Contents(topic, stats, stamp, unit, problem)
+
+
+def _more(s: FieldStats, numbers: Floats) -> FieldStats:
+    steps = np.diff(numbers, prepend=s.last)
+    return FieldStats(
+        spread=add(s.spread, np.arange(s.rows + 1, s.rows + 1 + len(numbers)), numbers),
+        rows=s.rows + len(numbers),
+        repeats=s.repeats + int((steps == 0).sum()),
+        falls=s.falls + int((steps <= 0).sum()),
+        last=float(numbers[-1]) if len(numbers) else s.last,
+    )
+
+
+def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
+    """Return one row for each field, times in seconds."""
+    rows = []
+    for c in found:
+        first, last = c.span
+        for field, s in c.fields.items():
+            if field in c.topic.times:
+                continue
+            many = s.spread.many
+            rows.append(
+                {"topic": c.topic.name, "frame": c.topic.frame, "kind": c.topic.kind, "field": field, "rows": s.rows}
+                | {"missing": s.rows - many, "rate": (many - 1) / (last - first) if last > first else np.nan}
+                | {"first": first, "last": last, "least": s.spread.least if many else np.nan}
+                | {"most": s.spread.most if many else np.nan, "constant": s.constant, "repeats": s.repeats}
+            )
+    return rows
+
+
+def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
+    """Return a TOML in `folder` that maps fields to channels and inputs; what is unlikely to be one is a comment."""
+    kind, counts = readers.format_of(path, path.name), {"channels": 0, "inputs": 0}
+    units = {c.unit for c in found if c.unit not in (None, "s") and tables.name_and_unit(str(c.stamp))[1] != c.unit}
+    lines = [
+        "# Keep the fields that your plant measures, in the order of its outputs, and write their units.",
+        f"log = {_text(os.path.relpath(path, folder))}",
+        *(f"time_unit = {_text(unit)}  # by the size of the numbers" for unit in sorted(map(str, units))[:1]),
+        *([] if any(c.stamp for c in found) else ["period = 1.0  # [s] from one row to the next: write yours"]),
+    ]
+    for c in found:
+        for field, s in c.fields.items():
+            if field == c.stamp or field in c.topic.times or not s.spread.many:
+                continue
+            name, unit = tables.name_and_unit(field)
+            is_input = INPUT.fullmatch(name) or INPUT.fullmatch(c.topic.name)
+            table, letter, key = ("inputs", "u", "t") if is_input else ("channels", "y", "sampled")
+            dead = COUNTER.fullmatch(name) or (s.constant and not (is_input and s.spread.most))
+            mark = "# " if counts[table] >= ACTIVE or dead else ""
+            counts[table] += not mark
+            known = unit and len(unit) <= LONGEST_UNIT and UNIT.fullmatch(unit)
+            entry = {"topic": c.topic.name, "frame": c.topic.frame, "field": field, "unit": unit if known else "1"}
+            entry[key] = c.stamp if c.stamp != kind.stamp else ""
+            block = [f"[{table}.{letter}{counts[table] + bool(mark)}]  # {s.spread.least:.6g} to {s.spread.most:.6g}"]
+            block += [f"{key} = {_text(value)}" for key, value in entry.items() if value]
+            block += [] if is_input or kind.arrived else ["delay = 0.0  # [s] from the stamp to the arrival"]
+            lines += ["", *(mark + line for line in block)]
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: str) -> str:
+    """A text as TOML has it."""
+    return json.dumps(value, ensure_ascii=False)
