@@ -20,6 +20,7 @@ ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, an
     "find-limit": (runs.find_limit, "the largest period, delay, noise that keeps an error small"),
     "simulate": (runs.simulate, "one run tick by tick, as a file"),
     "info": (recordings.info, "what is in a recorded log: rates, gaps, delays"),
+    "convert": (recordings.convert, "a fast log as a slow, delayed sensor would have brought it"),
     "replay": (recordings.replay, "observers on recorded data, as it arrived"),
     "status": (runs.status, "how far a study is, and whether it is whole"),
     "verify": (runs.verify, "check every file, compute some runs again"),

@@ -1,7 +1,8 @@
 """Commands for recorded data: what is in a log, and observers run on it."""
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.options import Json, Late, Quiet, Set, Start
 from pcbench.cli.shared import (
@@ -17,7 +18,12 @@ from pcbench.cli.shared import (
     write,
     write_new,
 )
+from pcbench.errors import UserError, short
 
+if TYPE_CHECKING:
+    from pcbench.recordings.log import Log
+
+FROM = "from:"  # as in studies
 File = Annotated[str, argument("a folder or file of tables, or a TOML that says what a bag holds", metavar="LOG")]
 
 
@@ -71,6 +77,60 @@ def info(
         recordings.channels(table, console())
         if picture is not None:
             print(f"delays over time, and how often each occurs: {picture}")
+
+
+def convert(
+    file: File,
+    folder: Annotated[str, out("folder for the new recording")],
+    thin: Annotated[int, option("keep one of so many measurements of each channel", min=1)] = 1,
+    delay: Annotated[str | None, option("of every measurement [s], or from:LOG to draw recorded delays")] = None,
+    truth: Annotated[
+        str | None, option("names of the states that the channels measure [default: the channels' own]")
+    ] = None,
+    seed: Annotated[int, option("of the delays that are drawn", min=0)] = 0,
+) -> None:
+    """Make of a fast recording what a slow, delayed sensor would have brought; all of its measurements are the truth.
+
+    Example: pcbench convert encoder.csv.toml --thin 10 --delay from:camera --truth angle --out slow
+    """
+    import numpy as np
+
+    from pcbench.dataset import parquet_io, storage
+    from pcbench.recordings import readers, survey, thinning
+
+    place = Path(folder)
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise UserError(f"--out {folder}: is there already, expected a new or empty folder; give another.")
+    log = _open(file, delay)
+    survey.survey(log)  # refuses rows and clocks that no run can be fed with
+    delays = None
+    if delay is not None and delay.startswith(FROM):
+        delays = thinning.delays_of(readers.open_log(delay.removeprefix(FROM)), log.channels)
+    elif delay is not None:
+        delays = dict.fromkeys(log.channels, np.array([_seconds(delay)]))
+    tables = thinning.thin_tables(log, thin, delays, None if truth is None else names(truth), seed)
+    target = storage.target(folder)
+    storage.make(target)
+    storage.put_all(target, {f"{name}.parquet": parquet_io.encode_table(table) for name, table in tables.items()})
+    print(f"{folder}: {len(tables['measurements']):,} measurements of {', '.join(log.channels)}")
+
+
+def _open(file: str, delay: str | None) -> "Log":
+    """The log of a file, which needs no arrivals if they are replaced by a delay."""
+    from pcbench.recordings import readers
+
+    if delay is not None:
+        with suppress(UserError):
+            return readers.open_log(file, 0.0)
+    return readers.open_log(file)
+
+
+def _seconds(text: str) -> float:
+    """A delay [s]; raise UserError for what is none."""
+    with suppress(ValueError):
+        if 0 <= (number := float(text)) < float("inf"):
+            return number
+    raise UserError(f"--delay: got '{short(text)}', expected seconds or {FROM}LOG; write 0.05 or {FROM}camera.")
 
 
 def replay(

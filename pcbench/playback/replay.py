@@ -15,6 +15,7 @@ from pcbench.playback.setup import Playback, PlaybackSetup, open_playback, prepa
 from pcbench.playback.step_block import Score
 from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.survey import Survey
+from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import better_dt, rounding
 from pcbench.recordings.windows import Room
 from pcbench.runtime import config, ending
@@ -45,7 +46,7 @@ class Passage(NamedTuple):
 
 
 def replay(
-    log: str | Path,
+    log: str | Path | Frames,
     plant: Described,
     observers: str | list[str],
     *,
@@ -59,7 +60,8 @@ def replay(
     """Run observers on a recording.
 
     Args:
-        log: folder or file of tables, or a TOML file that maps a bag's fields to channels (see `pcbench.recordings`).
+        log: folder or file of tables, or a TOML file that maps a bag's fields to channels (see `pcbench.recordings`);
+            or a dict of pandas frames with the columns of these tables: `measurements`, and `inputs` and `truth` if known.
         plant: a study of one scenario and one grid point. Its outputs are the recording's channels, in the same order.
         observers: names of observers, or "all".
         out: folder for estimates and tables. Default: none are written.

@@ -18,6 +18,7 @@ from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
 from pcbench.recordings.log import Floats, Log
 from pcbench.recordings.survey import Survey, survey
+from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import Clock
 from pcbench.recordings.windows import Room, stretches, with_stretch
 from pcbench.simulation import shape_checks
@@ -57,7 +58,7 @@ class PlaybackSetup(NamedTuple):
 
 
 def open_playback(
-    log: str | Path,
+    log: str | Path | Frames,
     plant: Described,
     observers: list[str],
     *,
@@ -96,7 +97,8 @@ def open_playback(
     if with_std := known.with_std():
         remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {opened.name} states for it.")
     length = min(LENGTH, max(power_of_2(last + 1), 2))
-    return Playback(Path(log).name, opened, known, cell, clock, last=last, remarks=remarks, length=length)
+    name = Path(log).name if isinstance(log, str | Path) else opened.name
+    return Playback(name, opened, known, cell, clock, last=last, remarks=remarks, length=length)
 
 
 def room_of(a: Playback) -> Room:

@@ -34,8 +34,8 @@ class Batch(NamedTuple):
     row: Ints  # [K] where it stands: the row of its table or the message of its topic, from 1
     std: Floats = np.zeros(0)  # [K] standard deviation of the value's noise, NaN: none is stated; [0]: of no value
 
-    def select(self, rows: NDArray[np.bool_]) -> "Batch":
-        """Return some of the samples."""
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Batch":
+        """Return some of the samples: those that are true, or those at these places."""
         std = self.std[rows] if len(self.std) else self.std
         return Batch(self.channel[rows], self.sampled[rows], self.arrived[rows], self.value[rows], self.row[rows], std)
 

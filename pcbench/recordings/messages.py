@@ -116,4 +116,6 @@ def _seconds(whole: float, ns: float) -> float:
 
 
 def _member(value: object, name: str) -> Any:
-    return value.get(name, NONE) if isinstance(value, dict) else getattr(value, name, NONE)
+    if isinstance(value, dict):
+        return value.get(name, NONE)
+    return getattr(value, name, NONE) if name[:1] != "_" else NONE

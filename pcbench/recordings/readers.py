@@ -95,11 +95,13 @@ FORMATS = {
 }
 
 
-def open_log(name: str | Path, delay: float | None = None) -> Log:
-    """Return the log of a name; raise UserError where there is none, or it needs a TOML."""
-    path = Path(name)
+def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Log:
+    """Return the log of a name, or of frames in memory; raise UserError where there is none, or it needs a TOML."""
     if delay is not None and not delay >= 0:
         raise UserError(f"--delay: got {delay:g}, expected 0 s or more; write how late samples arrive.")
+    if not isinstance(name, str | Path):
+        return tables.open_tables(name, delay)
+    path = Path(name)
     if not path.exists():
         raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide recordings.")
     if path.suffix.lower() == ".toml":

@@ -22,6 +22,8 @@ from pcbench.recordings.times import TimeColumn, require_one_clock, require_soun
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pcbench.recordings.tables import Frames
+
 GAP = 5.0  # medians of an interval
 JUMP = 10.0  # middle halves of the delays
 
@@ -193,11 +195,11 @@ def _row(name: str, c: Channel) -> dict[str, object]:
     }
 
 
-def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
+def info(name: "str | Path | Frames", *, delay: float | None = None) -> "pd.DataFrame":
     """Summarize a recording: rates, gaps, delays, order and clock of each channel.
 
     Args:
-        name: folder or file of tables, or a TOML file that maps a bag's fields to channels.
+        name: folder or file of tables, or a TOML file that maps a bag's fields to channels; or frames (see `replay`).
         delay: delay of every measurement [s], for a recording without arrival times.
 
     Returns:
@@ -210,5 +212,5 @@ def info(name: str | Path, *, delay: float | None = None) -> "pd.DataFrame":
 
     log = survey(readers.open_log(name, delay))
     table = pd.DataFrame(channel_rows(log))
-    table.attrs = {"survey": log, "name": str(name)}
+    table.attrs = {"survey": log, "name": str(name) if isinstance(name, str | Path) else "frames"}
     return table

@@ -11,9 +11,10 @@ A simulated run is such a log too: what its samples brought and when, the input 
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +28,10 @@ from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import merge, table_of
 from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Batch, Columns, Floats, Log, Source, Table, Topic
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+Frames = Mapping[str, "pd.DataFrame"]  # measurements, and inputs and truth if there are any
 KINDS = (".parquet", ".csv")
 NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
 TIMES = (pa.types.is_timestamp, pa.types.is_time, pa.types.is_duration)
@@ -39,9 +44,19 @@ READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
 COLUMNS = ("channel", "sampled", "value")
 
 
-def open_tables(path: Path, delay: float | None = None) -> Log:
+class Frame(NamedTuple):
+    """A table in memory, in place of a file."""
+
+    name: str
+    table: pa.Table
+    suffix: str = ""
+
+
+def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
     """Return a log in tables; `delay` [s] stands for a column `arrived`. Raise UserError where one or a column is missing."""
     measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
+    if measured is None and isinstance(path, Mapping):
+        raise UserError("the recording: got no frame 'measurements', expected one; give it.")
     if measured is None:
         raise UserError(
             f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
@@ -79,25 +94,40 @@ def open_tables(path: Path, delay: float | None = None) -> Log:
     return Log(measured.name, channels, measurements, _table(inputs, "inputs"), _table(truth, "truth"))
 
 
-def _file(path: Path, what: str) -> Path | None:
-    """The file of one table of a log in a folder, or beside that of the measurements."""
+def _file(path: Path | Frames, what: str) -> Path | Frame | None:
+    """The file of one table of a log in a folder, or beside that of the measurements; or its frame."""
+    if isinstance(path, Mapping):
+        if unknown_names := path.keys() - {"measurements", "inputs", "truth"}:
+            raise unknown("the recording", "table", min(unknown_names), ["measurements", "inputs", "truth"])
+        frame = Frame(what, pa.table({}))
+        with _readable(frame):
+            return (
+                frame._replace(table=pa.Table.from_pandas(path[what], preserve_index=False)) if what in path else None
+            )
     if what == "measurements" and not path.is_dir():
         return path
     names = (path / f"{what}{k}" if path.is_dir() else path.with_suffix(f".{what}{k}") for k in KINDS)
     return next((name for name in names if name.is_file()), None)
 
 
-def _find_columns(path: Path, wanted: Sequence[str]) -> dict[str, str]:
+def _find_columns(path: Path | Frame, wanted: Sequence[str]) -> dict[str, str]:
     """The heads of a file's columns by name, those that are wanted among them."""
     every = heads(path)
     named = {
         name: find_column(every, name, path.name)[0] for name in [name_and_unit(head)[0] for head in every] if name
     }
-    require(path.name, list(named), wanted)
+    for name in wanted:
+        find_column(every, name, path.name)
+    for name, head in named.items():
+        if name_and_unit(head)[1] and name not in ("t", "sampled", "arrived"):
+            raise UserError(
+                f"{path.name}: got the column '{head}', expected '{name}' in the unit of the plant; convert its numbers, "
+                "or map the file with a TOML that has a scale."
+            )
     return named
 
 
-def _channels(path: Path, head: str) -> tuple[str, ...]:
+def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
     """Every channel's name, in the order of the numbers in them."""
     names: set[str] = set()
     for part in batches(path, [head], [head]):
@@ -114,13 +144,13 @@ def _channels(path: Path, head: str) -> tuple[str, ...]:
     return tuple(sorted(map(str, names), key=numbers_in))
 
 
-def _table(path: Path | None, what: str) -> Table | None:
+def _table(path: Path | Frame | None, what: str) -> Table | None:
     """A table of t and columns of numbers."""
     if path is None:
         return None
     named = _find_columns(path, ["t"])
     t = named.pop("t")
-    source = Source(path, "", [*named.values(), t], {t}, None, path.name, topics=set(), loaded={})
+    source = Source(cast(Path, path), "", [*named.values(), t], {t}, None, path.name, topics=set(), loaded={})
     if not named:
         raise UserError(
             f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
@@ -140,6 +170,7 @@ def as_tables(
     names = pa.array(channels).take(pa.array(samples.channel))
     arrived = pa.array(samples.arrived, mask=np.isnan(samples.arrived))
     columns = {"channel": names, "sampled": samples.sampled, "arrived": arrived, "value": samples.value}
+    columns |= {"std": samples.std} if np.isfinite(samples.std).any() else {}
     wide: dict[str, tuple[Sequence[str], Floats, Floats]] = {}
     if inputs is not None:
         wide["inputs"] = [f"u{i + 1}" for i in range(inputs[1].shape[1])], *inputs
@@ -151,8 +182,10 @@ def as_tables(
     }
 
 
-def heads(path: Path, given: CsvOptions = FOUND) -> list[str]:
+def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
     """Return the heads of a file's columns as they are written; raise UserError where it cannot be read."""
+    if isinstance(path, Frame):
+        return list(map(str, path.table.column_names))
     with _readable(path):
         return list(pq.read_schema(path).names if path.suffix.lower() == ".parquet" else dialect(path, given).names)
 
@@ -164,9 +197,12 @@ def name_and_unit(head: str) -> tuple[str, str | None]:
 
 
 def batches(
-    path: Path, names: Sequence[str], words: Sequence[str] = (), given: CsvOptions = FOUND
+    path: Path | Frame, names: Sequence[str], words: Sequence[str] = (), given: CsvOptions = FOUND
 ) -> Iterator[pa.RecordBatch]:
     """Yield the columns `names` a part at a time; all but those of `words` are numbers or times. Errors name the file."""
+    if isinstance(path, Frame):
+        yield from path.table.select(list(names)).to_batches(MANY)
+        return
     if path.suffix.lower() == ".parquet":
         # else a group's whole column is read first
         with _readable(path), pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
@@ -288,19 +324,12 @@ def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
         raise UserError(f"{where}: got {column.type}, expected names of channels; mend the column.") from None
 
 
-def require(where: str, names: Sequence[str], wanted: Sequence[str]) -> None:
-    """Raise UserError for a column that a file lacks."""
-    for name in wanted:
-        if name not in names:
-            raise unknown(where, "column here", name, names)
-
-
 CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): CSV conversion error to (\w+).*: invalid value '(.*)'")
 ROW = re.compile(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
 @contextmanager
-def _readable(path: Path, d: Dialect | None = None) -> Iterator[None]:
+def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
     """Turn whatever a reader raises into a UserError that names the file and, of CSV, the row."""
     try:
         yield
@@ -319,5 +348,6 @@ def _readable(path: Path, d: Dialect | None = None) -> Iterator[None]:
                 f"{path.name}: row {int(row[1]) - d.skip}: got {row[3]} cells, expected {row[2]} as in the other rows; mend "
                 "that row, or remove it if the file was cut off there."
             ) from None
-        kind = path.suffix.lower().removeprefix(".")
-        raise unreadable(error, str(path), f"a {kind} file of numbers under one line of heads; mend the file") from None
+        kind = f"{path.suffix.lower().removeprefix('.')} file" if path.suffix else "frame"
+        where = path.name if isinstance(path, Frame) else str(path)
+        raise unreadable(error, where, f"a {kind} of numbers, each column with its name; mend it") from None

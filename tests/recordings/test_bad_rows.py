@@ -104,6 +104,22 @@ def test_a_head_says_the_unit_of_time(tmp_path, head, scale):
     assert found.channels["y1"].delays.mean == pytest.approx(0.1, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("table", "head"), [("measurements", "value [mm]"), ("inputs", "u1 [mV]"), ("truth", "angle [°]")]
+)
+def test_unit_of_values_in_a_head_is_refused(tmp_path, table, head):
+    """The plant's is meant, and nothing would convert it."""
+    frames = {"measurements": plain(), "inputs": {"t": [0.0], "u1": [0.5]}, "truth": {"t": [0.0], "angle": [0.1]}}
+    frames[table] = {head if name in ("value", "u1", "angle") else name: v for name, v in frames[table].items()}
+    for name, columns in frames.items():
+        pd.DataFrame(columns).to_csv(tmp_path / f"{name}.csv", index=False, encoding="latin-1")
+    with pytest.raises(UserError) as caught:
+        readers.open_log(tmp_path)
+    assert f"{table}.csv: got the column '{head}', expected '{head.split()[0]}' in the unit of the plant" in str(
+        caught.value
+    )
+
+
 def test_a_stated_delay_stands_for_arrivals(tmp_path):
     folder = rows(tmp_path / "log", without("arrived"))
     assert survey(readers.open_log(folder, 0.25)).channels["y1"].delays.mean == pytest.approx(0.25)

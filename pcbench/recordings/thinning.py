@@ -1,0 +1,72 @@
+"""A fast recording as a slow, delayed sensor would have brought it: some of its measurements, later; the truth has all."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pcbench.errors import UserError
+from pcbench.recordings.log import Batch, Floats, Log, Table
+from pcbench.recordings.tables import as_tables
+
+
+def thin_tables(
+    log: Log, every: int, delays: Mapping[str, Floats] | None = None, truth: Sequence[str] | None = None, seed: int = 0
+) -> dict[str, pa.Table]:
+    """Return the tables of a recording that keeps one of `every` so many measurements of each channel.
+
+    Each comes a delay later that is drawn from those of its channel [s], NaN: lost; of a recording without `delays`, as before.
+    The truth is that of the recording if it has one, else all measurements, named `truth` or as their channels.
+    """
+    batches = list(log.measurements())
+    if not batches:
+        raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
+    batches = [b._replace(std=b.std if len(b.std) else np.full(len(b.row), np.nan)) for b in batches]
+    samples = Batch(*(np.concatenate(columns) for columns in zip(*batches, strict=True)))
+    samples = samples.select(np.argsort(samples.sampled, kind="stable"))
+    number = pd.Series(samples.channel).groupby(samples.channel).cumcount().to_numpy()
+    kept = samples.select(number % every == 0)
+    if delays is not None:
+        draw, late = np.random.default_rng(seed), np.zeros(len(kept.row))
+        for i, name in enumerate(log.channels):
+            mine = kept.channel == i
+            late[mine] = draw.choice(delays[name], mine.sum())
+        kept = kept._replace(arrived=kept.sampled + late)
+    names = log.channels if truth is None else tuple(truth)
+    if len(names) != len(log.channels):
+        raise UserError(
+            f"--truth: got {len(names)} names, expected one for each of the channels {', '.join(log.channels)}; write them so."
+        )
+    known = _whole(log.truth) if log.truth else None
+    if known is None:
+        wide = pd.DataFrame({"c": samples.channel, "t": samples.sampled, "v": samples.value}).dropna()
+        table = wide.groupby(["t", "c"]).v.last().unstack("c").reindex(columns=range(len(names)))
+        known = names, table.index.to_numpy(), table.to_numpy()
+    inputs = _whole(log.inputs)[1:] if log.inputs else None
+    return as_tables(kept, log.channels, inputs, known)
+
+
+def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
+    """Return recorded delays [s] for each of some channels: those of its name, or of a log's one channel; NaN: lost."""
+    batches = list(log.measurements())
+    out = {}
+    for name in channels:
+        if name not in log.channels and len(log.channels) > 1:
+            raise UserError(
+                f"--delay: got {log.name} with the channels {', '.join(log.channels)}, expected {name} among them; rename one."
+            )
+        i = log.channels.index(name) if name in log.channels else 0
+        late = [(b.arrived - b.sampled)[b.channel == i] for b in batches]
+        out[name] = np.concatenate([np.zeros(0), *late])
+        if not np.isfinite(out[name]).any():
+            raise UserError(
+                f"--delay: got {log.name}, in which nothing of {name} arrived, expected samples that did; give another."
+            )
+    return out
+
+
+def _whole(table: Table) -> tuple[Sequence[str], Floats, Floats]:
+    """A table with its names, times and values."""
+    parts = list(table.read())
+    return table.names, np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts])
