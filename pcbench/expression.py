@@ -70,7 +70,7 @@ def value(tree: Tree, numbers: Mapping[str, float]) -> float:
 
 def _value(tree: Tree, numbers: Mapping[str, float]) -> complex:
     if isinstance(tree, tuple):
-        return OPERATORS[tree[0]](_value(tree[1], numbers), _value(tree[2], numbers))
+        return OPERATORS[tree[0]](*(_value(each, numbers) for each in tree[1:]))
     return numbers[tree] if isinstance(tree, str) else tree
 
 

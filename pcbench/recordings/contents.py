@@ -2,7 +2,7 @@
 
 A field is *constant* if all its numbers are one, and *repeats* where a row has the number of the row before. Stamps are the
 first times by type (a header's, timestamp_sample), else a column that rises and is called t, time or stamp, else the first
-that rises.
+column if it rises.
 """
 
 import json
@@ -23,7 +23,7 @@ TOPICS = {readers.BAG: rosbag.topics, readers.MCAP: mcap.topics, readers.TABLE: 
 TOPICS |= {readers.FORMATS[".ulg"]: ulog.topics, readers.FORMATS[".mat"]: matlab.topics}
 TIME = re.compile(r"(t|time|stamp|timestamp|sampled|x_value|seconds_elapsed)\b", re.IGNORECASE)
 INPUT = re.compile(r"(u\d*|.*(input|cmd|command|control|motor|throttle|actuator|voltage|setpoint).*)", re.IGNORECASE)
-COUNTER = re.compile(r".*(seq|count|index|time|stamp)", re.IGNORECASE)
+COUNTER = re.compile(r".*(seq|count|index|time|stamp|came|arrived|received)", re.IGNORECASE)
 ACTIVE = 8  # channels at most that a TOML begins with; further ones are comments
 EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a stamp that large counts from 1970 in this unit
 
@@ -93,10 +93,15 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
         if not stats or kind not in readers.MESSAGES:
             raise
         problem = str(error)
-    if topic.times:
+    if topic.times and kind is not readers.TABLE:
         return Contents(topic, stats, topic.times[0], None, problem)
-    rising = [field for field, s in stats.items() if s.rows > 1 and s.rows == s.spread.many and not s.falls]
-    stamp = next((field for field in rising if TIME.match(field)), next(iter(rising), None))
+    rising = [
+        field for field in topic.numbers if stats[field].rows == stats[field].spread.many and not stats[field].falls
+    ]
+    first = [*topic.times, *(field for field in rising if field == fields[0] and len(fields) > 1)]
+    stamp = next((field for field in (*topic.times, *rising) if TIME.match(field)), next(iter(first), None))
+    if stamp in topic.times:
+        return Contents(topic, stats, stamp, None, problem)
     unit = tables.name_and_unit(stamp)[1] if stamp else None
     if stamp and unit not in SECONDS:
         unit = next((unit for least, unit in EPOCHS if stats[stamp].spread.most > least), "s")
@@ -115,17 +120,19 @@ def _more(s: FieldStats, numbers: Floats) -> FieldStats:
 
 
 def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
-    """Return one row for each field, times in seconds."""
+    """Return one row for each field that is no time, times in seconds; of a topic without one a row without a field."""
     rows = []
     for c in found:
         first, last = c.span
-        for field, s in c.fields.items():
-            if field in c.topic.times:
-                continue
+        numbers = {field: s for field, s in c.fields.items() if field not in c.topic.times}
+        for field, s in (numbers or {"": c.fields.get(str(c.stamp), FieldStats())}).items():
             many = s.spread.many
             rows.append(
                 {"topic": c.topic.name, "frame": c.topic.frame, "kind": c.topic.kind, "field": field, "rows": s.rows}
-                | {"missing": s.rows - many, "rate": (many - 1) / (last - first) if last > first else np.nan}
+                | {
+                    "missing": s.rows - many,
+                    "rate": (many - 1) / (last - first) if last > first and many > 1 else np.nan,
+                }
                 | {"first": first, "last": last, "least": s.spread.least if many else np.nan}
                 | {"most": s.spread.most if many else np.nan, "constant": s.constant, "repeats": s.repeats}
             )
@@ -149,7 +156,7 @@ def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
             name, unit = tables.name_and_unit(field)
             is_input = INPUT.fullmatch(name) or INPUT.fullmatch(c.topic.name)
             table, letter, key = ("inputs", "u", "t") if is_input else ("channels", "y", "sampled")
-            dead = COUNTER.fullmatch(name) or (s.constant and not (is_input and s.spread.most))
+            dead = COUNTER.fullmatch(name) or TIME.match(name) or (s.constant and not (is_input and s.spread.most))
             mark = "# " if counts[table] >= ACTIVE or dead else ""
             counts[table] += not mark
             known = unit and len(unit) <= LONGEST_UNIT and UNIT.fullmatch(unit)

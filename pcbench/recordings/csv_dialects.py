@@ -77,7 +77,7 @@ def dialect(path: Path, given: CsvOptions) -> Dialect:
     lines = re.split(r"\r\n|\n|\r", text)
     lines = (lines[:-1] if cut_off and len(lines) > 1 else lines)[:LINES]
     layouts = [_layout(lines, s) for s in ([given.separator] if given.separator else SEPARATORS)]
-    layout = max(layouts, key=lambda each: each[:2])
+    layout = max(layouts, key=lambda each: (each.explained, each.rows, each.many))
     separator, many = layout.separator, layout.many
     head, first = _head(lines, layout, given.head)
     rows = [cells for line in lines[first:] if len(cells := _cells(line, separator)) == many and not _is_comment(line)]
@@ -107,7 +107,7 @@ def _decode(sample: bytes, encoding: str, path: Path) -> str:
     except (LookupError, UnicodeError) as error:
         raise UserError(f"{path.name}: encoding: {error}; write another in [csv], such as 'latin-1'.") from None
     if "\0" in text or not text.strip():
-        got = "bytes that are no text" if text else "an empty file"
+        got = "bytes that are no text" if "\0" in text else "an empty file"
         raise UserError(f"{path.name}: got {got}, expected a table as text; export it again.")
     return text
 

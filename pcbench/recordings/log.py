@@ -83,7 +83,7 @@ class Source(NamedTuple):
     @property
     def place(self) -> str:
         """What asks and the file, as a sentence names them."""
-        return f"{self.where}: {self.path.name}"
+        return self.where if self.where == self.path.name else f"{self.where}: {self.path.name}"
 
 
 class Topic(NamedTuple):

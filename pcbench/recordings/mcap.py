@@ -28,7 +28,7 @@ def topics(source: Source) -> Iterator[Topic]:
             try:
                 yield from messages.topic_of(_decode(raw, source.where), name, kind)
             except UserError:
-                yield Topic(name, f"{kind}, of an encoding that is not read", [], [])
+                yield Topic(name, f"{kind}, of an encoding that is not read", [])
 
 
 def columns(source: Source) -> Iterator[Columns]:

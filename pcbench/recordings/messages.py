@@ -43,6 +43,8 @@ def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> It
                 frames[frame] = None
                 numbers, times = _leaves(each)
                 yield Topic(name, kind, numbers, [*times, RECEIVED], frame)
+    if not frames:
+        yield Topic(name, f"{kind}, no messages", [])
 
 
 def _leaves(message: object, prefix: str = "", depth: int = 8) -> tuple[list[str], list[str]]:

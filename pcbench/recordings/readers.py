@@ -45,7 +45,7 @@ class Column(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     field: str | None = None
-    formula: str | None = Field(None, description="of fields, in place of one: see `formulas`")
+    formula: str | None = Field(None, description="of fields, instead of one: see `formulas`")
     unit: str = Field(description="of the value")
     topic: str = ""
     frame: str = Field("", description="of a topic of transforms such as /tf: the child frame")

@@ -11,6 +11,7 @@ A simulated run is such a log too: what its samples brought and when, the input 
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,6 +39,7 @@ TIMES = (pa.types.is_timestamp, pa.types.is_time, pa.types.is_duration)
 NULLS = [*csv.ConvertOptions().null_values, "-", "None", "none"]  # cells in which there is nothing
 HEAD = re.compile(r"^\s*(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))?\s*$")
 LATEST = 1e11  # [s] what is said to be seconds is below it: the year 5138
+HALF_DAY = 43_200 * 10**9  # [ns]
 MANY = 1 << 16  # rows of a part
 BLOCK = 1 << 20  # bytes of a part of a CSV file
 READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
@@ -245,6 +247,9 @@ def topics(source: Source) -> Iterator[Topic]:
         else:
             d = dialect(source.path, source.csv)
             types = list(zip(d.names, d.types, strict=True))
+    counts = Counter(name for name, _ in types)
+    types = [(name, kind) for name, kind in types if name and counts[name] == 1]
+    several = "".join(f" with {many} columns '{name}'" for name, many in counts.items() if name and many > 1)
     numbers, times = [], []
     while types:
         name, kind = types.pop(0)
@@ -254,7 +259,7 @@ def topics(source: Source) -> Iterator[Topic]:
             times.append(name)
         elif any(holds(kind) for holds in NUMBERS):
             numbers.append(name)
-    yield Topic("", "table", numbers[:MOST], times)
+    yield Topic("", f"table{several}", numbers[:MOST], times)
 
 
 def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
@@ -283,10 +288,19 @@ def column_of(
         column = _within(column, name, where)
     column = pc.cast(column, pa.timestamp("s")) if time and pa.types.is_date(column.type) else column
     if time and any(is_kind(column.type) for is_kind in TIMES):
+        if (
+            pa.types.is_time(column.type)
+            and (np.diff(pc.cast(column, pa.time64("ns")).cast(pa.int64())) < -HALF_DAY).any()
+        ):
+            raise UserError(
+                f"{where}: got times of day that pass midnight, expected times that rise; write them with dates."
+            )
         whole = pa.int32() if pa.types.is_time32(column.type) else pa.int64()
         column, unit = pc.cast(column, whole), column.type.unit
     if not any(holds(column.type) for holds in NUMBERS):
-        raise UserError(f"{where}: got {column.type}, expected numbers; mend the column.")
+        got = f"'{short(str(column[0]))}'" if len(column) and isinstance(column[0].as_py(), str) else column.type
+        times = ", or times such as 2026-03-01T12:00:00.050" if time else ""
+        raise UserError(f"{where}: got {got}, expected numbers{times}; mend the column.")
     if time and unit is not None and unit not in SECONDS:
         raise unknown(where, "unit of time", unit, SECONDS)
     numbers = np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
@@ -338,9 +352,11 @@ def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
     except Exception as error:  # pyarrow raises UnicodeDecodeError and ValueError, too
         text = str(error)
         if d and (cell := CELL.match(text)):
-            expected = "a number" if cell[3] == "double" else "a time as in the first rows"
+            expected = (
+                "a number" if cell[3] == "double" else "a time such as 2026-03-01T12:00:00.050 (years 1678 to 2262)"
+            )
             raise UserError(
-                f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' as {d.names[int(cell[1])]}, expected "
+                f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' as {short(d.names[int(cell[1])])}, expected "
                 f"{expected}; mend it, or leave it empty if nothing was measured."
             ) from None
         if d and (row := ROW.match(text)):

@@ -229,6 +229,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
         "find-limit",
         "simulate",
         "info",
+        "convert",
         "replay",
         "status",
         "verify",

@@ -88,7 +88,7 @@ def test_a_recording_that_is_cut_off_is_one_sentence(plain, write, share, tmp_pa
     if file.suffix == ".ulg" and share:
         assert 0 < survey(readers.open_log(path)).rows < len(plain[2].t)
         return
-    with pytest.raises(UserError, match=r"; expected (a whole|MATLAB's)") as caught:
+    with pytest.raises(UserError, match="; expected a whole") as caught:
         survey(readers.open_log(path))
     assert str(caught.value).startswith("log.toml: run")
     assert ": ;" not in str(caught.value)

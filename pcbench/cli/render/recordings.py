@@ -64,7 +64,8 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
             Column("most", [number(row["most"], ".6g") for row in fields]),
             Column("note", notes, left=True),
         ]
-        screen.fit(f"{where} {first['rows']:,} rows{span}", columns)
+        title = f"{where} {first['rows']:,} rows{span}"
+        screen.fit(title, columns) if first["field"] else screen.say(f"{title}: no field of numbers")
     screen.say(*problems, f"A TOML file to start from: pcbench info {name} --toml --out start.toml")
 
 
