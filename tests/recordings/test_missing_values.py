@@ -11,6 +11,8 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench.errors import UserError
 from pcbench.recordings import readers
+from pcbench.recordings.inputs_and_truth import merge
+from pcbench.recordings.log import Rows, Table
 from pcbench.recordings.survey import survey
 
 T = np.arange(0, 2, 0.05)
@@ -101,6 +103,26 @@ def test_inputs_and_truth_of_several_topics_are_held_and_unknown(tmp_path):
     np.testing.assert_array_equal(truth[1::2, 1], np.arange(5))
     assert np.isnan(truth[::2, 1]).all()
     assert np.isnan(truth[1::2, 0]).all()
+
+
+@pytest.mark.parametrize("parts", [(1, 1), (3, 7), (50, 2)])
+def test_tables_are_merged_in_the_order_of_their_times_however_they_are_cut(parts):
+    rng = np.random.default_rng(4)
+    times = [np.unique(rng.integers(0, 60, 30)) / 4 for _ in range(2)]
+    tables = []
+    for name, t, many in zip("ab", times, parts, strict=True):
+        cuts = [
+            Rows(t[i : i + many], t[i : i + many, None], np.arange(len(t))[i : i + many])
+            for i in range(0, len(t), many)
+        ]
+        tables.append(Table((name,), lambda cuts=cuts: iter(cuts)))
+    for hold in (True, False):
+        found = list(merge(tables, ["b", "a"], hold).read())
+        t, values = (np.concatenate([getattr(rows, what) for rows in found]) for what in ("t", "values"))
+        np.testing.assert_array_equal(t, np.union1d(*times))
+        for column, mine in zip(values.T, times[::-1], strict=True):
+            newest = [mine[mine <= each].max(initial=0.0) for each in t]
+            np.testing.assert_array_equal(column, newest if hold else np.where(np.isin(t, mine), t, np.nan))
 
 
 def test_message_without_a_stamp_needs_received_for_a_channel_alone(tmp_path):
