@@ -62,12 +62,9 @@ class Contents(NamedTuple):
 
 def is_log(path: Path) -> bool:
     """Say whether a file or folder says by itself which channels it has."""
-    if path.suffix.lower() == ".toml" or not path.exists():
-        return True
-    measured = any((path / f"measurements{kind}").is_file() for kind in tables.KINDS)
-    if path.suffix.lower() in tables.KINDS and not path.is_dir():
-        measured = {tables.name_and_unit(head)[0] for head in tables.heads(path)}.issuperset(tables.COLUMNS)
-    return measured
+    if path.is_dir():
+        return any((path / f"measurements{kind}").is_file() for kind in tables.KINDS)
+    return path.suffix.lower() == ".toml" or not path.exists() or tables.has_channels(path)
 
 
 def contents(path: Path) -> list[Contents]:
@@ -128,13 +125,13 @@ def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
         for field, s in (numbers or {"": c.fields.get(str(c.stamp), FieldStats())}).items():
             many = s.spread.many
             rows.append(
-                {"topic": c.topic.name, "frame": c.topic.frame, "kind": c.topic.kind, "field": field, "rows": s.rows}
-                | {
-                    "missing": s.rows - many,
+                {
+                    **{"topic": c.topic.name, "frame": c.topic.frame, "kind": c.topic.kind, "field": field},
+                    **{"rows": s.rows, "missing": s.rows - many, "first": first, "last": last},
                     "rate": (many - 1) / (last - first) if last > first and many > 1 else np.nan,
+                    **{"least": s.spread.least if many else np.nan, "most": s.spread.most if many else np.nan},
+                    **{"constant": s.constant, "repeats": s.repeats},
                 }
-                | {"first": first, "last": last, "least": s.spread.least if many else np.nan}
-                | {"most": s.spread.most if many else np.nan, "constant": s.constant, "repeats": s.repeats}
             )
     return rows
 

@@ -103,8 +103,8 @@ def _encoding(sample: bytes) -> str:
 
 def _decode(sample: bytes, encoding: str, path: Path) -> str:
     try:
-        text = codecs.getincrementaldecoder(encoding)().decode(sample).removeprefix("\ufeff")
-    except (LookupError, UnicodeError) as error:
+        text = sample.decode(encoding, "ignore").removeprefix("\ufeff")  # the last letter may be cut
+    except LookupError as error:
         raise UserError(f"{path.name}: encoding: {error}; write another in [csv], such as 'latin-1'.") from None
     if "\0" in text or not text.strip():
         got = "bytes that are no text" if "\0" in text else "an empty file"

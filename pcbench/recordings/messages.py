@@ -9,7 +9,7 @@ import numpy as np
 from pcbench.errors import UserError, unknown
 from pcbench.recordings.log import MOST, SECONDS, Columns, Source, Topic
 
-MANY = 1 << 14  # messages of a part
+MANY, FRAMES = 1 << 14, 100  # messages of a part, frames of a topic that are listed
 SHORT = 9  # places of a list that are fields each, such as those of a covariance of three numbers
 RECEIVED = "received"  # in place of a field: when the recorder got the message
 STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a stamp in ROS 2, MCAP's schemas, ROS 1
@@ -39,7 +39,7 @@ def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> It
             return
         for each in transforms:
             frame = str(_member(each, "child_frame_id"))
-            if frame not in frames:
+            if frame not in frames and len(frames) < FRAMES:
                 frames[frame] = None
                 numbers, times = _leaves(each)
                 yield Topic(name, kind, numbers, [*times, RECEIVED], frame)

@@ -106,7 +106,7 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
         raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide recordings.")
     if path.suffix.lower() == ".toml":
         return open_toml(path, delay)
-    if path.is_dir() or path.suffix.lower() in tables.KINDS:
+    if path.is_dir() or tables.has_channels(path):
         return tables.open_tables(path, delay)
     raise UserError(
         f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; write "

@@ -192,6 +192,11 @@ def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
         return list(pq.read_schema(path).names if path.suffix.lower() == ".parquet" else dialect(path, given).names)
 
 
+def has_channels(path: Path) -> bool:
+    """Say whether a file is a table with a column of channels."""
+    return path.suffix.lower() in KINDS and any(name_and_unit(head)[0] == "channel" for head in heads(path))
+
+
 def name_and_unit(head: str) -> tuple[str, str | None]:
     """Return the name and the unit of a column's head, such as "sampled [ms]"; None where it has none."""
     match = HEAD.match(head)

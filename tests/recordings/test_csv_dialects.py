@@ -113,6 +113,24 @@ def test_keys_of_toml_decide_what_is_ambiguous(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ('encoding = "zlib"', "encoding: 'zlib' is not a text encoding"),
+        ('encoding = "none"', "encoding: unknown encoding: none"),
+        ('separator = "\\n"', "run.csv: "),
+        ('separator = ";;"', "csv.separator: string should have at most 1 character"),
+        ('decimal = "1"', "run.csv: "),
+        ("head = 99", "'y' is no column here"),
+        ("skip = 1", "csv.skip: extra inputs are not permitted"),
+    ],
+)
+def test_what_a_table_csv_gives_wrong_is_one_sentence(tmp_path, keys, sentence):
+    with pytest.raises(UserError) as caught:
+        read(tmp_path, lines(), keys=f"[csv]\n{keys}")
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
     ("content", "sentence"),
     [
         (lines().replace("-1.25", "much"), "row 2: got 'much00' as y, expected a number; mend it, or leave it empty"),
