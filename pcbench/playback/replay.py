@@ -108,8 +108,8 @@ def _capable(a: Playback, room: Room, names: list[str]) -> Playback:
 def stamps_that_go_back(survey: Survey) -> list[str]:
     """Return a sentence for each channel whose stamps go back, as they do where a sample overtakes another."""
     return [
-        f"row {c.out_of_order.first_mark} of channel {name} has a stamp that goes back, the first of {c.out_of_order.many}: "
-        "each counts at its stamp."
+        f"row {c.out_of_order.first_mark} of channel {name} is out-of-sequence, the first of {c.out_of_order.many}: "
+        "each is used at the time it was taken."
         for name, c in survey.channels.items()
         if c.out_of_order.many
     ]

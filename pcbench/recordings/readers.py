@@ -231,7 +231,7 @@ def _table(given: dict[str, Column], kind: Format, source: Source, what: str) ->
     for name, c in given.items():
         for key in ("std", "variance", "sampled", "arrived", "delay"):
             if getattr(c, key) is not None:
-                remedy = "write t in its place" if key == "sampled" else "leave it out"
+                remedy = "name the column of the times by t instead" if key == "sampled" else "leave it out"
                 raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; {remedy}.")
         groups.setdefault((c.topic, c.frame, c.t, c.period), {})[name] = c
     tables = []

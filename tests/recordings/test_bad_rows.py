@@ -52,9 +52,9 @@ def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     found = survey(log)
     (row,) = channel_rows(found)
     assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
-    assert "1 sample stands behind one with a later stamp, the first in row 9" in odd(row)
+    assert "1 out-of-sequence sample, the first in row 9" in odd(row)
     assert stamps_that_go_back(found)[0].startswith(
-        "row 9 of channel y1 has a stamp that goes back, the first of 1: each counts"
+        "row 9 of channel y1 is out-of-sequence, the first of 1: each is used"
     )
 
 

@@ -87,7 +87,7 @@ def odd(row: Row) -> list[str]:
         out.append(f"{many('gaps', 'gap')} of more than five intervals, {longest}")
     if row["out_of_order"]:
         first = f"the first in {at('out_of_order')}"
-        out.append(f"{stand('out_of_order', 'sample')} behind one with a later stamp, {first}")
+        out.append(f"{many('out_of_order', 'out-of-sequence sample')}, {first}")
     if row["doubled"]:
         out.append(f"{stand('doubled', 'stamp')} there twice, the first in {at('doubled')}")
     if row["jumps"]:
