@@ -137,7 +137,7 @@ def test_message_without_a_stamp_needs_received_for_a_channel_alone(tmp_path):
     np.testing.assert_allclose(next(log.inputs.read()).t, T)
     (tmp_path / "log.toml").write_text(text + 'sampled = "received"\n' + inputs + 'sampled = "received"\n')
     with pytest.raises(
-        UserError, match=r"inputs\.u1: got sampled, expected it of channels alone; write t in its place"
+        UserError, match=r"inputs\.u1: got sampled, expected it of channels alone; name the column of the times by t"
     ):
         readers.open_log(tmp_path / "log.toml")
 
