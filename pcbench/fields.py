@@ -48,8 +48,8 @@ FIELDS = (
     Field(
         "sampling_period",
         "s",
-        "(mean) time between samples; a list where output channels differ",
-        title="a sample every",
+        "time between samples (the mean if it varies); a list if output channels differ",
+        title="sampling period",
         form="times",
         per="channel",
         ticks=True,
@@ -59,9 +59,9 @@ FIELDS = (
     Field(
         "delay",
         "s",
-        "age of a sample when it arrives, the mean where it varies with time; a list where output channels differ;"
-        " null: one sampling interval",
-        title="each late by",
+        "time from sampling to arrival (the mean if it varies); a list if output channels differ; null: one sampling "
+        "interval",
+        title="delay",
         form="times",
         per="channel",
         word="interval",
@@ -72,8 +72,8 @@ FIELDS = (
     Field(
         "noise_std",
         "unit of the output",
-        "standard deviation of one sample's noise; a list where output channels differ",
-        title="noise of a sample (std)",
+        "standard deviation of the measurement noise; a list if output channels differ",
+        title="measurement noise (std)",
         form="outputs",
         per="channel",
         always=True,
@@ -81,9 +81,9 @@ FIELDS = (
     Field(
         "parameter_drift",
         "1",
-        "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and the "
-        "helicopter its amplitude",
-        title="parameter_drift",
+        "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as published, on the arm and "
+        "the helicopter its amplitude",
+        title="parameter drift",
         signed=True,
         always=True,
         search=(0.0, 2.0),
@@ -91,8 +91,9 @@ FIELDS = (
     Field(
         "sampling_pattern",
         "",
-        "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
-        title="sampling intervals",
+        "pattern of the sampling intervals: periodic, sine, uniform (random in each run), or a list of intervals [s] "
+        "that repeats",
+        title="sampling pattern",
         form="times",
         word="*",
         listed=True,
@@ -101,7 +102,7 @@ FIELDS = (
     Field(
         "sampling_jitter",
         "s",
-        "a sample is taken up to this much early or late (uniform over whole ticks)",
+        "largest shift of a sampling time, earlier or later (uniform over whole ticks)",
         title="sampling jitter",
         form="± {} s",
         per="sensor",
@@ -113,9 +114,9 @@ FIELDS = (
     Field(
         "delay_jitter",
         "s",
-        "a sample arrives up to this much later (uniform over whole ticks)",
+        "largest additional delay of a sample (uniform over whole ticks)",
         title="delay jitter",
-        form="up to {} s more",
+        form="0 to {} s",
         per="sensor",
         ticks=True,
         always=True,
@@ -125,7 +126,7 @@ FIELDS = (
     Field(
         "loss",
         "1",
-        "probability that a sample never arrives",
+        "probability that a sample is lost",
         title="lost samples",
         form="percent",
         per="sensor",
@@ -137,8 +138,8 @@ FIELDS = (
     Field(
         "assumed_delay_error",
         "s",
-        "observers assume every sample to be this much older than it is",
-        title="observers assume samples older by",
+        "assumed delay minus true delay of every sample",
+        title="error of the assumed delay",
         form="{} s",
         ticks=True,
         signed=True,
@@ -148,9 +149,9 @@ FIELDS = (
     Field(
         "actuator_delay",
         "s",
-        "from command to plant, the mean where it varies with time; null: in a closed loop that of the samples, "
-        "in an open one none",
-        title="commands late by",
+        "delay from command to plant (the mean if it varies); null: in a closed loop the delay of the samples, in an "
+        "open loop none",
+        title="actuator delay",
         form="{} s",
         ticks=True,
         always=True,
@@ -159,16 +160,17 @@ FIELDS = (
     Field(
         "process_std",
         "unit of the state",
-        "standard deviation of a tick's noise on the states; a list where they differ",
-        title="process noise a tick (std)",
+        "standard deviation of the noise added to each state at every tick; a list if the states differ",
+        title="process noise per tick (std)",
         form="states",
         per="state",
     ),
     Field(
         "delay_values",
         "s",
-        "a sample arrives later by one of these [s], which a Markov chain from sample to sample chooses",
-        title="delays longer by, a Markov chain",
+        "possible additional delays [s] of a sample: a Markov chain from sample to sample, or independent with "
+        "delay_weights",
+        title="additional delay, one of",
         form="times",
         listed=True,
         random=True,
@@ -176,18 +178,18 @@ FIELDS = (
     Field(
         "delay_self_transition",
         "1",
-        "probability that the next sample has the same one of delay_values, or else any other alike; a list where "
-        "it depends on the one that is",
-        title="chance to stay so",
+        "probability that the next sample has the same additional delay; otherwise each other value is equally likely. "
+        "A list: one per value",
+        title="probability of the same additional delay",
         per="value",
-        limit=Limit(lambda n: n < 1, "a probability below 1: a delay that never changes is no chain."),
+        limit=Limit(lambda n: n < 1, "a probability below 1, so that the delay changes."),
         search=(0.0, 0.95),
     ),
     Field(
         "delay_sequence",
         "s",
-        "samples arrive later by these [s] in turn, the same in all runs; lost: that one never arrives",
-        title="delays longer by, in turn",
+        "additional delays [s] that repeat in this order, the same in all runs; lost: the sample is lost",
+        title="additional delays in this order",
         form="turns",
         word="lost",
         listed=True,
@@ -195,16 +197,16 @@ FIELDS = (
     Field(
         "delay_weights",
         "1",
-        "shares of samples, each by itself, that arrive later by each of delay_values, in proportion to these",
-        title="shares of these, each by itself",
+        "relative frequencies of the delay_values, drawn independently for each sample",
+        title="their relative frequencies (independent)",
         listed=True,
-        limit=Limit(lambda n: n > 0, "shares greater than 0; leave that step out."),
+        limit=Limit(lambda n: n > 0, "weights greater than 0; leave that value out."),
     ),
     Field(
         "delay_gamma_mean",
         "s",
-        "a sample arrives later by a time of a gamma distribution with this mean, in whole ticks",
-        title="delays longer by a gamma distribution's, mean",
+        "mean of a gamma-distributed additional delay, rounded to whole ticks",
+        title="additional delay (gamma distribution), mean",
         form="{} s",
         per="sensor",
         search=(0.0, "tail"),
@@ -213,17 +215,17 @@ FIELDS = (
     Field(
         "delay_gamma_shape",
         "1",
-        "shape of that distribution: its mean over its standard deviation, squared",
-        title="its shape",
+        "shape of the gamma distribution: (mean / standard deviation)^2; 1: exponential",
+        title="shape of the gamma distribution",
         per="sensor",
-        limit=Limit(lambda n: n > 0, "a shape greater than 0; write 1 for an exponential."),
+        limit=Limit(lambda n: n > 0, "a shape greater than 0; write 1 for an exponential distribution."),
         search=(0.5, 10.0),
     ),
     Field(
         "outlier_probability",
         "1",
-        "that a sample's noise is outlier_scale times what it would be, which no observer takes into account",
-        title="outliers among samples",
+        "probability that a sample is an outlier; the assumed noise contains no outliers",
+        title="outliers",
         form="percent",
         per="sensor",
         limit=PROBABILITY,
@@ -232,17 +234,17 @@ FIELDS = (
     Field(
         "outlier_scale",
         "1",
-        "how many times larger the noise of an outlier is",
+        "factor by which the noise of an outlier is larger",
         title="noise of an outlier",
-        form="{} times a sample's",
+        form="{} times as large",
         per="sensor",
     ),
     Field(
         "student_t_dof",
         "1",
-        "degrees of freedom of Student's t that the noise of samples has, of the same variance, which no "
-        "observer takes into account; inf: it is Gaussian",
-        title="noise of samples",
+        "degrees of freedom of noise with a Student's t distribution and the same variance; inf: Gaussian. The assumed "
+        "noise is Gaussian",
+        title="distribution of the measurement noise",
         form="Student's t, {} degrees of freedom",
         word="inf",
         limit=Limit(
@@ -254,28 +256,28 @@ FIELDS = (
     Field(
         "assumed_noise_scale",
         "1",
-        "how many times larger than it is the noise of a sample is assumed to be",
-        title="observers assume noise larger by",
-        form="{} times",
+        "assumed standard deviation of the measurement noise divided by the true one",
+        title="assumed measurement noise (std)",
+        form="{} times the true one",
         limit=Limit(
             lambda n: n > 0,
-            "a number greater than 0: how many times larger noise is assumed to be than it is; write 1 if that is right.",
+            "a number greater than 0: the assumed noise divided by the true one; write 1 if they are equal.",
         ),
         search=(0.1, 10.0),
     ),
     Field(
         "quantization_step",
         "unit of the output",
-        "a sample is rounded to whole steps of this size, which no observer takes into account; a list where output "
+        "step to whose multiples a sample is rounded; the assumed noise does not contain the rounding. A list if output "
         "channels differ",
-        title="samples rounded to steps of",
+        title="quantization step",
         form="outputs",
         per="output",
     ),
     Field(
         "dither",
         "1",
-        "1: noise uniform over one step is added before a sample is rounded, and taken off after",
+        "1: uniform noise over one quantization step, added before rounding and subtracted afterwards; 0: none",
         title="dither",
         form="subtractive, over one step",
         limit=Limit(lambda n: n in (0, 1), "1 (with subtractive dither) or 0 (without)."),
@@ -284,8 +286,8 @@ FIELDS = (
     Field(
         "mean_burst_length",
         "samples",
-        "mean number of samples in a row that losses take (Gilbert and Elliott); 0: each is lost by itself",
-        title="lost in a row, mean",
+        "mean number of consecutive lost samples (Gilbert-Elliott model); 0: independent losses",
+        title="mean length of a burst of losses",
         form="{} samples",
         per="sensor",
         search=(2.0, 20.0),
@@ -293,8 +295,8 @@ FIELDS = (
     Field(
         "sampling_phase",
         "s",
-        "time of the first sample; sensors whose phases differ alternate",
-        title="first sample at",
+        "time of the first sample; sensors with different phases alternate",
+        title="time of the first sample",
         form="{} s",
         per="sensor",
         ticks=True,
@@ -302,8 +304,8 @@ FIELDS = (
     Field(
         "outage_start",
         "s",
-        "start of the time in which no sample that is taken arrives",
-        title="no sample arrives that is taken from",
+        "start of an outage: all samples taken during it are lost",
+        title="start of the outage",
         form="{} s",
         per="sensor",
         ticks=True,
@@ -311,8 +313,8 @@ FIELDS = (
     Field(
         "outage_duration",
         "s",
-        "length of that time; 0: there is none",
-        title="for",
+        "duration of the outage; 0: no outage",
+        title="duration of the outage",
         form="{} s",
         per="sensor",
         ticks=True,
@@ -321,8 +323,8 @@ FIELDS = (
     Field(
         "timestamp_offset",
         "s",
-        "a sample's stamp says that it was taken so much later than it was, which no observer takes into account",
-        title="stamps ahead by",
+        "timestamp minus true sampling time of every sample; the design does not include it",
+        title="timestamp offset",
         form="{} s",
         ticks=True,
         signed=True,
@@ -331,8 +333,8 @@ FIELDS = (
     Field(
         "clock_skew",
         "ppm",
-        "by which the clock of the stamps is fast, from t = 0 on",
-        title="clock of stamps fast by",
+        "relative rate error of the clock that sets the timestamps, from t = 0; positive: fast",
+        title="clock skew",
         form="{} ppm",
         signed=True,
         search=(0.0, 1000.0),
@@ -340,8 +342,8 @@ FIELDS = (
     Field(
         "timestamp_jitter",
         "s",
-        "a sample's stamp is wrong by up to this much, either way (uniform over whole ticks)",
-        title="stamps wrong by",
+        "largest random error of a timestamp, earlier or later (uniform over whole ticks)",
+        title="timestamp jitter",
         form="± {} s",
         ticks=True,
         search=(0.0, "half"),
@@ -350,9 +352,9 @@ FIELDS = (
     Field(
         "command_jitter",
         "s",
-        "a command comes to the plant up to this much later (uniform over whole ticks)",
-        title="commands later by",
-        form="up to {} s more",
+        "largest additional delay of a command (uniform over whole ticks), in loops with a [controller] table",
+        title="command jitter",
+        form="0 to {} s",
         ticks=True,
         loop=True,
         search=(0.0, "tail"),
@@ -360,7 +362,7 @@ FIELDS = (
     Field(
         "command_loss",
         "1",
-        "probability that a command never comes to the plant, which holds the last one that came",
+        "probability that a command is lost and the plant holds the previous one, in loops with a [controller] table",
         title="lost commands",
         form="percent",
         loop=True,
@@ -370,7 +372,8 @@ FIELDS = (
     Field(
         "command_std",
         "unit of the input",
-        "standard deviation of one command's noise, which observers do not know of",
+        "standard deviation of the noise of a command, in loops with a [controller] table; the design does not "
+        "include it",
         title="noise of a command (std)",
         loop=True,
     ),
