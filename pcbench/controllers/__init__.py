@@ -30,20 +30,20 @@ def _pd(options: Any, context: ControllerContext) -> Params:
 
 
 CONTROLLERS = {
-    "pd": ControllerSpec(pd.controller, pd.Options, _pd, "PD of two angles along a path, for the helicopter"),
+    "pd": ControllerSpec(pd.controller, pd.Options, _pd, "PD control of two angles along a path, for the helicopter"),
     "state-feedback": ControllerSpec(
         state_feedback.controller,
         state_feedback.Options,
         state_feedback.prepare,
-        "u = -K (xhat - x_ref) on the estimate",
+        "state feedback of the estimate: u = -K (xhat - x_ref)",
         state_feedback.check,
         state_feedback.linear,
     ),
     "lqr": ControllerSpec(
-        lqr.controller, lqr.Lqr, lqr.prepare, "state feedback by weights, for the sampled plant", lqr.check, lqr.linear
+        lqr.controller, lqr.Lqr, lqr.prepare, "linear-quadratic regulator for the sampled plant", lqr.check, lqr.linear
     ),
     "pid": ControllerSpec(
-        pid.controller, pid.Options, pid.prepare, "PID on the outputs of the estimate", pid.check, pid.linear
+        pid.controller, pid.Options, pid.prepare, "PID control of the estimated outputs", pid.check, pid.linear
     ),
 }
 

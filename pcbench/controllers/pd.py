@@ -35,7 +35,7 @@ class Options(BaseModel):
     Kp: tuple[float, float]
     Kd: tuple[float, float]
     limit: tuple[float, float] = Field(description="largest command [V]")
-    path: str = Field(description="a name in signals.PATHS")
+    path: str = Field(description="name of the path")
     feedforward: bool = False
     predictor: bool = False
 

@@ -85,76 +85,72 @@ _PCO = ObserverSpec(
     pco.Proportional,
     pco.design,
     True,
-    "piecewise continuous, reduced order; given or by LMI",
+    "piecewise-continuous observer of reduced order",
     "one clock",
 )
-# Shortcuts for late samples: Kalman filters as `kf`, which differ in what they do with what is late.
+# Kalman filters that differ from `kf` in their treatment of delayed samples.
 LATE = {
-    "kf-ignore-delay": _late(kf_ignore_delay, "takes a late sample for one of now", knows_schedule=False),
-    "kf-drop-delayed": _late(kf_drop_delayed, "drops what is older than a limit"),
-    "kf-reprocess": _late(kf_reprocess, "keeps past samples, goes back and filters again"),
-    "kf-cloning": _late(kf_cloning, "a copy of the state for each sample on its way"),
-    "kf-larsen": _late(kf_larsen, "extrapolates the delayed measurement to the present"),
-    "kf-alexander": _late(kf_alexander, "updates P at sampling, the estimate at arrival"),
-    "kf-delayed-horizon": _late(kf_delayed_horizon, "runs a fixed time behind, and predicts to now"),
+    "kf-ignore-delay": _late(kf_ignore_delay, "Kalman filter that ignores the delay of a sample", knows_schedule=False),
+    "kf-drop-delayed": _late(kf_drop_delayed, "Kalman filter that drops samples older than a limit"),
+    "kf-reprocess": _late(kf_reprocess, "Kalman filter that filters again from a past sample"),
+    "kf-cloning": _late(kf_cloning, "Kalman filter with copies of past states"),
+    "kf-larsen": _late(kf_larsen, "Kalman filter that extrapolates a delayed sample"),
+    "kf-alexander": _late(kf_alexander, "Kalman filter that updates P at the sampling time"),
+    "kf-delayed-horizon": _late(kf_delayed_horizon, "Kalman filter at a fixed lag, with a prediction"),
     "kf-shifted-innovation": _late(
-        kf_shifted_innovation, "a late innovation, shifted by the input's integral", knows_schedule=False
+        kf_shifted_innovation, "Kalman filter with a shifted delayed innovation", knows_schedule=False
     ),
-    "oosm-a1": _late(oosm_a1, "retrodicts one step, exactly"),
-    "oosm-b1": _late(oosm_b1, "retrodicts one step, the noise between taken for 0"),
-    "oosm-lag": _late(oosm_lag, "retrodicts several steps as one"),
+    "oosm-a1": _late(oosm_a1, "exact out-of-sequence update over one step"),
+    "oosm-b1": _late(oosm_b1, "out-of-sequence update that neglects process noise"),
+    "oosm-lag": _late(oosm_lag, "out-of-sequence update over several steps"),
 }
 # Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it.
 NONLINEAR = {
-    "ekf-iterated": _late(ekf_iterated, "EKF that iterates the linearisation of the sensor")._replace(nonlinear=True),
+    "ekf-iterated": _late(ekf_iterated, "EKF with iterated linearisation of the sensor")._replace(nonlinear=True),
     "ukf": _late(ukf, "unscented (or cubature) Kalman filter")._replace(nonlinear=True, lanes=particle.LANES),
-    "mhe": _late(mhe, "moving horizon over a window of samples, within bounds")._replace(
+    "mhe": _late(mhe, "moving-horizon estimation, optionally with bounds")._replace(
         nonlinear=True, expensive=True, loops=False
     ),
     "particle": _late(particle, "bootstrap particle filter with systematic resampling", knows_schedule=False)._replace(
         nonlinear=True, expensive=True, lanes=particle.LANES
     ),
 }
-# Observers that do not know how late their samples are, and find it out.
+# Observers that estimate an unknown delay.
 DELAYS = {
     "ekf-delay": _late(ekf_delay, "EKF with the delay as an additional state", knows_schedule=False)._replace(
         loops=False
     ),
-    "mmae-delay": _late(
-        mmae_delay, "a Kalman filter for each of several delays, weighted", knows_schedule=False
-    )._replace(loops=False),
+    "mmae-delay": _late(mmae_delay, "weighted Kalman filters, one per assumed delay", knows_schedule=False)._replace(
+        loops=False
+    ),
 }
 OBSERVERS = {
-    "pccebo": _of(pccebo, "current estimator, predictor; gain by LMI or Riccati", "one clock")._replace(
-        designed={"gain": "riccati"}
-    ),
-    "kfbo": _of(kfbo, "Kalman filter of the held, late measurement", "one constant delay", False)._replace(
+    "pccebo": _of(pccebo, "current estimator with predictor", "one clock")._replace(designed={"gain": "riccati"}),
+    "kfbo": _of(kfbo, "Kalman filter of the held, delayed measurement", "one constant delay", False)._replace(
         designed={"R": "noise"}
     ),
     "pco": _PCO._replace(designed={"Kp": "lmi"}),
     "pi-pco": _PCO._replace(
         options=pco.ProportionalIntegral,
-        summary="PCO with an integral; gains given or by LMI",
+        summary="pco with an integral term",
         designed={"Kp": "lmi", "Ki": "lmi"},
     ),
-    "chain": _of(chain, "one link per delay; gains by poles or Riccati", "constant delays")._replace(
-        designed={"gain": "riccati"}
-    ),
-    "equal-delay": _of(equal_delay, "pretends one delay for all channels", "constant delays", False),
-    "no-delay": _of(no_delay, "classical observer, designed without the delay", "constant delays", False),
-    "smo": _of(smo, "sliding mode with unknown input; printed or by LMI", "one constant delay")._replace(
+    "chain": _of(chain, "chain of observers, one per delay", "constant delays")._replace(designed={"gain": "riccati"}),
+    "equal-delay": _of(equal_delay, "observer designed with one delay for all channels", "constant delays", False),
+    "no-delay": _of(no_delay, "classical observer, designed without delay", "constant delays", False),
+    "smo": _of(smo, "sliding-mode observer for unknown inputs", "one constant delay")._replace(
         smooth=False, designed={"gains": "design"}
     ),
-    "pio": _of(pio, "PI and sign with unknown input; printed or by LMI", "one constant delay")._replace(
+    "pio": _of(pio, "PI observer with a sign term for unknown inputs", "one constant delay")._replace(
         smooth=False, designed={"gains": "design"}
     ),
-    "high-gain": _of(high_gain, "high gain with output predictor; printed or robust")._replace(nonlinear=True),
-    "ekf": _late(ekf, "extended Kalman filter at each sample's own time")._replace(nonlinear=True),
-    "kf": _of(kf, "delay-compensated Kalman filter, the fair baseline"),
+    "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
+    "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,
     **LATE,
     **DELAYS,
-    "model-only": _of(model_only, "the model alone, never corrected: the floor"),
+    "model-only": _of(model_only, "model that ignores all measurements"),
 }
 for _name in (
     *("kf", "kf-ignore-delay", "kf-drop-delayed", "kf-reprocess", "kf-shifted-innovation", "kf-cloning", "kf-larsen"),

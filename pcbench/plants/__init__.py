@@ -18,15 +18,13 @@ def _of(module: ModuleType, summary: str) -> PlantSpec:
 
 
 PLANTS: dict[str, PlantSpec] = {
-    "cart": _of(cart, "mobile cart under a camera, 2 states")._replace(signs=("drift_sign",)),
-    "late-cart": _of(late_cart, "the mobile cart, the delay of its samples unknown, 2 states")._replace(
+    "cart": _of(cart, "mobile cart below a camera, 2 states")._replace(signs=("drift_sign",)),
+    "late-cart": _of(late_cart, "mobile cart with an unknown measurement delay, 2 states")._replace(
         unknowns=late_cart.UNKNOWNS, ranges=((0.0, float("inf")),), drifts=False
     ),
     "csth": _of(csth, "stirred tank heater with three slow sensors, 3 states")._replace(drifts=False),
-    "arm": _of(arm, "flexible-joint arm pushed by an unknown input, 4 states")._replace(
-        unknowns=arm.UNKNOWNS, heavy=True
-    ),
-    "helicopter": _of(helicopter, "helicopter with two degrees of freedom and unknown viscosities, 4 states")._replace(
+    "arm": _of(arm, "flexible-joint arm with an unknown input, 4 states")._replace(unknowns=arm.UNKNOWNS, heavy=True),
+    "helicopter": _of(helicopter, "helicopter with two angles, unknown viscosities, 4 states")._replace(
         unknowns=helicopter.UNKNOWNS,
         heavy=True,
         model=helicopter.model,
@@ -35,10 +33,10 @@ PLANTS: dict[str, PlantSpec] = {
         positive=("Jth", "Jps", "m", "l", "g", "Bth", "Bps"),
         ranges=helicopter.RANGE,
     ),
-    "reactor": _of(reactor, "gas-phase batch reactor, its total pressure measured, 2 states")._replace(
+    "reactor": _of(reactor, "gas-phase batch reactor with measured total pressure, 2 states")._replace(
         heavy=True, model=reactor.model, positive=("k1", "k2"), drifts=False
     ),
-    "lti": _of(lti, "any linear plant of your own: a study's table [lti]")._replace(drifts=False),
+    "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }
 
 

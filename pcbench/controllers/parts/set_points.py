@@ -26,11 +26,11 @@ class SetPoint(BaseModel):
     """One state's set point: a step, a sine, or a table; one of them."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    step: Number | None = Field(None, description="its value from the time `at` on, 0 before")
-    at: Number = Field(0.0, description="of the step [s]")
-    sine: Number | None = Field(None, description="amplitude about `offset`")
-    frequency: Positive = Field(1.0, description="of the sine [Hz]")
-    offset: Number = Field(0.0, description="of the sine")
+    step: Number | None = Field(None, description="value from the time `at` on, 0 before")
+    at: Number = Field(0.0, description="time of the step [s]")
+    sine: Number | None = Field(None, description="amplitude of a sine about `offset`")
+    frequency: Positive = Field(1.0, description="frequency of the sine [Hz]")
+    offset: Number = Field(0.0, description="mean of the sine")
     table: list[tuple[Number, Number]] | None = Field(
         None, min_length=1, description="[[t [s], value], ...], each value held until the next time; 0 before the first"
     )

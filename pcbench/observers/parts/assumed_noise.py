@@ -51,7 +51,8 @@ def covariance(given: Variances | Sizes | None, many: int, where: str, each: str
     size = max(float(np.abs(found).max()), 1e-300)
     if np.abs(found - found.T).max() > ROUNDING * size or np.linalg.eigvalsh(found)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
+            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; "
+            "correct its entries."
         )
     return found
 
