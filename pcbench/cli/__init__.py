@@ -52,7 +52,7 @@ def main() -> None:
             code = _exit_interrupted()
         elif out_of_memory(error):
             code = _complain(
-                f"memory ran out ({first_sentence(error)}), expected more; end other programs, or ask for less at a time."
+                f"memory ran out ({first_sentence(error)}), expected more; end other programs, or compute less at a time."
             )
         elif hasattr(error, "format_message"):  # as the command line's own usage errors have
             code = _complain(_of_usage(error))

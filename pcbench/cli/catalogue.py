@@ -1,4 +1,4 @@
-"""What `pcbench list` says of everything there is: as data, for a program and for the screen."""
+"""The lists and descriptions of `pcbench list`, as data."""
 
 from collections.abc import Callable, Mapping
 from inspect import get_annotations
@@ -13,7 +13,7 @@ from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
 from pcbench.observers.parts.options import TUNABLE, extra
-from pcbench.plants import PLANTS, parameters_in, parameters_of
+from pcbench.plants import PLANTS, drifts, parameters_in, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORDS
@@ -21,26 +21,29 @@ from pcbench.scenarios.sources import Table, Wave
 from pcbench.statistics import RUN_METRICS
 from pcbench.study import STUDIES, Choices, Study, observers_of, parse
 from pcbench.study.axes import AXES, COMMANDS, axes_of
+from pcbench.study.fits import DRAWN
 from pcbench.study.plugins import registry, user_code
 
 TAKES = {
-    "any schedule": "of any age, in any order, from clocks of their own",
-    "one clock": "of any age, in any order; all channels together",
-    "one constant delay": "of one constant age",
-    "constant delays": "taken regularly, all channels together; each channel of a constant age of its own",
+    "any schedule": "any delay and order; each channel can have its own schedule",
+    "one clock": "any delay and order; all channels with the same schedule",
+    "one constant delay": "one constant delay",
+    "constant delays": "regular samples of all channels; one constant delay per channel",
 }
-NAMED = {  # fields of a scenario that its description names itself
+NAMED = {  # fields of a scenario with their own key in its description
     *("sampling_period", "delay", "noise_std", "steady_start", "controller"),
     *("settle_band", "divergence_threshold", "signals", "unknowns"),
 }
+# axes that have an effect only with one of DRAWN
+WITH_DRAWN = ("delay_self_transition", "delay_weights", "delay_gamma_shape", "mean_burst_length")
 Description = dict[str, Any]
 
 
 def plant(p: plants.PlantSpec) -> Description:
-    """Return a plant with its states, unknown inputs, and parameters."""
+    """Describe a plant: states, unknown inputs and parameters."""
     return {
         "summary": p.summary,
-        "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
+        "signals": [{"name": s, "unit": u} for s, u in p.signals] or "defined by the study",
         "unknown": [{"name": s, "unit": u} for s, u in p.unknowns],
         "errors": [{"name": s, "unit": u} for s, u in p.errors],
         "parameters": {k: getattr(p.numbers, k) for k in parameters_of(p)},
@@ -48,26 +51,26 @@ def plant(p: plants.PlantSpec) -> Description:
 
 
 def observer(o: observers.ObserverSpec) -> Description:
-    """Return an observer with the samples it takes and its options."""
+    """Describe an observer: the samples that it accepts, and its options."""
     return {
         "summary": o.summary,
         "knows_schedule": o.knows_schedule,
         "samples": TAKES[o.takes],
-        "plants": "nonlinear ones too" if o.nonlinear else "linear",
+        "plants": "linear and nonlinear" if o.nonlinear else "linear",
         **facts.observer_facts(o),
         "options": options(o.options),
     }
 
 
 def controller(c: controllers.ControllerSpec) -> Description:
-    """Return a controller with its options, of a study's table [controller]: its own before those that all laws have."""
+    """Describe a controller: the options of the table [controller], its own before those of all controllers."""
     every, own = options(c.options), get_annotations(c.options)
     order = sorted(every, key=lambda name: name not in own)
     return {"summary": c.summary, "table": "[controller]", "options": {name: every[name] for name in order}}
 
 
 def options(model: type[BaseModel]) -> dict[str, Description]:
-    """Return every option of a model: type, default, range, what it is, and whether it can be tuned."""
+    """Describe each option of a model: type, default, range, meaning, and whether it can be tuned."""
     properties = model.model_json_schema()["properties"]
     return {
         name: {
@@ -82,9 +85,9 @@ def options(model: type[BaseModel]) -> dict[str, Description]:
 
 
 def scenario(s: Scenario, study: Study | None = None) -> Description:
-    """Return a scenario with its plant, its times, its source and every field that is not as usual.
+    """Describe a scenario: plant, times, source and each field that differs from its default.
 
-    Of a `study` with the study's observers and axes.
+    With a `study`: the study's observers and axes.
     """
     signals, bounds = signals_in(s), s.scoring.divergence_threshold
     if isinstance(bounds, float):
@@ -113,12 +116,22 @@ def scenario(s: Scenario, study: Study | None = None) -> Description:
             if name not in NAMED and s.value(name) != type(getattr(s, record))._field_defaults.get(name, ())
         },
         **({"observer_options": _data(s.options)} if s.options else {}),
-        "axes": [*axes_of(s), *(f"plant.{p}" for p in parameters_in(s))],
+        "axes": [*accepted_axes(s), *(f"plant.{p}" for p in parameters_in(s))],
     }
 
 
+def accepted_axes(s: Scenario) -> list[str]:
+    """Return the axes that a scenario accepts for at least one value, without its plant's parameters."""
+    refused = set() if drifts(s) else {"parameter_drift"}
+    if s.sampling.continuous:
+        refused |= {*RECORDS["sampling"], *RECORDS["belief"]}
+    if s.loop.controller and s.sampling.prefilled:  # its measurements have one schedule for all runs
+        refused |= {*DRAWN, *WITH_DRAWN, "delay_sequence"}
+    return [name for name in axes_of(s) if name not in refused]
+
+
 def _data(value: object) -> object:
-    """A value of a scenario as lists and dicts: of a wave what it says, of a table of inputs how many rows it has."""
+    """Return a value of a scenario as lists and dicts; for a table of inputs only its number of rows."""
     if isinstance(value, Wave):
         return {name: each for name, each in value._asdict().items() if each != value._field_defaults.get(name, "")}
     if isinstance(value, Table):
@@ -131,7 +144,7 @@ def _data(value: object) -> object:
 
 
 def study(s: Study) -> Description:
-    """Return a built-in study."""
+    """Describe a built-in study."""
     return {
         "summary": ", ".join(s.scenarios) if len(s.scenarios) < 4 else f"{len(s.scenarios)} scenarios",
         "scenarios": s.scenarios,
@@ -143,23 +156,23 @@ def study(s: Study) -> Description:
 
 
 def axis(name: str) -> Description:
-    """Return what an axis of a study holds."""
+    """Describe an axis of a study."""
     unit = AXIS_UNITS.get(name, "s")
     return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else ""), **facts.axis_facts(name)}
 
 
 METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
-    "pooled_rmse": "square root of the mean of e^2 over ticks and runs: it weighs bad runs more than the mean of rmse does",
-    "steady_pooled_rmse": "the same from the tail start on",
-    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, on average over x(0), over the "
-    "observer's",
-    "divergence_rate": "fraction of runs whose error became non-finite or left the scenario's divergence threshold",
-    "unsettled_rate": "fraction of the other runs whose error left its band in the tail",
+    "pooled_rmse": "square root of the mean of e^2 over ticks and runs; it weights bad runs more than the mean of rmse does",
+    "steady_pooled_rmse": "the same from steady_start on",
+    "rms_efficiency": "the Kalman bound divided by steady_pooled_rmse; 1 is best. The bound is the least steady_pooled_rmse of "
+    "any causal estimator, on average over x(0)",
+    "divergence_rate": "fraction of runs whose error became non-finite or exceeded the scenario's divergence threshold",
+    "unsettled_rate": "fraction of the other runs whose error left its band after steady_start",
 }
 METRICS |= facts.FURTHER_METRICS
 CATALOGUE: dict[
     str, tuple[Mapping[str, Any], Callable[[Any], Description]]
-] = {  # by kind: what there is, described how
+] = {  # by kind: the members, and the function that describes one
     "observers": (OBSERVERS, observer),
     "scenarios": (SCENARIOS, scenario),
     "plants": (PLANTS, plant),
@@ -169,20 +182,22 @@ CATALOGUE: dict[
     "metrics": ({name: name for name in METRICS}, lambda name: {"summary": METRICS[name], **facts.metric_facts(name)}),
     "choices": (options(Choices), lambda option: {"summary": option["description"]} | option),
 }
-OWN = ("observers", "plants", "controllers", "scenarios")  # kinds of what may be a user's own
-WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  # what `pcbench list` alone names
-TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
+OWN = ("observers", "plants", "controllers", "scenarios")  # kinds that a user can define
+WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  # kinds that `pcbench list` shows
+TITLES = {"choices": "choices (keys of [options.scenario])", "axes": "axes (in addition to plant.PARAMETER)"}
+SINGULAR = {"studies": "study", "axes": "axis"}
 
 
 def list_catalogue(kind: str, name: str | None = None) -> dict[str, Description]:
-    """Return what there is of a kind, by name, or the one of that name; raise UserError for another word."""
+    """Return the descriptions of a kind by name, or the one with that name; raise UserError for an unknown kind or name."""
     if kind not in CATALOGUE:
-        raise unknown("list", "kind of thing", kind, CATALOGUE)
+        raise unknown("list", "kind to list", kind, CATALOGUE)
     members, describe = CATALOGUE[kind]
-    installed = registry.find_plugins(kind.removesuffix("s"))
+    one = SINGULAR.get(kind, kind.removesuffix("s"))
+    installed = registry.find_plugins(one)
     if name is None:
         packages = {
-            each: {"summary": f"of the package {offer.package}", "use": offer.reference}
+            each: {"summary": f"from the package {offer.package}", "use": offer.reference}
             for each, offer in installed.items()
         }
         return {each: describe(member) for each, member in members.items()} | packages
@@ -190,9 +205,9 @@ def list_catalogue(kind: str, name: str | None = None) -> dict[str, Description]
         return {name: describe(members[name])}
     reference = installed[name].reference if name in installed else name
     if not user_code.is_reference(reference):
-        raise unknown(f"list {kind}", "name there (or MODULE:NAME)", name, [*members, *installed])
+        raise unknown(f"list {kind}", f"{one} (or MODULE:NAME)", name, [*members, *installed])
     if kind not in OWN:
-        raise unknown(f"list {kind}", "name there", reference, members)
+        raise unknown(f"list {kind}", one, reference, members)
     if kind == "scenarios":
         return {name: describe(parse.scenario_of(reference))}
-    return {name: describe(registry.load(kind.removesuffix("s"), reference, f"list {kind}").entry)}
+    return {name: describe(registry.load(one, reference, f"list {kind}").entry)}

@@ -1,4 +1,4 @@
-"""The commands, in the order of work, and what all of them have."""
+"""The commands of the command line, in the order of a typical workflow."""
 
 from collections.abc import Callable
 from importlib.metadata import version
@@ -9,32 +9,32 @@ import typer
 from pcbench.cli import export, lists, new, recordings, report, runs, tuning
 from pcbench.cli.shared import option
 
-ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, and a line that fits beside the name
-    "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
-    "guide": (new.guide, "a page of the guide, or which there are"),
-    "show": (lists.show, "a scenario in full, or as a study file to start from"),
-    "new": (new.new, "a file to start from: an observer, plant, controller, scenario"),
-    "run": (runs.run, "run a study, and leave its tables in a folder"),
-    "report": (report.report, "one HTML page of the results, or figures"),
-    "tables": (report.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
-    "find-limit": (runs.find_limit, "the largest period, delay, noise that keeps an error small"),
-    "simulate": (runs.simulate, "one run tick by tick, as a file"),
-    "info": (recordings.info, "what is in a recorded log: rates, gaps, delays"),
-    "convert": (recordings.convert, "a fast log as a slow, delayed sensor would have brought it"),
-    "replay": (recordings.replay, "observers on recorded data, as it arrived"),
-    "status": (runs.status, "how far a study is, and whether it is whole"),
-    "verify": (runs.verify, "check every file, compute some runs again"),
-    "merge": (runs.merge, "one dataset of several"),
-    "compare": (runs.compare, "what changed between two results of a study"),
-    "design": (tuning.design, "find gains and prove them"),
-    "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
-    "export": (export.export, "an observer as C, its gains as JSON and MAT, a run to test it by"),
-    "external prepare": (export.prepare, "what every run measures and when, for a program in any language"),
-    "external score": (export.score, "estimates made elsewhere, as one more observer"),
-    "external run": (export.run, "an observer in Python, one run at a time, on the same draws"),
-    "check": (new.check, "check what is your own: observer, plant, controller, study"),
-    "cite": (report.cite, "BibTeX of what a study used"),
-    "reproduce": (report.reproduce, "what five papers print, against what comes out"),
+ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, and a line of help, 62 letters at most
+    "list": (lists.list_, "List observers, scenarios, plants, studies, metrics and more"),
+    "guide": (new.guide, "Print a page of the guide, or the list of its pages"),
+    "show": (lists.show, "Describe a scenario, or print it as a study file"),
+    "new": (new.new, "Create a template: observer, plant, controller or scenario"),
+    "run": (runs.run, "Run a study and write its tables to a folder"),
+    "report": (report.report, "Write the results as one HTML page, or as figures"),
+    "tables": (report.tables, "Print tables for a paper as LaTeX, Markdown or CSV"),
+    "find-limit": (runs.find_limit, "Find the largest period, delay or noise for an error limit"),
+    "simulate": (runs.simulate, "Simulate one run and write it tick by tick"),
+    "info": (recordings.info, "Show the rates, gaps and delays of a recording"),
+    "convert": (recordings.convert, "Make a slow, delayed recording of a fast one"),
+    "replay": (recordings.replay, "Run observers on a recording"),
+    "status": (runs.status, "Show how many runs of a study are complete"),
+    "verify": (runs.verify, "Check every file, and compute some runs again"),
+    "merge": (runs.merge, "Merge several datasets of one study"),
+    "compare": (runs.compare, "Compare two results of one study"),
+    "design": (tuning.design, "Compute gains and their certificate"),
+    "tune": (tuning.tune, "Tune gains on some seeds, and test them on others"),
+    "export": (export.export, "Export an observer as C, with its gains and a test run"),
+    "external prepare": (export.prepare, "Write the measurements of all runs for another program"),
+    "external score": (export.score, "Add the estimates of another program to a study's tables"),
+    "external run": (export.run, "Run your own Python object on the same measurements"),
+    "check": (new.check, "Check your own observer, plant, controller or study"),
+    "cite": (report.cite, "Print BibTeX of the sources that a study used"),
+    "reproduce": (report.reproduce, "Compare the claims of five papers with pcbench's results"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}
 
@@ -56,12 +56,12 @@ def _version(asked: bool) -> None:
 @app.callback()
 def main_callback(
     asked: Annotated[
-        bool, option("say which release this is", "--version", "-V", callback=_version, is_eager=True)
+        bool, option("Print the version and exit", "--version", "-V", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?
+    """Compare state observers for measurements that are sampled, delayed, noisy or lost, with statistical significance.
 
-    Begin with: pcbench run quick
+    Start with: pcbench run quick
     """
 
 
@@ -72,6 +72,7 @@ for name, (function, line) in ALL.items():
 app.add_typer(
     _external,
     name="external",
-    help="Score an observer that lives elsewhere on a study's draws: prepare them, then run it or score its estimates.",
-    short_help="observers that live elsewhere, on the same draws",
+    help="Compare an observer outside pcbench on the measurements of a study: prepare them, then run it or score "
+    "its estimates.",
+    short_help="Compare an observer outside pcbench on the same measurements",
 )

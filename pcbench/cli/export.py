@@ -1,4 +1,4 @@
-"""Observers outside of pcbench: one taken out as C, and those that live elsewhere, on the same draws."""
+"""Commands for observers outside pcbench: `export` to C, and `external` for other programs."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,26 +11,26 @@ from pcbench.toml_text import TomlTable
 if TYPE_CHECKING:
     from pcbench.dataset.result import Result
 
-Name = Annotated[str, option("what the tables call it")]
+Name = Annotated[str, option("Name in the tables")]
 
 
 def export(
-    study: Annotated[str, argument("a scenario, or a study of one cell")],
-    observer: Annotated[str, argument("an observer's name, or its label in the study")],
-    folder: Annotated[str, out("folder for the files")],
-    seed: Annotated[int, option("run that becomes the test vector, without --log", min=0, max=2**32 - 1)] = 0,
+    study: Annotated[str, argument("Scenario, or study with one grid point")],
+    observer: Annotated[str, argument("Name of an observer, or its label in the study")],
+    folder: Annotated[str, out("Folder for the files")],
+    seed: Annotated[int, option("Seed of the run for the test (without --log)", min=0, max=2**32 - 1)] = 0,
     log: Annotated[
-        str | None, option("recording that the C has room for, and is tested on [default: none, a simulated run]")
+        str | None, option("Recording for the test and for the size of the buffers [default: a simulated run]")
     ] = None,
     delay: Late = None,
     start: Start = None,
     changes: Set = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write an observer as C99 with its gains, a run to test it by, and the program that replays it.
+    """Write an observer as C99 with its gains, a test run, and a program that replays this run.
 
-    If there is a C compiler, the program is compiled and run. A table shows how far its estimates are from those of the
-    simulation, or with --log from those of `pcbench replay`.
+    If a C compiler is installed, pcbench compiles the program and runs it. A table shows the differences between its estimates
+    and those of the simulation, or with --log those of `pcbench replay`.
 
     Example: pcbench export cart/white kf --out kf-in-c
     """
@@ -39,9 +39,7 @@ def export(
 
     files.require_place(folder)
     if log is None and (delay is not None or start is not None):
-        raise UserError(
-            "--delay and --start are for recordings: got no --log, expected one; give it, or leave them out."
-        )
+        raise UserError("--delay and --start have an effect only with --log; add --log, or leave them out.")
     found = files.export_observer(study, observer, seed, changes, log=log, delay=delay, start=start)
     stop_if_asked()
     made = files.write(found, folder)
@@ -49,7 +47,7 @@ def export(
         print(folder)
         return
     if files.compiler() is None:
-        say("there is no C compiler here, so nothing was compiled; the header contains the command.")
+        say("No C compiler was found, so nothing was compiled; the header contains the command.")
     else:
         from pcbench.cli.render import recordings
 
@@ -63,14 +61,16 @@ def export(
 
 def prepare(
     study: Study,
-    folder: Annotated[str, out("folder, which becomes the study's")],
-    seeds: Annotated[int | None, option("noise seeds for each cell")] = None,
-    observers: Annotated[str | None, option("comma-separated names, or all that can run, to compare with")] = None,
+    folder: Annotated[str, out("Folder for the study")],
+    seeds: Annotated[int | None, option("Runs per grid point [default: the study's]")] = None,
+    observers: Annotated[
+        str | None, option("Comma-separated names of observers to compare with, or all: those that can run")
+    ] = None,
     changes: Set = None,
-    csv: Annotated[bool, option("the tables as CSV files too", "--csv")] = False,
+    csv: Annotated[bool, option("Write the tables also as CSV files", "--csv")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what every run measures and when it arrives, for a program in any language.
+    """Write the measurements of all runs with their arrival times, for a program in any language.
 
     Example: pcbench external prepare cart/white --seeds 16 --out cart
     """
@@ -81,18 +81,21 @@ def prepare(
     asked: TomlTable = {"seeds": seeds, "observers": names(observers) if observers else None}
     with working(quiet) as progress:
         export_draws.write(all_observers.grid_of(study, asked, changes or []), folder, csv, progress)
-    print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
+    print(
+        f"{folder}/draws contains samples, inputs and initial states. Its README.md explains the columns and your "
+        "estimates file."
+    )
 
 
 def score(
     folder: Folder,
-    estimates: Annotated[str, argument("a .parquet or .csv file with a row for each tick of each run")],
+    estimates: Annotated[str, argument("Parquet or CSV file with one row per tick of each run")],
     name: Name,
     metric: Metric = RANK,
     signal: Signals = None,
     quiet: Quiet = False,
 ) -> None:
-    """Add estimates made elsewhere to a study's tables, as one more observer.
+    """Add the estimates of another program to a study's tables, as one more observer.
 
     Example: pcbench external score cart estimates.parquet --name matlab-ekf
     """
@@ -106,13 +109,13 @@ def score(
 
 def run(
     folder: Folder,
-    reference: Annotated[str, argument("make(cell, xhat0), such as mine.py:make", metavar="MODULE:NAME")],
+    reference: Annotated[str, argument("Function make(cell, xhat0), such as mine.py:make", metavar="MODULE:NAME")],
     name: Name,
     metric: Metric = RANK,
     signal: Signals = None,
     quiet: Quiet = False,
 ) -> None:
-    """Run an object in Python on a study's draws, one run at a time, and add it to the tables as one more observer.
+    """Run your own Python object on a study's measurements, one run at a time, and add it to the tables.
 
     Example: pcbench external run cart mine.py:make --name filterpy-kf
     """

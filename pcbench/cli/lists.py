@@ -1,4 +1,4 @@
-"""The commands that say what there is: a line each, or one thing in full."""
+"""The commands `list` and `show`."""
 
 import json
 from collections.abc import Mapping
@@ -12,22 +12,23 @@ if TYPE_CHECKING:
     from pcbench.cli.catalogue import Description
     from pcbench.cli.render.tables import Screen
 
-IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  # not said in a line
+IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  # keys that have their own lines
+LABELS = {"knows_schedule": "perfect start"}  # what a key is called on the screen, if not by its name
 
 
 def list_(
     what: Annotated[
         str | None,
         argument(
-            "observers, scenarios, plants, controllers, studies, axes, metrics or choices [default: the first five]"
+            "Kind: observers, scenarios, plants, controllers, studies, axes, metrics or choices [default: the first five]"
         ),
     ] = None,
     name: Annotated[
-        str | None, argument("one of them, or MODULE:NAME of your own, in full: with options and ranges")
+        str | None, argument("Name, or MODULE:NAME of your own, to show with all options and ranges [default: a list]")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List what there is, or one thing in full.
+    """List observers, scenarios, plants and other kinds, or show one of them with its options.
 
     Example: pcbench list observers pccebo
     """
@@ -43,25 +44,24 @@ def list_(
         return
     for kind, members in kinds.items():
         rows = [(each, description["summary"]) for each, description in members.items()]
-        screen.fold(TITLES.get(kind, kind), ("name", "what"), rows, no_wrap=("name",))
+        screen.fold(TITLES.get(kind, kind), ("name", "description"), rows, no_wrap=("name",))
     kind = what or "observers"
-    screen.print(f"One of them in full: pcbench list {kind} {next(iter(kinds[kind]))}")
+    screen.print(f"Show one of them with all details: pcbench list {kind} {next(iter(kinds[kind]))}")
     if what is None:
-        screen.print("There are also: pcbench list axes, metrics, choices")
+        screen.print("Show other lists: pcbench list axes, pcbench list metrics, pcbench list choices")
 
 
 def show(
-    scenario: Annotated[str, argument("a scenario's name, or a TOML file")],
-    as_toml: Annotated[
-        bool, option("print it as a study file to start from, every field with its unit", "--toml")
-    ] = False,
+    scenario: Annotated[str, argument("Name of a scenario, or TOML file")],
+    as_toml: Annotated[bool, option("Print a study file with all fields and their units", "--toml")] = False,
     with_costs: Annotated[
-        bool, option("what its observers cost: multiplications a sample and a tick, bytes of memory", "--operations")
+        bool,
+        option("Show multiplications per sample and per tick and bytes of memory of its observers", "--operations"),
     ] = False,
     changes: Set = None,
     as_json: Json = False,
 ) -> None:
-    """Say all that a scenario is, or print it as a study of your own.
+    """Describe a scenario, or print it as a study file to edit.
 
     Example: pcbench show cart/white --toml > mine.toml
     """
@@ -72,8 +72,7 @@ def show(
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
     if with_costs:
-        either = "a study file, or what its observers cost; leave one out"
-        require_effect({"--toml": as_toml}, "with --operations", either)
+        require_effect({"--toml": as_toml}, "with --operations", "leave one of them out")
         _costs(scenario, changes, as_json)
         return
     study = parse.outline(scenario, changes or [])
@@ -91,14 +90,14 @@ def show(
     else:
         screen = console()
         print_in_full(found.name, catalogue.scenario(found, study), screen)
-        end = f"As a study of your own, every field of it: pcbench show {scenario} --toml > mine.toml"
+        end = f"Write it as a study file with all fields: pcbench show {scenario} --toml > mine.toml"
         if found.plant == "lti" or found.own:
-            end = f"It is a study of your own: edit {scenario}, then pcbench run {scenario}"
+            end = f"This is your own study: edit {scenario}, then pcbench run {scenario}"
         screen.say(end)
 
 
 def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
-    """Print what the observers of a scenario or a study cost."""
+    """Print the operation counts of the observers of a scenario or a study."""
     from pcbench import api
     from pcbench.planning import all_observers
 
@@ -109,18 +108,20 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
         return
     screen = console()
     screen.print(table[["scenario", "cell", "observer", "sample", "tick", "memory"]].to_string(index=False))
-    screen.print("sample, tick: multiplications of one run; memory: bytes from tick to tick.")
+    screen.print(
+        "sample, tick: multiplications per sample and per tick of one run; memory: bytes stored from tick to tick."
+    )
 
 
 def print_in_full(name: str, description: "Description", screen: "Screen") -> None:
-    """Print all that is said of one thing."""
+    """Print a description with all its keys."""
     from rich.padding import Padding
     from rich.text import Text
 
     screen.print(Text.assemble((printable(name), "bold"), printable(f": {description['summary']}")))
     for key, value in description.items():
         if key not in IN_FULL and value not in (None, [], {}, ""):
-            screen.print(f"  {key.replace('_', ' ')}: {words(value)}")
+            screen.print(f"  {LABELS.get(key, key).replace('_', ' ')}: {words(value)}")
     for key, word in (("signals", "signal"), ("unknown", "unknown")):
         each = description.get(key)
         for signal in each if isinstance(each, list) else []:
@@ -131,16 +132,16 @@ def print_in_full(name: str, description: "Description", screen: "Screen") -> No
         screen.print(f"  parameter plant.{key} = {value:g}")
     options = description.get("options") or {}
     if options:
-        screen.print(f"  options, which a study sets below {description.get('table', '[options.NAME]')}:")
+        screen.print(f"  options, set in the table {description.get('table', '[options.NAME]')} of a study:")
     for key, o in options.items():
         kind = " | ".join(map(str, o.get("choices", ()))) or " ".join(filter(None, (o["type"], o["range"])))
-        tunable = ", can be tuned" if o["tunable"] else ""
+        tunable = ", tunable" if o["tunable"] else ""
         screen.print(f"  {key}: {kind}, default {words(o['default'])}{tunable}", style="bold")
         screen.print(Padding(o["description"], (0, 0, 0, 6)))
 
 
 def words(value: object) -> str:
-    """Return a value as a person writes it."""
+    """Return a value as text."""
     if value is None or value == {}:
         return "none"
     if isinstance(value, bool):

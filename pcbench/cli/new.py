@@ -1,7 +1,4 @@
-"""The commands for what is your own: files to start from, and checks of it; and the guide, whose pages come with the package.
-
-What is checked is an observer, a plant, a controller, a scenario or a study.
-"""
+"""Commands for your own code (`new`, `check`) and for the guide (`guide`)."""
 
 import contextlib
 import json
@@ -34,10 +31,10 @@ NEXT = {
 
 
 def new(
-    kind: Annotated[Kind, argument("what to write")],
-    name: Annotated[str, argument("its name, and the file's")],
+    kind: Annotated[Kind, argument("Kind of template")],
+    name: Annotated[str, argument("Name of the object and of its file")],
 ) -> None:
-    """Write a file that runs, commented as a lesson, to start from; for a plant also the study that runs it.
+    """Create a template that runs, with comments; for a plant also a study.
 
     Example: pcbench new observer nudge
     """
@@ -47,7 +44,7 @@ def new(
     paths = [Path(name + suffix) for suffix in FILES[kind]]
     for path in paths:
         if os.path.exists(path):  # unlike the path's own, it answers for a name that is too long
-            raise UserError(f"new {kind}: {path} is there already, expected a new file; give another name.")
+            raise UserError(f"new {kind}: {path} exists already, expected a new file; give another name.")
     for path in paths:
         if kind == "scenario":
             setup()
@@ -103,9 +100,9 @@ def title(page: str) -> str:
 
 
 def guide(
-    topic: Annotated[str | None, argument("a page's name; left out: the list of pages")] = None,
+    topic: Annotated[str | None, argument("Name of a page [default: the list of pages]")] = None,
 ) -> None:
-    """Show a page of the guide, or which there are.
+    """Print a page of the guide, or the list of its pages.
 
     Example: pcbench guide choose-an-observer
     """
@@ -131,25 +128,23 @@ def check(
     target: Annotated[
         str,
         argument(
-            "a module's name or a .py file and an observer, a plant, a controller or a scenario in it; or a study file",
+            "Observer, plant, controller or scenario as MODULE:NAME or FILE.py:NAME, or a study file",
             metavar="MODULE:NAME|FILE.toml",
         ),
     ],
     scenario: Annotated[
         str | None,
-        option(
-            "what it is tried on: a scenario, a study file or MODULE:NAME with one; default: cart/white, a plant alone"
-        ),
+        option("Scenario for the checks: a name, a study file or MODULE:NAME [default: cart/white; for a plant none]"),
     ] = None,
     options: Annotated[
         list[str] | None,
         option(
-            "an option of the observer or controller, a number of the plant (repeatable)", "--set", metavar="KEY=VALUE"
+            "Option of the observer or controller, or parameter of the plant (repeatable)", "--set", metavar="KEY=VALUE"
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Check what is your own: does it keep to the protocol, does the loop settle? Exit code 1 where a check fails.
+    """Check that your own code follows the protocol, and that a closed loop is stable. Exit code 1 if a check fails.
 
     Examples: pcbench check mine.py:nudge --set share=0.2;  pcbench check mine.py:pendulum;  pcbench check motor.toml
     """
@@ -174,7 +169,7 @@ def _option(text: str) -> tuple[str, object]:
     """Return the name and the value of KEY=VALUE; a value is TOML, or a plain word."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
-        raise UserError(f"check --set: got '{short(text)}', expected KEY=VALUE such as share=0.2; write it so.")
+        raise UserError(f"check --set: got '{short(text)}', expected KEY=VALUE; write --set share=0.2, for example.")
     try:
         return name.strip(), toml_text.parse(f"value = {value}")["value"]
     except ValueError:

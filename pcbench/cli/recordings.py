@@ -1,4 +1,4 @@
-"""Commands for recorded data: what is in a log, and observers run on it."""
+"""Commands for recorded data: `info` and `replay`."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -24,19 +24,21 @@ if TYPE_CHECKING:
     from pcbench.recordings.log import Log
 
 FROM = "from:"  # as in studies
-File = Annotated[str, argument("a folder or file of tables, or a TOML that says what a bag holds", metavar="LOG")]
+File = Annotated[
+    str, argument("Recording: a folder or file of tables, or a TOML file that describes a bag", metavar="LOG")
+]
 
 
 def info(
     file: Annotated[str, argument("a recording of any format, or a TOML file that maps its fields to channels")],
     delay: Late = None,
     picture: Annotated[
-        str | None, out("picture of the delays to write (.svg, .pdf, .png), or the file of --toml")
+        str | None, out("File for a figure of the delays (.svg, .pdf, .png), or the file of --toml")
     ] = None,
     toml: Annotated[bool, option("print a TOML file to start from, that maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
-    """Print what is in a recording: rates, gaps, delays, samples out of order or doubled, stamps that jump or drift.
+    """Show what a recording contains: rates, gaps, delays, out-of-order or repeated samples, clock drift.
 
     Of a file without a TOML file it prints topics, fields, counts, rates and ranges.
 
@@ -76,7 +78,7 @@ def info(
     else:
         recordings.channels(table, console())
         if picture is not None:
-            print(f"delays over time, and how often each occurs: {picture}")
+            print(f"Figure of the delays over time and of their distribution: {picture}")
 
 
 def convert(
@@ -135,17 +137,17 @@ def _seconds(text: str) -> float:
 
 def replay(
     file: File,
-    plant: Annotated[str, option("a study of one scenario: its outputs are the log's channels")],
-    observers: Annotated[str, option("comma-separated names, or all that can run")],
-    folder: Annotated[str, out("folder for the estimates and what is known of them")],
+    plant: Annotated[str, option("Study with one scenario, whose outputs are the channels of the recording")],
+    observers: Annotated[str, option("Comma-separated names of observers, or all: those that can run")],
+    folder: Annotated[str, out("Folder for the estimates and their statistics")],
     delay: Late = None,
     start: Start = None,
-    seed: Annotated[int, option("of observers that draw numbers themselves")] = 0,
+    seed: Annotated[int, option("Seed of observers that use random numbers")] = 0,
     changes: Set = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Run observers on what was measured, when it arrived, and say what can be known of them.
+    """Run observers on a recording, with each measurement at its arrival, and test their innovations.
 
     Example: pcbench replay flight.toml --plant motor.toml --observers kf,pccebo,ukf --out replayed
     """
@@ -154,7 +156,7 @@ def replay(
     from pcbench.cli.render.tables import readable
     from pcbench.playback import replay
 
-    with working(quiet or as_json, "reading the log") as progress:
+    with working(quiet or as_json, "reading the recording") as progress:
         found = replay.replay(
             file,
             plant,

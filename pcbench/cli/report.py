@@ -1,4 +1,4 @@
-"""The commands that make something to look at of results, and of papers: what they print and claim against what comes out."""
+"""Commands for results (`report`, `tables`, `cite`) and for the claims of papers (`reproduce`)."""
 
 import json
 from pathlib import Path
@@ -17,29 +17,33 @@ ALL_PAPERS = "all"
 def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
-    figures: Annotated[str | None, option("folder for the pictures as files, instead of the page")] = None,
-    formats: Annotated[str | None, option("of --figures, with commas [default: svg,pdf,png]")] = None,
-    width: Annotated[float | None, option("of --figures: inches of a column [default: 3.75]")] = None,
-    size: Annotated[float | None, option("of --figures: points of text [default: 9]")] = None,
-    font: Annotated[str | None, option("of --figures: its family [default: DejaVu Sans]")] = None,
+    figures: Annotated[str | None, option("Folder for the figures as files, instead of the page")] = None,
+    formats: Annotated[
+        str | None, option("Comma-separated file formats (with --figures) [default: svg,pdf,png]")
+    ] = None,
+    width: Annotated[float | None, option("Column width in inches (with --figures) [default: 3.75]")] = None,
+    size: Annotated[float | None, option("Font size in points (with --figures) [default: 9]")] = None,
+    font: Annotated[str | None, option("Font family (with --figures) [default: DejaVu Sans]")] = None,
     metric: Metric = RANK,
     signal: Signals = None,
     grid_point: Annotated[
-        int | None, option("at which pictures stand: number in stats.parquet [default: the one that tells most]")
+        int | None,
+        option("Grid point of the figures: column `cell` in stats.parquet [default: the one with the largest lead]"),
     ] = None,
-    seed: Annotated[int | None, option("of the run shown in time [default: the study's first]")] = None,
+    seed: Annotated[int | None, option("Seed of the run shown over time [default: the study's first]")] = None,
     threshold: Annotated[
-        float | None, option("limit of --metric, to say what suffices over each axis [default: twice the least]")
+        float | None,
+        option("Limit of the metric, to report the values of each axis below it [default: twice the least]"),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make one HTML page of a study's results that opens anywhere, or its pictures as files.
+    """Write a study's results as one HTML page that opens offline, or its figures as files.
 
     Example: pcbench report results/quick --metric steady_rmse --signal velocity
     """
     of_figures = {"--formats": formats, "--width": width, "--size": size, "--font": font}
     if figures is None:
-        require_effect(of_figures, "without --figures", "both; add --figures, or leave it out")
+        require_effect(of_figures, "without --figures", "add --figures, or leave it out")
     setup()
     from pcbench import statistics
     from pcbench.plots.layout import PAPER
@@ -53,7 +57,7 @@ def report(
         )
     if file is not None and figures is not None:
         raise UserError(
-            f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
+            f"--out: got {file} together with --figures {figures}, expected the page or its figures; leave one out."
         )
     shown = FigureOptions(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
     with config.float64(), working(quiet) as progress:
@@ -84,15 +88,15 @@ SUFFIXES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
 
 def tables(
     folder: Folder,
-    latex: Annotated[bool, option("LaTeX, for booktabs and siunitx", "--latex")] = False,
-    markdown: Annotated[bool, option("Markdown [default, or what --out ends in]", "--markdown")] = False,
-    csv: Annotated[bool, option("a row an estimate, its numbers in full", "--csv")] = False,
-    plain: Annotated[bool, option("LaTeX without any package", "--plain")] = False,
+    latex: Annotated[bool, option("LaTeX with booktabs and siunitx", "--latex")] = False,
+    markdown: Annotated[bool, option("Markdown [default, unless --out ends in .tex or .csv]", "--markdown")] = False,
+    csv: Annotated[bool, option("CSV: one row per estimate, with all digits", "--csv")] = False,
+    plain: Annotated[bool, option("LaTeX without packages", "--plain")] = False,
     metric: Metric = RANK,
     signal: Signals = None,
-    file: Annotated[str | None, out("file to write, .tex, .md or .csv [default: the terminal]")] = None,
+    file: Annotated[str | None, out("File to write: .tex, .md or .csv [default: the terminal]")] = None,
 ) -> None:
-    """Print the tables of a study's results as a paper has them: means with intervals, the best marked with its significance.
+    """Print a study's results as tables for a paper: means with intervals, and the best in bold.
 
     Example: pcbench tables results/quick --latex --signal all --out tables.tex
     """
@@ -102,7 +106,7 @@ def tables(
         raise UserError(f"tables: got --{' and --'.join(given)}, expected one form; leave the others out.")
     if not given and suffix not in SUFFIXES:
         raise UserError(
-            f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; say --latex or so."
+            f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; add --latex, --markdown or --csv."
         )
     from pcbench.dataset.result import open_result
     from pcbench.tables import latex as tex
@@ -110,7 +114,7 @@ def tables(
 
     found = layout.tables(open_result(folder), metric, chosen(signal))
     if not found:
-        raise UserError(f"--metric: got {metric}, which the signals asked for do not have; take another.")
+        raise UserError(f"--metric: got {metric}, which the selected signals do not have; use another.")
     form = given[0] if given else SUFFIXES[suffix]
     if form == "latex":
         _put(tex.latex(found, plain), file)
@@ -128,18 +132,18 @@ def _put(content: str, file: str | None) -> None:
         Path(file).write_text(content, encoding="utf-8")
     except OSError as error:
         raise UserError(
-            f"--out {file}: cannot be written ({error.strerror}), expected a place for it; mend that."
+            f"--out {file}: cannot be written ({error.strerror}), expected a writable file; use another name."
         ) from None
     print(file)
 
 
 def cite(
     what: Annotated[
-        str | None, argument("a folder that pcbench run has made, or a study [default: all]", metavar="[DIR|STUDY]")
+        str | None, argument("Folder of a result, or study [default: everything]", metavar="[DIR|STUDY]")
     ] = None,
-    file: Annotated[str | None, out("file to write [default: the terminal]")] = None,
+    file: Annotated[str | None, out("File to write [default: the terminal]")] = None,
 ) -> None:
-    """Print BibTeX of what a study used: its observers' and scenarios' papers, the solvers, the libraries, and pcbench.
+    """Print BibTeX of the sources that a study used: papers of observers and scenarios, solvers, libraries, and pcbench.
 
     Example: pcbench cite results/quick --out quick.bib
     """
@@ -149,12 +153,12 @@ def cite(
 
 
 def reproduce(
-    paper: Annotated[str, argument("a paper's short name, or all")] = ALL_PAPERS,
-    page: Annotated[Path | None, option("Markdown file to write, of all papers; the same wherever it is made")] = None,
+    paper: Annotated[str, argument("Short name of a paper, or all")] = ALL_PAPERS,
+    page: Annotated[Path | None, option("Markdown file for the claims of all papers")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Compare what papers print and claim with what comes out: every claim with a verdict and its evidence.
+    """Compare the claims and printed numbers of papers with pcbench's results: a verdict for each claim.
 
     Example: pcbench reproduce all --page REPRODUCTION.md
     """
@@ -192,7 +196,7 @@ def reproduce(
         screen = console()
         folder.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
         if page is not None:
-            screen.print(f"The page: {page}")
+            screen.print(f"Page written: {page}")
 
 
 def _data(paper: str, title: str, rows: "list[Claim]") -> dict[str, object]:

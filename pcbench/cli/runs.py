@@ -1,8 +1,4 @@
-"""Commands that simulate, and that look after a study's folder.
-
-A study into a folder, a search for what suffices, one run tick by tick; how far a folder is, several made one, computed again,
-two compared.
-"""
+"""Commands that simulate (`run`, `find-limit`, `simulate`) and that manage results (`status`, `merge`, `verify`, `compare`)."""
 
 import json
 import re
@@ -26,48 +22,51 @@ SAMPLE = 4  # blocks that are computed again
 
 def run(
     study: Study,
-    seeds: Annotated[int | None, option("noise seeds for each cell")] = None,
-    first_seed: Annotated[int | None, option("the first of them [default: 0]")] = None,
+    seeds: Annotated[int | None, option("Runs per grid point [default: the study's]")] = None,
+    first_seed: Annotated[int | None, option("Index of the first seed [default: the study's]")] = None,
     observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
-        str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
+        str | None,
+        out("Folder or URI for the tables; the same command continues a stopped run [default: results/STUDY]"),
     ] = None,
     evaluation: Annotated[
-        str | None, option("runs, exact (expected values, without a seed) or both [default: the study's]")
+        str | None, option("Evaluation: runs, exact (expected values without seeds) or both [default: the study's]")
     ] = None,
-    overwrite: Annotated[bool, option("remove what an earlier run left there, and start over", "--overwrite")] = False,
+    overwrite: Annotated[
+        bool, option("Delete the result of an earlier run in this folder first", "--overwrite")
+    ] = False,
     until_se: Annotated[
-        str | None, option("add seeds until every standard error is so small", metavar="METRIC=VALUE")
+        str | None, option("Standard error to reach at each grid point, by adding runs", metavar="METRIC=VALUE")
     ] = None,
-    max_seeds: Annotated[int | None, option("of a cell, with --until-se [default: 100 times the study's]")] = None,
-    dask: Annotated[str | None, option("a Dask scheduler's address, or local")] = None,
-    workers: Annotated[int | None, option("processes of --dask local [default: one a core]")] = None,
+    max_seeds: Annotated[
+        int | None, option("Maximum runs per grid point (with --until-se) [default: 100 times the study's]")
+    ] = None,
+    dask: Annotated[str | None, option("Address of a Dask scheduler, or local")] = None,
+    workers: Annotated[int | None, option("Number of processes (with --dask local) [default: one per core]")] = None,
     memory: Annotated[
-        str | None, option("what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
+        str | None, option("Memory for results, such as 2GiB [default: a quarter of the machine's memory]")
     ] = None,
-    block_size: Annotated[int | None, option("seeds a file; of no influence on any number")] = None,
+    block_size: Annotated[int | None, option("Runs per file; no effect on any number")] = None,
     metric: Metric = RANK,
     signal: Signals = None,
-    costs: Annotated[
-        bool, option("say in the tables what observers cost: multiplications and bytes", "--operations")
-    ] = False,
-    timings: Annotated[bool, option("say where the time went", "--timings")] = False,
+    costs: Annotated[bool, option("Show the multiplications and the memory of each observer", "--operations")] = False,
+    timings: Annotated[bool, option("Show how long each part of the command took", "--timings")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Run a study and leave its tables in a folder.
+    """Run a study and write its tables to a folder.
 
     Example: pcbench run quick --seeds 512 --out first-look
     """
     began = perf_counter()
     drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
-    simulated = drawn | {"--block-size": block_size}, "exact values without seeds, or simulated runs; leave one out"
+    simulated, no_runs = drawn | {"--block-size": block_size}, "exact values need no runs; leave one of them out"
     if evaluation == "exact":
-        require_effect(simulated[0], "with --evaluation exact", simulated[1])
+        require_effect(simulated, "with --evaluation exact", no_runs)
     if quiet or as_json:
-        tables, beside = {"--operations": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
-        require_effect(tables, beside, "it where tables are printed; leave one out")
+        tables, context = {"--operations": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
+        require_effect(tables, context, "no table is printed; leave one of them out")
     setup()
     from pcbench import api, statistics
     from pcbench.study import parse
@@ -76,7 +75,7 @@ def run(
     asked, where = parse.outline(study, changes or []), chosen(signal)
     parse.require_signals(asked, where, "--signal")
     if (evaluation or asked.evaluation) == "exact":
-        require_effect(simulated[0], 'with a study of evaluation "exact"', simulated[1])
+        require_effect(simulated, 'in a study with evaluation = "exact"', no_runs)
         _require_exact(metric)
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
     with working(quiet or as_json, "designing gains") as progress:
@@ -122,11 +121,11 @@ def run(
             gains.fair(result.fair, screen)
         screen.say(results.sentence(result, into))
         screen.say(*(results.timings(result, perf_counter() - began) if timings else []))
-        screen.say(f"Now look at it: pcbench report {into}")
+        screen.say(f"View the results: pcbench report {into}")
 
 
 def _importing_ahead(progress: Progress, quiet: bool) -> Progress:
-    """A Progress that hears the same, and once work has begun has modules imported beside it that closing and printing need."""
+    """Return a Progress that also imports, once work has begun, the modules that closing and printing need."""
     modules = AHEAD if quiet else (*AHEAD, "pcbench.cli.render.results")
 
     def begin(what: str, steps: int | None) -> None:
@@ -137,7 +136,7 @@ def _importing_ahead(progress: Progress, quiet: bool) -> Progress:
 
 
 def _require_exact(metric: str) -> None:
-    """Raise UserError where the metric that is to rank observers has no exact value, nor has its pooled form."""
+    """Raise UserError if neither the metric that ranks observers nor its pooled form has an exact value."""
     from pcbench.moments.stats_rows import ORDER, RUNS_ONLY
     from pcbench.statistics import COMPARED
 
@@ -153,41 +152,42 @@ def _require_exact(metric: str) -> None:
 
 
 def find_limit(
-    study: Annotated[str, argument("a study of one scenario, a scenario or a TOML file")],
-    threshold: Annotated[float, option("the limit, in the unit of the metric")],
+    study: Annotated[str, argument("Study with one scenario, scenario or TOML file")],
+    threshold: Annotated[float, option("Limit of the metric, in its unit")],
     axis: Annotated[
         list[str],
         option(
-            "sampling_period, delay[0], plant.lam ...: pcbench list axes; given twice: for each value of the first axis "
-            "the largest of the second",
+            "Axis such as sampling_period, delay[0] or plant.lam (see pcbench list axes); given twice: the largest "
+            "value of the "
+            "second axis for each value of the first",
             metavar="AXIS",
         ),
     ],
-    metric: Annotated[str, option("what is to stay below: pcbench list metrics")] = RANK,
+    metric: Annotated[str, option("Metric to compare with the limit (see pcbench list metrics)")] = RANK,
     signal: Signal = None,
     between: Annotated[
         tuple[float, float] | None,
         option(
-            "where to search, of two axes the first [default: as the study or the scenario suggests]",
+            "Range of the axis, or of the first of two axes [default: the study's values, or one that suits the scenario]",
             "--range",
             metavar="LOW HIGH",
         ),
     ] = None,
-    tol: Annotated[float | None, option("how precisely, in the axis' unit [default: 5 % of the value]")] = None,
-    seeds: Annotated[int | None, option("noise seeds for each value")] = None,
+    tol: Annotated[float | None, option("Precision, in the unit of the axis [default: 5 % of the value]")] = None,
+    seeds: Annotated[int | None, option("Runs per value [default: the study's]")] = None,
     max_seeds: Annotated[
-        int | None, option("of a value whose interval holds the limit [default: 16 times the study's]")
+        int | None, option("Maximum runs per value, if its interval contains the limit [default: 16 times the study's]")
     ] = None,
     observers: Observers = None,
     changes: Set = None,
     folder: Annotated[
-        str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
+        str | None, out("Folder or URI for the runs, which a later search continues [default: results/STUDY-AXIS]")
     ] = None,
-    overwrite: Annotated[bool, option("remove the dataset that is there, and start over", "--overwrite")] = False,
+    overwrite: Annotated[bool, option("Delete the earlier runs in this folder first", "--overwrite")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Find the largest period, delay, loss ... at which an error is significantly below a limit, for each observer.
+    """Find for each observer the largest period, delay or loss at which an error is significantly below a limit.
 
     Example: pcbench find-limit cart/white --threshold 0.1 --axis sampling_period
     """
@@ -225,23 +225,23 @@ def find_limit(
         print(into)
     elif len(axis) > 1:
         limits.frontier(table, console())
-        console().say(f"Each value has its own study in {into}")
+        console().say(f"Each value has its own study in {into}.")
     else:
         limits.answers(table, console())
-        console().say(f"Now look at it: pcbench report {into}")
+        console().say(f"View the runs: pcbench report {into}")
 
 
 def simulate(
     scenario: Scenario,
-    observer: Annotated[str, option("an observer's name, several with commas, or all that can run")],
-    file: Annotated[str, out("file to write, .parquet or .csv")],
-    seed: Annotated[int, option("seed index")] = 0,
+    observer: Annotated[str, option("Comma-separated names of observers, or all: those that can run")],
+    file: Annotated[str, out("File to write: .parquet or .csv")],
+    seed: Annotated[int, option("Index of the seed")] = 0,
     log: Annotated[
-        str | None, option("folder for what was measured, put in and true, as pcbench replay reads it")
+        str | None, option("Folder for measurements, inputs and true states, as a recording for pcbench replay")
     ] = None,
     changes: Set = None,
 ) -> None:
-    """Write one run tick by tick, as Parquet or CSV.
+    """Simulate one run and write it tick by tick, as Parquet or CSV.
 
     Example: pcbench simulate cart/white --observer kfbo --seed 3 --out trace.csv
     """
@@ -256,11 +256,13 @@ def simulate(
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     say(*all_observers.sentences(frame.attrs["excluded"]))
     single_table.put(file, single_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
-    print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")
+    print(f"{file}: {len(frame):,} ticks, columns {', '.join(frame.columns)}")
 
 
 def status(folder: Folder, as_json: Json = False) -> None:
-    """Show how far a study is, and which files cannot be read. Exit code 1 where one is damaged; `verify` reads every number.
+    """Show how many runs of a study are complete, and which files are damaged. Exit code 1 if one is damaged.
+
+    It reads no numbers; `pcbench verify` does.
 
     Example: pcbench status results/quick
     """
@@ -277,11 +279,13 @@ def status(folder: Folder, as_json: Json = False) -> None:
 
 
 def merge(
-    folders: Annotated[list[str], argument("folders or URIs of one study, with other seeds or from other machines")],
-    into: Annotated[str, out("new folder or URI")],
+    folders: Annotated[
+        list[str], argument("Folders or URIs of one study, with different seeds or from different machines")
+    ],
+    into: Annotated[str, out("New folder or URI")],
     quiet: Quiet = False,
 ) -> None:
-    """Make one dataset of several; what two of them hold must be equal.
+    """Merge several datasets of one study. Runs that are in more than one must be equal.
 
     Example: pcbench merge monday tuesday --out both
     """
@@ -289,42 +293,40 @@ def merge(
 
     with working(quiet) as progress:
         made = merge.merge(folders, into, progress)
-    again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
-    fills = f"pcbench run {into}/study.toml --out {into} fills them"
-    missing = f" {made.missing:,} runs are missing: {fills}." if made.missing else ""
+    again = f" {made.doubled:,} runs were in more than one dataset, and are equal." if made.doubled else ""
+    fills = f"pcbench run {into}/study.toml --out {into}"
+    missing = f" {made.missing:,} runs are missing. Add them: {fills}" if made.missing else ""
     print(f"{made.blocks:,} blocks in {into}.{again}{missing}")
 
 
 def verify(
     folder: Folder,
     sample: Annotated[
-        int | None, option("blocks to compute again, and cells with exact numbers [default: 4]", min=0)
+        int | None,
+        option("Number of blocks to compute again, and of grid points with exact numbers [default: 4]", min=0),
     ] = None,
-    every: Annotated[bool, option("compute every block again", "--all")] = False,
-    seed: Annotated[int | None, option("draws the blocks [default: 0]", min=0)] = None,
-    exact: Annotated[
-        bool, option("compare simulated means with their exact values, in standard errors", "--exact")
-    ] = False,
-    figure: Annotated[str | None, option("with --exact: a quantile plot, .svg, .pdf or .png")] = None,
+    every: Annotated[bool, option("Compute every block again", "--all")] = False,
+    seed: Annotated[int | None, option("Seed of the selection of blocks [default: 0]", min=0)] = None,
+    exact: Annotated[bool, option("Compare simulated means with their exact values instead", "--exact")] = False,
+    figure: Annotated[str | None, option("File for a quantile plot (with --exact): .svg, .pdf or .png")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
+    """Check every file, and compute some blocks again. Exit code 1 if a file is damaged or a number differs.
 
-    Exact numbers must come out again to rounding.
+    Runs must be equal bit for bit, and exact numbers up to rounding.
 
-    With --exact simulated means are compared with their exact values instead, wherever there are such.
+    With --exact, compare simulated means with their exact values instead, if they have one.
 
     Example: pcbench verify results/quick --sample 8
     """
     drawn = {"--sample": sample, "--seed": seed}
     if exact:
-        either = "blocks to compute again, or a comparison with exact values; leave one out"
-        require_effect(drawn | {"--all": every}, "with --exact", either)
+        require_effect(drawn | {"--all": every}, "with --exact", "leave one of them out")
     if every:
-        require_effect(drawn, "with --all", "every block, or some; leave one out")
+        require_effect(drawn, "with --all", "leave one of them out")
     if not exact:
-        require_effect({"--figure": figure}, "without --exact", "both; add --exact, or leave it out")
+        require_effect({"--figure": figure}, "without --exact", "add --exact, or leave it out")
     setup()
     if exact:
         return _against_exact(folder, figure, quiet, as_json)
@@ -342,7 +344,7 @@ def verify(
 
 
 def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) -> None:
-    """Compare simulated means with exact values, draw the figure that is asked for, and say what came of it."""
+    """Compare simulated means with exact values, draw the figure if one is requested, and print the verdict."""
     from pcbench.cli.render import folder as screen
     from pcbench.cli.render.tables import readable
     from pcbench.dataset import validate_exact
@@ -362,12 +364,14 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
 
 
 def compare(
-    there: Annotated[str, argument("a folder or URI that pcbench run has made")],
-    here: Annotated[str, argument("another, of the same study: another release, another machine")],
+    there: Annotated[str, argument("Folder or URI of a result of pcbench run")],
+    here: Annotated[
+        str, argument("Folder or URI of another result of the same study, from another release or machine")
+    ],
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Say what changed beyond its interval between two results of one study. Exit code 1 where something did.
+    """Compare two results of one study: list numbers that changed beyond their interval. Exit code 1 if there are any.
 
     Example: pcbench compare results/quick elsewhere/quick
     """

@@ -37,7 +37,7 @@ def speak() -> None:
 
 
 def say(*sentences: str) -> None:
-    """Tell the user something, beside what a command prints."""
+    """Print sentences on standard error."""
     for sentence in sentences:
         print(f"pcbench: {printable(sentence)}", file=sys.stderr)
 
@@ -80,11 +80,11 @@ def setup() -> None:
     config.setup()
 
 
-def require_effect(given: Mapping[str, object], beside: str, expected: str) -> None:
-    """Raise UserError for an option that is given `beside` another, with which it has no effect."""
+def require_effect(given: Mapping[str, object], context: str, advice: str) -> None:
+    """Raise UserError for an option that has no effect in this `context`, such as "with --quiet"."""
     for name, value in given.items():
         if value is not None and value is not False:
-            raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
+            raise UserError(f"{name} has no effect {context}; {advice}.")
 
 
 def names(text: str) -> list[str]:

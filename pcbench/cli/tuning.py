@@ -1,4 +1,4 @@
-"""The commands that find gains: by design, with a proof, or by tuning."""
+"""Commands that compute gains: `design`, with a certificate, and `tune`."""
 
 import json
 from pathlib import Path
@@ -11,23 +11,23 @@ from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 from pcbench.toml_text import TomlTable
 
-SeedRange = Annotated[str | None, option("seeds, the end left out", metavar="FIRST:END")]
+SeedRange = Annotated[str | None, option("Range of seeds, without its end", metavar="FIRST:END")]
 
 
 def design(
     scenario: Scenario,
     observer: Observer,
-    gain: Annotated[str | None, option("a way to find gains, e.g. h2 of pccebo [default: its own]")] = None,
+    gain: Annotated[
+        str | None, option("Method that computes the gains, such as h2 for pccebo [default: the study's]")
+    ] = None,
     sweep: Annotated[
-        str | None, option("the trade-off: what is promised for each of these", metavar="OPTION=A,B,...")
+        str | None, option("Option and values for a trade-off: one design per value", metavar="OPTION=A,B,...")
     ] = None,
-    file: Annotated[
-        str | None, out("TOML file to write, which can be run; of a trade-off a .parquet or .csv file")
-    ] = None,
+    file: Annotated[str | None, out("Study file to write (TOML); for a trade-off a .parquet or .csv file")] = None,
     changes: Set = None,
     as_json: Json = False,
 ) -> None:
-    """Find an observer's gains and prove them: the inequality, its margin, the solver, the decay rate promised.
+    """Compute an observer's gains and their certificate: the inequality, its margin, the solver and the guaranteed decay rate.
 
     Example: pcbench design cart/gaussian pccebo --gain h2 --sweep decay=0.2,0.5,1,2
     """
@@ -69,17 +69,17 @@ def design(
         screen.print(f"{observer} in {scenario}", style="bold")
         gains.gains(found, screen)
         if file is not None:
-            screen.say(f"Now run it: pcbench run {file}")
+            screen.say(f"Run it: pcbench run {file}")
 
 
 def _may_write(out: Path) -> None:
-    """Raise UserError where a file stands there that no design has written."""
+    """Raise UserError if the file exists and is not the output of a design."""
     try:
         there = out.read_text(encoding="utf-8") if out.is_file() else "[resolved.certificate]"
     except (OSError, ValueError):
         there = ""
     if "[resolved.certificate]" not in there:
-        raise UserError(f"--out {out}: holds something else than a design, expected a new file; give another name.")
+        raise UserError(f"--out {out}: this file exists and is no design, expected a new file; give another name.")
 
 
 def _values(text: str) -> tuple[str, list[object]]:
@@ -97,30 +97,35 @@ def _values(text: str) -> tuple[str, list[object]]:
 def tune(
     scenario: Scenario,
     observer: Observer,
-    budget: Annotated[int | None, option("times that all training runs are simulated [default: 60]")] = None,
+    budget: Annotated[int | None, option("Number of simulations of all training runs [default: 60]")] = None,
     objective: Annotated[
-        str | None, option("metric of the tables to make small [default: rmse; exact: pooled_rmse]")
+        str | None, option("Metric to minimise [default: rmse; with --exact-objective: pooled_rmse]")
     ] = None,
     signal: Signal = None,
-    optimizer: Annotated[str | None, option("descent (with gradients) or search [default: as can be]")] = None,
+    optimizer: Annotated[
+        str | None, option("Optimizer: descent (with gradients) or search [default: descent, if it is possible]")
+    ] = None,
     exact_objective: Annotated[
-        bool, option("its expected value over all noise: no training seeds, no validation seeds", "--exact-objective")
+        bool,
+        option("Use the expected value over all noise, without training and validation seeds", "--exact-objective"),
     ] = False,
-    only: Annotated[str | None, option("comma-separated options to tune [default: all that can be]")] = None,
+    only: Annotated[str | None, option("Comma-separated options to tune [default: all tunable ones]")] = None,
     training_seeds: SeedRange = None,
     validation_seeds: SeedRange = None,
     log: Annotated[
-        str | None, option("tune noise intensities by the likelihood of this log, judged on its last part")
+        str | None, option("Recording: tune noise intensities by its likelihood, and test them on its last part")
     ] = None,
     delay: Late = None,
     changes: Set = None,
-    folder: Annotated[str | None, out("folder for tuned.toml and the history; run again, it goes on")] = None,
+    folder: Annotated[
+        str | None, out("Folder for tuned.toml and the history; the same command continues a stopped tuning")
+    ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Tune an observer's free parameters on some seeds, and judge them on others.
+    """Tune an observer's free parameters on some seeds, and test them on others.
 
-    Or, with --log, its noise intensities on a recording.
+    With --log, tune its noise intensities on a recording.
 
     Example: pcbench tune cart/gaussian pccebo --objective steady_rmse --out tuned
     Example: pcbench tune motor.toml kf --log flight --out tuned
@@ -140,11 +145,11 @@ def tune(
     }
     if log is not None and (given := [name for name, value in of_runs.items() if value is not None]):
         raise UserError(
-            f"{given[0]}: got it with --log, expected it for simulated runs alone: a log is tuned on by its likelihood; leave "
+            f"{given[0]} has no effect with --log: the objective on a recording is its likelihood; leave "
             f"{' and '.join(given)} out, or --log."
         )
     if log is None and delay is not None:
-        raise UserError("--delay: got one without --log, expected it with a log alone; leave it out, or give --log.")
+        raise UserError("--delay has no effect without --log; leave it out, or give --log.")
     options: TomlTable = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
     with working(quiet or as_json, "designing gains") as options["progress"]:

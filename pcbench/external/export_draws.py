@@ -23,28 +23,28 @@ from pcbench.study.grid import Grid
 FOLDER = "draws"
 SAMPLES = {
     "scenario": (pa.string(), "", "name of the scenario"),
-    "cell": (pa.int64(), "", "number of the cell in the scenario"),
+    "cell": (pa.int64(), "", "number of the grid point in the scenario"),
     "seed": (pa.int64(), "", "seed index of the run"),
     "channel": (pa.int64(), "", "output, from 1"),
-    "sample": (pa.int64(), "", "which sample of its channel, from 0"),
+    "sample": (pa.int64(), "", "number of the sample in its channel, from 0"),
     "sampled_tick": (
         pa.int64(),
         "",
-        "its stamp: the tick at which observers assume it was taken; below 0: before the run, of the state at 0",
+        "timestamp: the assumed sampling tick; below 0: taken before the run, from the state at tick 0",
     ),
     "sampled": (pa.float64(), "s", "the same in seconds"),
     "arrived_tick": (
         pa.int64(),
         "",
-        "tick at which it arrives, before that tick's estimate; null: never within the run",
+        "tick of arrival, before the estimate of this tick; null: does not arrive within the run",
     ),
     "arrived": (pa.float64(), "s", "the same in seconds"),
-    "value": (pa.float64(), "unit of the output", "what was measured, noise included"),
+    "value": (pa.float64(), "unit of the output", "measured value with noise"),
 }
 CELL = {
     "scenario": ("", "name of the scenario"),
-    "cell": ("", "number of the cell in the scenario"),
-    "axes": ("", "the cell's value of each axis"),
+    "cell": ("", "number of the grid point in the scenario"),
+    "axes": ("", "value of each axis at the grid point"),
     "dt": ("s", "length of a tick"),
     "ticks": ("", "N, the ticks of a run"),
     "signals": ("", "name and unit of each state and unknown, in the order of the estimates"),
@@ -58,38 +58,40 @@ CELL = {
     "input_intensity": ("input^2/s", "assumed intensity of white noise on the input, if parameters drift"),
     "P0": ("product of the states' units", "[n, n] covariance of x(0) - xhat(0)"),
     "unknown_std": ("unit of the unknown", "[s] typical size of each unknown input or parameter"),
-    "unknown0": ("unit of the unknown", "[s] value of each unknown to begin with"),
-    "unknown_range": ("unit of the unknown", "[s, 2] limits of each unknown; null: none"),
+    "unknown0": ("unit of the unknown", "[s] initial estimate of each unknown input or parameter"),
+    "unknown_range": ("unit of the unknown", "[s, 2] limits of each unknown input or parameter; null: none"),
     "model": (
         "",
         "nominal model: A, B, C, D, the matrix E of an unknown input (null: none), whether A and B are of one tick "
         "(`discrete`), and Phi, Gamma of one tick with a held input",
     ),
 }
-README = """# What every run measures, and when it arrives
+README = """# Measurements of all runs, with their arrival times
 
-Written by `pcbench external prepare`. Ticks are whole numbers. With `--csv` each table is a `.csv` file too.
+Written by `pcbench external prepare`. Ticks are whole numbers. With `--csv` each table is also a `.csv` file.
 
-`samples.parquet`, a row for each sample of each channel:
+`samples.parquet` has one row per sample of each channel:
 
 | column | unit | meaning |
 |---|---|---|
 {rows}
 
 `inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next.
-`starts.parquet` has xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
+`starts.parquet` has xhat(0): scenario, cell, seed, and one column per state in the order of `signals`, x1, x2, ...
 
-`cells.json`, a table for each cell: what pcbench's own designs may assume too. n states, m inputs, q outputs, s unknowns.
+`cells.json` has one table per grid point, with the data that the designs of pcbench also use. n states, m inputs, q outputs,
+s unknown inputs or parameters.
 
 | key | unit | meaning |
 |---|---|---|
 {keys}
 
-At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input
-u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
+Order of tick k: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input u_k is
+held over the tick. So the estimate of tick k may use samples that arrived up to tick k and inputs up to tick k - 1.
 
-Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario,
-cell, seed, tick, and one for each signal by its name. Then: `pcbench external score DIR estimates.parquet --name my-observer`.
+Write a Parquet or CSV file with one row per tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`). Its columns are
+scenario, cell, seed, tick, and one per signal, with its name. Then run
+`pcbench external score DIR estimates.parquet --name my-observer`.
 """
 
 

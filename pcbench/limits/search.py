@@ -318,8 +318,8 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
 def notes(q: Question) -> list[str]:
     """Return what has to be known of an answer besides."""
     note = (
-        "A value suffices where the whole 95 % interval is below the limit and no run diverged; where the interval holds the "
-        "limit, it is not decided."
+        "A value suffices if the whole 95 % interval is below the limit and no run diverged. It is undecided if the interval "
+        "contains the limit."
     )
     return [note, *filter(None, [settles_sentence(q.scenario, [*q.study.axes, q.axis.name])])]
 
@@ -329,6 +329,6 @@ def settles_sentence(s: Scenario, varied: Iterable[str]) -> str:
     if any(name in PUSHES or name.startswith("plant.") for name in varied) or not settles_alone(s):
         return ""
     return (
-        f"{s.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
-        "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std)."
+        f"{s.name}: the plant decays by itself, equals its model, and has no process noise. So the model "
+        "alone wins in the end, and nothing follows about periods or delays; add process noise (process_std)."
     )

@@ -122,13 +122,13 @@ def _row(observer: str, a: Answer, axis: str) -> Row:
 
 
 def sentence(a: Answer, axis: str) -> str:
-    """Return an answer in words, with what is to be known of it."""
+    """Return an answer in words."""
     first, last = a.points[0], a.points[-1]
     runs = max(p.runs for p in a.points)
     said = {
-        "every value": f"every value of {axis} that was tried suffices, {first.value:g} to {last.value:g}",
+        "every value": f"every tested value of {axis} suffices, {first.value:g} to {last.value:g}",
         "no value": f"no value of {axis} suffices: at {first.value:g} it {_is(first)} already",
-        "undecided": f"for no value of {axis} it is sure that it suffices, with {runs:,} runs each",
+        "undecided": f"no value of {axis} significantly suffices, with {runs:,} runs each",
         "refused": f"no value of {axis} can be run: {last.why}",
         "no number": "the metric has no number here, so there is no answer",
     }.get(a.kind, "")
@@ -136,16 +136,16 @@ def sentence(a: Answer, axis: str) -> str:
     if a.kind == "up to" and a.exceeds:
         parts.append(f"at {a.exceeds.value:g} it {_is(a.exceeds)}")
     elif a.kind == "up to":
-        parts.append("beyond, nothing is significant")
+        parts.append("beyond, no value is significantly above the limit")
     if open_ := [p for p in a.points if p.verdict == UNDECIDED and a.largest and p.value > a.largest.value]:
-        parts.append(f"at {', '.join(f'{p.value:g}' for p in open_)} it is not decided with {runs:,} runs")
+        parts.append(f"undecided at {', '.join(f'{p.value:g}' for p in open_)} with {runs:,} runs")
     if a.fails_below and a.largest:
         parts.append(
             f"it is not monotone: at {a.fails_below.value:g} it {_is(a.fails_below)}, at {a.largest.value:g} it suffices"
         )
     odd = [p for p in a.points if p.verdict == REFUSED and a.kind != "refused"]
     if odd:
-        parts.append(f"not at {', '.join(f'{p.value:g}' for p in odd)}, where {odd[0].why.rstrip('.')}")
+        parts.append(f"not run at {', '.join(f'{p.value:g}' for p in odd)}: {odd[0].why.rstrip('.')}")
     if a.kind != "no number" and any(p.verdict == NULL for p in a.points):
         missing = ", ".join(f"{p.value:g}" for p in a.points if p.verdict == NULL)
         parts.append(f"at {missing} the metric has no number")

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
 EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
-MARK = " *"  # behind the name of an observer whose gains nothing proves
-UNPROVEN = "* Nothing proves"  # with which the sentence below a table begins
+MARK = " *"  # behind the name of an observer whose gains have no certificate
+UNPROVEN = "* No certificate for"  # beginning of the sentence below a table
 LEAN = 1.25  # an interval leans where one side is longer than the other by more
 
 
 def mark_uncertified(observer: str, certified: Iterable[object]) -> str:
-    """Return an observer's name, with a mark where nothing proves its gains in one of some cells; None and NaN are unknown."""
+    """Return an observer's name, with a mark if its gains have no certificate at a grid point; None and NaN are unknown."""
     return observer + MARK if any(each in (False,) for each in certified) else observer
 
 
@@ -60,8 +60,8 @@ def fraction(row: Any) -> str:
 
 
 def as_good(observers: Iterable[str], cells: int = 1, of: int = 1) -> str:
-    """Return that observers are not significantly worse than the best, in how many cells of several."""
-    return f"as good as the best: {', '.join(observers)}" + (f" in {cells:,} of {of:,} cells" if of > 1 else "")
+    """Return a text that these observers are not significantly worse than the best, at how many of several grid points."""
+    return f"as good as the best: {', '.join(observers)}" + (f" at {cells:,} of {of:,} grid points" if of > 1 else "")
 
 
 def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:

@@ -12,7 +12,8 @@ from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES
+from pcbench.study import STUDIES, parse
+from pcbench.study.axes import AXES, COMMANDS, axes_of
 
 
 def test_everything_that_there_is_is_listed():
@@ -59,10 +60,38 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
     ]
 
 
+def test_scenario_lists_only_axes_that_it_accepts():
+    axes = {name: catalogue.accepted_axes(SCENARIOS[name]) for name in ("cart/white", "csth/10s", "arm/sine")}
+    assert {"actuator_delay", "loss", "parameter_drift"} <= {*axes["cart/white"]}
+    assert "parameter_drift" not in axes["csth/10s"]
+    assert axes["arm/sine"] == ["parameter_drift", "actuator_delay", "process_std"]
+    loop = SCENARIOS["helicopter/constant"]
+    assert "actuator_delay" in catalogue.accepted_axes(loop)
+    for name in (name for name in axes_of(loop) if name not in catalogue.accepted_axes(loop)):
+        study = {"name": "x", "scenarios": [loop.name], "observers": ["ekf"], "axes": {name: [REFUSED[name]]}}
+        with pytest.raises(UserError, match=name if name in WITHOUT_EFFECT else "whose sampling began before t = 0"):
+            parse.grid_of(study, {}, [])
+
+
+WITHOUT_EFFECT = ("delay_self_transition", "delay_weights", "delay_gamma_shape", "mean_burst_length")
+REFUSED = {
+    **dict.fromkeys(("sampling_jitter", "delay_jitter", "timestamp_jitter", "delay_gamma_mean"), 0.05),
+    **{"delay_values": [0.0, 0.05], "delay_sequence": [0.0, 0.05], "loss": 0.5, "delay_self_transition": 0.5},
+    **{"delay_weights": [1.0, 2.0], "delay_gamma_shape": 2.0, "mean_burst_length": 5.0},
+}
+
+
+def test_list_of_axes_has_those_of_commands():
+    assert [*list_catalogue("axes")] == [*AXES, *COMMANDS]
+
+
 def test_observers_say_what_they_know_and_take():
     kfbo, kf = catalogue.observer(OBSERVERS["kfbo"]), catalogue.observer(OBSERVERS["kf"])
-    assert (kfbo["knows_schedule"], kfbo["samples"]) == (False, "of one constant age")
-    assert (kf["knows_schedule"], kf["samples"]) == (True, "of any age, in any order, from clocks of their own")
+    assert (kfbo["knows_schedule"], kfbo["samples"]) == (False, "one constant delay")
+    assert (kf["knows_schedule"], kf["samples"]) == (
+        True,
+        "any delay and order; each channel can have its own schedule",
+    )
     assert catalogue.observer(OBSERVERS["model-only"])["options"] == {}
 
 

@@ -118,7 +118,7 @@ def test_a_scenario_is_the_published_one_to_start_from(here):
 def test_what_is_there_is_not_overwritten(here, kind, name, file):
     path = here / file
     path.write_text("mine")
-    with pytest.raises(pcbench.UserError, match="is there already, expected a new file"):
+    with pytest.raises(pcbench.UserError, match="exists already, expected a new file"):
         new.new(kind, name)
     assert path.read_text() == "mine"
     assert list(here.iterdir()) == [path], "nothing is written where not all can be"

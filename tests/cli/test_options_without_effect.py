@@ -5,14 +5,22 @@ import pytest
 from pcbench.cli.commands import app
 from pcbench.errors import UserError
 
-SEEDS = "expected exact values without seeds, or simulated runs"
+SEEDS = "exact values need no runs; leave one of them out."
 CASES = [
-    ("run cart/white --evaluation exact --seeds 8", "--seeds: got it with --evaluation exact", SEEDS),
-    ("run cart/white --evaluation exact --first-seed 0", "--first-seed: got it with --evaluation exact", SEEDS),
-    ("run cart/white --evaluation exact --until-se rmse=0.1", "--until-se: got it with --evaluation exact", SEEDS),
-    ("run cart/white --evaluation exact --max-seeds 8", "--max-seeds: got it with --evaluation exact", SEEDS),
-    ("run cart/white --evaluation exact --block-size 8", "--block-size: got it with --evaluation exact", SEEDS),
-    ("run cart/white --set evaluation=exact --seeds 8", '--seeds: got it with a study of evaluation "exact"', SEEDS),
+    ("run cart/white --evaluation exact --seeds 8", "--seeds has no effect with --evaluation exact; ", SEEDS),
+    ("run cart/white --evaluation exact --first-seed 0", "--first-seed has no effect with --evaluation exact; ", SEEDS),
+    (
+        "run cart/white --evaluation exact --until-se rmse=0.1",
+        "--until-se has no effect with --evaluation exact; ",
+        SEEDS,
+    ),
+    ("run cart/white --evaluation exact --max-seeds 8", "--max-seeds has no effect with --evaluation exact; ", SEEDS),
+    ("run cart/white --evaluation exact --block-size 8", "--block-size has no effect with --evaluation exact; ", SEEDS),
+    (
+        "run cart/white --set evaluation=exact --seeds 8",
+        '--seeds has no effect in a study with evaluation = "exact"; ',
+        SEEDS,
+    ),
     (
         "run cart/white --evaluation exact --metric max_abs_error",
         "--metric: got max_abs_error, which has no exact value",
@@ -28,19 +36,19 @@ CASES = [
         "--metric: got steady_max_abs_error, which has no exact value",
         "steady_mse",
     ),
-    ("run cart/white --quiet --operations", "--operations: got it with --quiet", "where tables are printed"),
-    ("run cart/white --json --timings", "--timings: got it with --json", "where tables are printed"),
-    ("verify ds --figure q.svg", "--figure: got it without --exact", "expected both"),
-    ("verify ds --exact --sample 0", "--sample: got it with --exact", "leave one out"),
-    ("verify ds --exact --all", "--all: got it with --exact", "leave one out"),
-    ("verify ds --exact --seed 0", "--seed: got it with --exact", "leave one out"),
-    ("verify ds --all --sample 2", "--sample: got it with --all", "every block, or some"),
-    ("verify ds --all --seed 2", "--seed: got it with --all", "every block, or some"),
-    ("show cart/white --operations --toml", "--toml: got it with --operations", "leave one out"),
-    ("report ds --formats svg", "--formats: got it without --figures", "expected both"),
-    ("report ds --width 3", "--width: got it without --figures", "expected both"),
-    ("report ds --size 9", "--size: got it without --figures", "expected both"),
-    ("report ds --font Arial", "--font: got it without --figures", "expected both"),
+    ("run cart/white --quiet --operations", "--operations has no effect with --quiet; ", "no table is printed"),
+    ("run cart/white --json --timings", "--timings has no effect with --json; ", "no table is printed"),
+    ("verify ds --figure q.svg", "--figure has no effect without --exact; ", "or leave it out."),
+    ("verify ds --exact --sample 0", "--sample has no effect with --exact; ", "leave one of them out."),
+    ("verify ds --exact --all", "--all has no effect with --exact; ", "leave one of them out."),
+    ("verify ds --exact --seed 0", "--seed has no effect with --exact; ", "leave one of them out."),
+    ("verify ds --all --sample 2", "--sample has no effect with --all; ", "leave one of them out."),
+    ("verify ds --all --seed 2", "--seed has no effect with --all; ", "leave one of them out."),
+    ("show cart/white --operations --toml", "--toml has no effect with --operations; ", "leave one of them out."),
+    ("report ds --formats svg", "--formats has no effect without --figures; ", "or leave it out."),
+    ("report ds --width 3", "--width has no effect without --figures; ", "or leave it out."),
+    ("report ds --size 9", "--size has no effect without --figures; ", "or leave it out."),
+    ("report ds --font Arial", "--font has no effect without --figures; ", "or leave it out."),
 ]
 
 

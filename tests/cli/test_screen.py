@@ -65,7 +65,7 @@ def test_no_number_is_cut_at_any_width(many, width):
         assert re.search(
             rf"{re.escape(row['observer'])} +{re.escape(value)}{' ± +' if sign else ''}{re.escape(half)}", flat
         )
-    assert ("Left out for want of room: " in text) == (width < 160)
+    assert ("Left out for lack of space: " in text) == (width < 160)
     assert ("delay = 0.2, noise_std = 0.1, assumed_delay_error = 0.0" in flat) == (width < 100), "axes stand above then"
 
 
@@ -139,7 +139,7 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "error of velocity [m/s], 3 seeds" in done.stdout
     assert re.search(r"observer +max_abs_error +diff. to best", done.stdout)
-    assert done.stdout.rstrip().endswith(f"Now look at it: pcbench report {tmp_path / 'out'}")
+    assert done.stdout.rstrip().endswith(f"View the results: pcbench report {tmp_path / 'out'}")
     done = call("run", "cart/slow", "--signal", "speed", "--out", tmp_path / "no")
     assert done.returncode == 2
     assert "--signal: 'speed' is no signal of cart/slow; valid: position, velocity." in done.stderr
@@ -162,7 +162,7 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
 def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 8)
     text = shown(many)
-    assert "least steady_rmse of position, over 8 cells" in text
+    assert "least steady_rmse of position, over 8 grid points" in text
     assert "median steady_rmse [m]" in text
     assert "diff. to best" not in text, "a footnote of columns that are not there"
     order = [line.split()[0] for line in text.splitlines() if line.split()[:1] and line.split()[0] in MANY["observers"]]
@@ -311,7 +311,7 @@ def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypat
     result = pcbench.run("cart/slow", observers=["mine.py:nudge", "kfbo"], seeds=4)
     screen = Screen(record=True, width=100)
     results.closing(result, screen, "steady_rmse")
-    sentence = "Nothing proves the gains of nudge (by hand)."
+    sentence = "No certificate for the gains of nudge (by hand)."
     assert sentence in screen.export_text()
     (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse")
     assert table.note.endswith(sentence), "and so says the report"
@@ -342,7 +342,7 @@ def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exa
         return
     assert text.count("0.7 pessimistic" + ("" if exact else " (0.8 .. 1.2)")) == cells
     assert text.count("1.02 optimistic" if exact else "1.02 consistent (0.95 .. 1.05)") == cells
-    assert ("cell" in text.split("observer")[0]) == (cells > 1)
+    assert ("grid point" in text.split("observer")[0]) == (cells > 1)
 
 
 def test_of_who_believes_nothing_nothing_is_said():

@@ -37,7 +37,7 @@ def printed(show_it, *given):
 
 def test_claims_are_counted_by_verdict_and_findings_apart():
     rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
-    text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that stand in no paper."
+    text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that are in no paper."
     assert folder.summary(rows) == text
     assert text in printed(folder.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
 
@@ -71,8 +71,8 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
     assert "+0.5" in text
     assert "2.0e-03" in text
     assert "versions.jax: 1 there, 2 here" in text
-    assert "3 rows stand in new alone." in text
-    assert "All 2 rows stand on other draws" in text
+    assert "3 rows are only in new." in text
+    assert "All 2 rows have different seeds" in text
     assert "1 of 2 rows changed beyond their interval." in text
     assert "still" not in text
 
@@ -103,7 +103,7 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
             printed(gains.print_tuning, found, "mine", None),
             printed(gains.fair, pd.DataFrame([version])),
         ]
-        assert [("Nothing proves" in text) for text in texts] == 4 * [certificate is not proven]
+        assert [("No certificate for" in text) for text in texts] == 4 * [certificate is not proven]
         assert [("mine *" in text) for text in texts[2:]] == 2 * [certificate is not proven]
 
 
@@ -171,7 +171,7 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
     assert [line.split("  ")[0] for line in exact] == [
         "from the command to the study",
         "exact numbers",
-        "the study in all",
+        "the whole study",
     ]
     assert "1.50 s" in exact[0]
     assert "1.25 s" in exact[1]

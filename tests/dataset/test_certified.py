@@ -64,7 +64,7 @@ def test_the_tables_say_whether_gains_are_certified(out):
 def test_every_table_for_a_person_marks_what_nothing_proves(out):
     result = pcbench.open_result(out)
     closing = shown(lambda console: results.closing(result, console, "steady_rmse"))
-    assert "* Nothing proves the gains of nudge (by hand)." in closing
+    assert "* No certificate for the gains of nudge (by hand)." in closing
     (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse")
     state = shown(folder.status, verify.status(out), "out")
     found = compare(out, out)

@@ -125,7 +125,10 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     found, said = verify.verify(copy, None, 0), io.StringIO()
     folder.verdict(found, "copy", Screen(file=said, width=200))
     assert found.unlike == ["exact.parquet: lti, cell 0: other numbers come out now."]
-    assert said.getvalue().splitlines()[-1] == "copy: exact numbers of 1 of 2 cells came out again, to rounding."
+    assert (
+        said.getvalue().splitlines()[-1]
+        == "copy: exact numbers of 1 of 2 recomputed grid points are equal up to rounding."
+    )
 
 
 @pytest.mark.ci
@@ -161,8 +164,8 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
     for text in (shown.getvalue(), html):
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
-    assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of kf, and of signed"
-    assert results.sentence(done, "there") == "Exact numbers of one cell are in there."
+    assert "Bands: 90 % of the errors over all noise, or 32 runs" in html, "of kf, and of signed"
+    assert results.sentence(done, "there") == "Exact numbers of one grid point are in there."
 
 
 @pytest.mark.ci
@@ -221,4 +224,4 @@ def test_a_picture_in_time_says_over_what_errors_are_taken(exact, of):
     assert time_series.over(frozenset("ab"), frozenset(exact)) == of
     rows = [(series, kind, 1.0) for series in "ab" for kind in ("estimate", "rms")]
     run = pd.DataFrame(rows, columns=["series", "kind", "value"])
-    assert f"nine in ten errors over {of}" in captions.time(run, "m", frozenset(exact))[1]
+    assert f"90 % of the errors over {of}" in captions.time(run, "m", frozenset(exact))[1]

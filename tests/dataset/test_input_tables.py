@@ -61,8 +61,8 @@ def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
     text = console.file.getvalue()
     assert "error of link_velocity [rad/s], 3 seeds" in text
     assert "error of input [rad/s^2], 3 seeds" in text
-    assert "carries the unknown input found: smo-reconstruct." in text
-    assert "does not carry the unknown input found: smo." in text
+    assert "includes the estimated unknown input: smo-reconstruct." in text
+    assert "does not include the estimated unknown input: smo." in text
     assert "recovery" not in text  # nothing jumps here
     assert done.runs.recovery_time.isna().all()
 

@@ -32,7 +32,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     assert (named.first_seed, named.seeds) == (0, 40)
     again = pcbench.run(STUDY, out=tmp_path / "both")
     assert again.provenance["merged"]
-    assert "Nothing was left to do" in call("run", str(a / "study.toml"), "--out", str(a)).stdout
+    assert "All runs were complete already" in call("run", str(a / "study.toml"), "--out", str(a)).stdout
     same(tmp_path / "both", whole)
 
 

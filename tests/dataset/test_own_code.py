@@ -82,7 +82,7 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
 @pytest.mark.ci
 def test_exact_values_with_a_sample_of_none_are_refused_and_run_no_code(here, out):
     forget(here)
-    with pytest.raises(pcbench.UserError, match="--sample: got it with --exact"):
+    with pytest.raises(pcbench.UserError, match="--sample has no effect with --exact"):
         app(["verify", "out", "--sample", "0", "--exact", "--quiet"], standalone_mode=False)
     assert not (here / "mark").exists()
 

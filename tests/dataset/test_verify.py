@@ -53,12 +53,12 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
 
 @pytest.mark.nightly
 def test_commands_on_a_dataset_answer(copy, tmp_path):
-    assert "Every run is there" in call("status", str(copy)).stdout
+    assert "All runs and their statistics are complete" in call("status", str(copy)).stdout
     done = call("verify", str(copy), "--sample", "1")
-    assert "all 12 blocks are whole; 1 of 1 came out again" in " ".join(done.stdout.split()), done.stderr
-    assert "none was computed again" in " ".join(call("verify", str(copy), "--sample", "0").stdout.split())
+    assert "all 12 blocks are intact; 1 of 1 recomputed blocks are equal" in " ".join(done.stdout.split()), done.stderr
+    assert "none was recomputed" in " ".join(call("verify", str(copy), "--sample", "0").stdout.split())
     done = call("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
-    assert "160 runs stood in more than one" in " ".join(done.stdout.split()), done.stderr
+    assert "160 runs were in more than one dataset" in " ".join(done.stdout.split()), done.stderr
     for words in (
         ["status", str(tmp_path)],
         ["verify", str(tmp_path)],

@@ -77,7 +77,7 @@ def test_tuning_records_its_cell_and_what_it_found():
     assert all(made.study.options["pccebo"][name] == value for name, value in found.items())
     assert made.study.tuning_sentence == (
         "The gains of pccebo were tuned for steady_pooled_rmse of position in cart/gaussian at noise_std = 0.3. "
-        "The other cells use the same gains."
+        "The other grid points use the same gains."
     )
     assert prepared(tuning="design").study.tuning_sentence is None
 
@@ -111,7 +111,7 @@ def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
     assert len({c.told["kf-tuned"] for c in made.grid.cells}) == 2
     assert len({c.told["kf-published"] for c in made.grid.cells}) == 1
     assert len(set(folders)) == 2
-    assert made.study.tuning_sentence.endswith("in cart/gaussian, in each of 2 cells for itself.")
+    assert made.study.tuning_sentence.endswith("in cart/gaussian, separately at each of 2 grid points.")
     written = tomllib.loads(serialize.to_toml(made.study, made.grid.cells))
     del written["resolved"]
     again = parse.grid_of(written | {"axes": {"noise_std": [0.1, 0.3]}}, {}, [])
@@ -270,7 +270,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
 def test_the_command_prints_all_versions_and_their_gap(tmp_path):
     words = ["--set", "tune.budget=2", "--set", "tune.training=16", "--seeds", "16", "--observers", "pccebo,kf"]
     done = call("run", "equal-tuning", *words, "--out", str(tmp_path / "out"))
-    assert "of the bound" in done.stdout, done.stderr
+    assert "efficiency" in done.stdout, done.stderr
     assert [w for w in ("published", "design", "tuned", "held out", "gap") if w not in done.stdout] == [], done.stdout
     said = json.loads(call("run", "equal-tuning", *words, "--out", str(tmp_path / "out"), "--json").stdout)
     assert {row["tuning"] for row in said["fair"]} == set(TUNINGS)

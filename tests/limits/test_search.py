@@ -143,7 +143,7 @@ def test_a_value_that_an_observer_cannot_work_at_is_no_failure_and_no_success():
     found = answer(search(look, PERIODS, LIMIT, MOST)["a"])
     assert 0.85 < found.largest.value <= 0.9
     assert 1.2 <= found.exceeds.value < 1.26
-    assert "where no gains" in limit_verdicts.sentence(found, "period")
+    assert ": no gains." in limit_verdicts.sentence(found, "period")
     every = answer([Point(v, "refused", why="no gains.") for v in (1.0, 2.0)])
     assert every.kind == "refused"
 
@@ -204,7 +204,7 @@ def test_the_answer_of_values_that_were_run_is_read_from_a_frame():
     assert found.answer.to_dict() == {"a": "up to", "b": "no value"}
     assert (found.largest["a"], found.exceeds["a"], found.exceeds["b"]) == (0.2, 0.4, 0.1)
     assert (found.ci_high["a"], found["mean"]["a"]) == (0.09, 0.08)
-    assert found.said["a"].startswith("period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; at 0.3 it is not decided")
+    assert found.said["a"].startswith("period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; undecided at 0.3 with")
     diverged = frame.assign(diverged=(frame.period == 0.1).astype(int))
     assert answers(diverged, "period", LIMIT).set_index("observer").fails_below["a"] == 0.1
     assert answers(diverged.assign(metric="divergence_rate"), "period", LIMIT).fails_below.isna().all()

@@ -72,7 +72,7 @@ def test_a_column_of_another_kind_in_a_table_of_any_shape_is_named(tmp_path, col
     table = {"t": np.arange(3.0), "x": np.ones(3)} | {column: [value] * 3}
     pd.DataFrame(table).to_parquet(tmp_path / "run.parquet", index=False)
     (tmp_path / "log.toml").write_text('log = "run.parquet"\n[channels.y1]\nfield = "x"\nunit = "m"\ndelay = 0.0')
-    with pytest.raises(UserError, match=f"^log.toml: {column}: got .*, expected numbers.*; mend the column"):
+    with pytest.raises(UserError, match=f"^log.toml: {column}: got .*, expected numbers.*; correct the column"):
         survey(readers.open_log(tmp_path / "log.toml"))
 
 

@@ -1,4 +1,4 @@
-"""Gains with what proves them, what a faster decay costs, what a tuning found, and what the checks of a user's own say."""
+"""Tables and sentences for `design`, `tune` and `check`."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ VARIANCES = ("R", "Q")  # whose root is a standard deviation
 
 
 def gains(design: Design, screen: Screen) -> None:
-    """Print a certificate and the numbers worth showing."""
+    """Print a certificate and the main numbers of a design."""
     c = design.certificate
     screen.print(
         f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", highlight=True
@@ -28,16 +28,16 @@ def gains(design: Design, screen: Screen) -> None:
     if is_certified(c._asdict()) is False:
         screen.print(f"{UNPROVEN.removeprefix('* ')} these gains.", style="bold", highlight=True)
     if c.fallback:
-        screen.print(f"a fallback: {c.fallback}", highlight=True)
-    promise = f"at {c.rate:.6g} per second or faster" if np.isfinite(c.rate) else "at no rate that is promised"
-    screen.print(f"errors decay {promise}", highlight=True)
+        screen.print(f"fallback: {c.fallback}", highlight=True)
+    promise = f"{c.rate:.6g} 1/s or faster" if np.isfinite(c.rate) else "not guaranteed"
+    screen.print(f"decay rate of the errors: {promise}", highlight=True)
     for name, value in c.numbers.items():
         body = np.array2string(np.asarray(value), precision=12, separator=", ", suppress_small=False)
         screen.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", highlight=True)
 
 
 def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
-    """Print a trade-off: the option, what is promised, and the other numbers that it changes."""
+    """Print a trade-off: the option, the guaranteed rate, and the other numbers that change."""
     option = table.columns[0]
     fixed = [option, "rate", "margin", "solver"]
     moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
@@ -47,16 +47,16 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
     rows = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in values]
     screen.fold(mark_uncertified(title, table.certified), heads, rows, right=heads)
     if len(designs) > 1 and not moving and designs.rate.nunique() <= 1:
-        screen.print(f"{option} changes nothing here: the gains are not found from it; name a --gain that does.")
+        screen.print(f"{option} has no effect here: these gains do not depend on it; use another --gain.")
     screen.say_unproven(table.certified)
     for row in table[table.refused != ""].to_dict("records"):
         screen.print(f"{option} = {row[option]}: {row['refused']}")
     for row in designs[designs.fallback != ""].to_dict("records"):
-        screen.print(f"{option} = {row[option]}, a fallback: {row['fallback']}")
+        screen.print(f"{option} = {row[option]}, fallback: {row['fallback']}")
 
 
 def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
-    """Print what a tuning found: start against tuned on training and validation seeds, and the options."""
+    """Print a tuning: start and tuned options with their metric on training and validation seeds."""
     aim, judged, of_runs = found.objective, found.judged, not found.exact
     columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
     columns += [
@@ -76,7 +76,7 @@ def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Scr
     if found.kept_start:
         screen.print(f"The start is kept: {found.kept_start}.")
     if folder is not None:
-        screen.say(f"Now run it: pcbench run {folder}/tuned.toml")
+        screen.say(f"Run it: pcbench run {folder}/tuned.toml")
 
 
 def _option(value: object) -> str:
@@ -84,63 +84,63 @@ def _option(value: object) -> str:
 
 
 def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None, screen: Screen) -> None:
-    """Print the intensities, and the start against what was found on the held-out part."""
+    """Print the tuned intensities, and compare start and tuned on the held-out part."""
     rows, held = found.intensities, found.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
     roots = [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
     columns = [
         Column("intensity", [i.name for i in rows], left=True),
         Column("start", [f"{i.start:.4g}" for i in rows]),
-        Column("found", [f"{i.found:.4g}" for i in rows]),
+        Column("tuned", [f"{i.found:.4g}" for i in rows]),
         Column("95 % interval", ["-" if np.isnan(i.low) else end for i, end in zip(rows, ends, strict=True)]),
         Column("root", roots, spare=1),
     ]
-    screen.fit(f"{observer}: most likely on {log}, {len(found.points)} points by descent", columns)
+    screen.fit(f"{observer}: maximum likelihood on {log}, {len(found.points)} points by descent", columns)
     columns = [
         Column("held out", list(found.held_out), left=True),
-        Column("log-likelihood\nof a number", [f"{each['log_likelihood']:.4g}" for each in held]),
+        Column("log-likelihood\nper value", [f"{each['log_likelihood']:.4g}" for each in held]),
         Column("NIS", [f"{each['nis']:.3f}" for each in held]),
         Column("verdict", [str(each["verdict"]) for each in held], left=True),
         Column("ljung_box_p", [f"{each['ljung_box_p']:.3g}" for each in held]),
     ]
     samples = found.held_out["tuned"]["samples"]
-    screen.fit(f"tuned on the first part alone: the last part, {samples} samples", columns)
+    screen.fit(f"test on the last part ({samples} samples), after tuning on the first part only", columns)
     screen.say(f"tuned - start: {found.gain:+.4g} (standard error {found.gain_se:.2g}).", *found.said)
     if found.kept_start:
         screen.say(f"The start is kept: {found.kept_start}.")
     if folder is not None:
         plant = f"{folder}/tuned.toml"
-        screen.say(f"Now replay it: pcbench replay {log} --plant {plant} --observers {observer} --out replayed")
+        screen.say(f"Replay it: pcbench replay {log} --plant {plant} --observers {observer} --out replayed")
 
 
 def fair(table: pd.DataFrame, screen: Screen) -> None:
-    """Print what gains as printed, by design and tuned are worth, on training runs and on others, and against the bound."""
+    """Print the metric with published, designed and tuned gains on training and held-out runs, and against the Kalman bound."""
     rows: list[TomlTable] = table.to_dict("records")  # type: ignore[assignment]
     of_runs = bool(table.training_se.any())  # or expected values, which have no error
     title = "{scenario}: {metric} of {signal} [{unit}], ".format(**rows[0])
-    title += "on training runs and on others" if of_runs else "as expected, and on runs"
+    title += "training and held-out runs" if of_runs else "expected value and runs"
     bound = ["-" if np.isnan(r["rms_efficiency"]) else f"{100 * r['rms_efficiency']:.1f} %" for r in rows]
     training = [mean(r["training"], r["training_se"]) for r in rows]
-    columns = [Column("cell", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
+    columns = [Column("grid point", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
     columns += [
         Column("observer", [mark_uncertified(r["observer"], [r["certified"]]) for r in rows], left=True),
         Column("gains", [r["tuning"] for r in rows], left=True),
         Column("held out", [mean(r["held_out"], r["held_out_se"]) for r in rows]),
-        Column("of the bound\n(tail)", bound),
+        Column("rms\nefficiency", bound),
         Column("training" if of_runs else "expected", training, spare=2),
         Column("gap", [mean(r["gap"], r["gap_se"], "+") for r in rows], spare=1),
     ]
     if table.diverged.any():
         columns.append(Column("diverged", [str(r["diverged"]) for r in rows]))
     if left_out := screen.fit(title, columns):
-        screen.print(f"Left out for want of room: {', '.join(left_out)}.")
+        screen.print(f"Left out for lack of space: {', '.join(left_out)}.")
     screen.say_unproven(table.certified)
     for label, note in dict.fromkeys((row["label"], row["note"]) for row in rows if row["note"]):
         screen.print(f"{label}: the start is kept: {note}.")
 
 
 def print_findings(title: str, findings: list[Finding], screen: Screen) -> None:
-    """Print every check with its verdict and why."""
+    """Print every check with its verdict and the reason."""
     colours = {"passes": "green", "fails": "red"}
     rows = [(f.check, Text(f.verdict, colours.get(f.verdict, "yellow")), f.why) for f in findings]
-    screen.fold(title, ("check", "verdict", "why"), rows, no_wrap=("check", "verdict"))
+    screen.fold(title, ("check", "verdict", "reason"), rows, no_wrap=("check", "verdict"))

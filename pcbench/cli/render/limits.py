@@ -1,4 +1,4 @@
-"""What a person reads of an answer to what suffices: a row an observer, and in words what a row cannot say."""
+"""Tables and sentences for `find-limit`: one row per observer, and sentences for special cases."""
 
 from collections.abc import Hashable, Mapping
 
@@ -7,11 +7,11 @@ import pandas as pd
 from pcbench.cli.render.tables import Column, Screen, plain
 from pcbench.statistics.number_format import estimate
 
-PLAIN = "up to"  # an answer that its row says whole
+PLAIN = "up to"  # an answer that needs no sentence
 
 
 def answers(table: pd.DataFrame, screen: Screen) -> None:
-    """Print what suffices for each observer."""
+    """Print the largest sufficient value for each observer."""
     about, rows = table.attrs, table.to_dict("records")
     unit, axis_unit = (f" [{about[k]}]" if about[k] not in ("", "1") else "" for k in ("unit", "over_unit"))
     metric = f"there\n{about['metric']}{unit}"

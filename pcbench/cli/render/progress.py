@@ -1,4 +1,4 @@
-"""A bar for long work, on standard error, where that is a terminal."""
+"""Progress bars on standard error, if it is a terminal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,10 +12,10 @@ from pcbench.runtime.progress import SILENT, Progress
 
 
 class Rate(rich.ProgressColumn):
-    """Runs a second."""
+    """Runs per second."""
 
     def render(self, task: rich.Task) -> Text:
-        """Show how many runs a second there are; nothing where something else is counted."""
+        """Show the number of runs per second; nothing if the task does not count runs."""
         shown = task.speed and task.fields.get("what") == "runs"
         return Text(f"{task.speed:,.0f} runs/s" if shown else "", style="progress.data.speed")
 

@@ -1,4 +1,4 @@
-"""What a person reads of recorded data: a row a channel, what observers made of it, and how far an export in C is from it."""
+"""Tables and sentences for `info`, `replay` and `export`."""
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
@@ -40,8 +40,8 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
         drift, se = row["drift_ppm"], row["drift_ppm_se"]
         if drift is not None and se is not None and abs(drift) > NOTHING:
             interval = estimate(drift, drift - Z95 * se, drift + Z95 * se)
-            reading = "half a 95 % interval, if delays do not depend on one another"
-            screen.say(f"{row['channel']}: drift {interval} ppm ({reading}).")
+            reading = "±: half a 95 % interval, for independent delays"
+            screen.say(f"{row['channel']}: clock drift {interval} ppm ({reading}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
 
 
@@ -70,13 +70,10 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
 
 
 def odd(row: Row) -> list[str]:
-    """Return what is odd about a channel, in words."""
+    """Return sentences about gaps, order, repetitions and jumps of a channel."""
 
     def many(what: str, word: str) -> str:
         return f"{row[what]:,} {word}{'' if row[what] == 1 else 's'}"
-
-    def stand(what: str, word: str) -> str:
-        return f"{many(what, word)} {'stands' if row[what] == 1 else 'stand'}"
 
     def at(what: str) -> str:
         return f"row {int(row[f'{what}_row'])}"
@@ -89,7 +86,7 @@ def odd(row: Row) -> list[str]:
         first = f"the first in {at('out_of_order')}"
         out.append(f"{many('out_of_order', 'out-of-sequence sample')}, {first}")
     if row["doubled"]:
-        out.append(f"{stand('doubled', 'stamp')} there twice, the first in {at('doubled')}")
+        out.append(f"{many('doubled', 'repeated timestamp')}, the first in {at('doubled')}")
     if row["jumps"]:
         largest = f"by up to {row['largest_jump']:.4g} s in {at('largest_jump')}"
         out.append(f"the delay jumps {many('jumps', 'time')}, {largest}")
@@ -97,7 +94,7 @@ def odd(row: Row) -> list[str]:
 
 
 def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
-    """Print what is known of observers on a log."""
+    """Print the innovation tests and errors of observers on a recording."""
     about = found.summary
     if len(found.innovations):
         rows = found.innovations.to_dict("records")
@@ -105,41 +102,43 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
             Column("observer", [row["observer"] for row in rows], left=True),
             _count("samples", rows),
             *_innovation_columns(rows),
-            Column("log-likelihood\nof a number", [_plain(row["log_likelihood"]) for row in rows]),
+            Column("log-likelihood\nper value", [_plain(row["log_likelihood"]) for row in rows]),
             Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
         ]
-        screen.fit(f"{about['log']}: what arrived against what was expected of it", columns)
+        screen.fit(f"{about['log']}: measurements compared with their predictions", columns)
     if len(found.channels) and (found.channels.channel.nunique() > 1 or found.channels.not_judged.any()):
         rows = found.channels.to_dict("records")
         columns = [Column(name, [row[name] for row in rows], left=True) for name in ("observer", "channel")]
         screen.fit(
-            "the same by channel",
+            "the same per channel",
             [*columns, _count("samples", rows), _count("not_judged", rows), *_innovation_columns(rows)],
         )
     if len(found.metrics):
-        _by_signal(found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against truth", screen)
+        _by_signal(
+            found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against the true states", screen
+        )
     if len(found.distances):
-        _by_signal(found.distances, "rms", "rms distance to the smoother that sees the whole log", screen)
+        _by_signal(found.distances, "rms", "rms distance to the smoother, which uses the whole recording", screen)
     off, ticks = about["largest_rounding"], about["ticks"] + 1
     screen.say(
-        f"{ticks:,} ticks of {about['dt']:g} s, times rounded by up to {off:.3g} s.",
+        f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {off:.3g} s.",
         f"Estimates tick by tick: {folder}/estimates.parquet",
     )
 
 
 def _innovation_columns(rows: Rows) -> list[Column]:
-    """The columns of what innovations say."""
+    """Return the columns of the innovation tests."""
     bands = [f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" if row["samples"] else "-" for row in rows]
     return [
         Column("NIS", [_plain(row["nis"]) for row in rows]),
-        Column("95 % if right", bands),
+        Column("95 % band", bands),
         Column("verdict", [row["verdict"] for row in rows], left=True),
         Column("ljung_box_p", [_plain(row["ljung_box_p"]) for row in rows]),
     ]
 
 
 def _by_signal(table: pd.DataFrame, value: str, title: str, screen: Screen) -> None:
-    """Print a row an observer, a column a signal."""
+    """Print one row per observer and one column per signal."""
     wide = table.pivot(index="observer", columns="signal", values=value)
     columns = [Column("observer", list(wide.index), left=True)]
     for signal, unit in dict(zip(table.signal, table.unit, strict=True)).items():
@@ -156,15 +155,15 @@ def _plain(value: float | None, scale: float = 1.0) -> str:
 
 
 def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, screen: Screen) -> None:
-    """Print how far C is from a simulation or the replay `of` a recording, in both precisions, and its errors."""
+    """Print the differences between C and a simulation, or the replay `of` a recording, in both precisions, and the errors."""
     about = found.about
     names = [name for name, _ in about.signals if name in double]
     columns = [
         Column("signal", [f"{name} [{unit}]" for name, unit in about.signals if name in double], left=True),
-        Column("double:\nat most off", [f"{double[name].most:.2g}" for name in names]),
+        Column("double:\nlargest diff.", [f"{double[name].most:.2g}" for name in names]),
         Column("rms error", [f"{double[name].error:.6g}" for name in names]),
-        Column("float:\nrms off", [f"{single[name].differs:.2g}" for name in names]),
-        Column("at most off", [f"{single[name].most:.2g}" for name in names], spare=1),
+        Column("float:\nrms diff.", [f"{single[name].differs:.2g}" for name in names]),
+        Column("largest diff.", [f"{single[name].most:.2g}" for name in names], spare=1),
         Column("rms error", [f"{single[name].error:.6g}" for name in names]),
     ]
     if all(math.isnan(each.error) for each in (*double.values(), *single.values())):  # of a recording without the truth

@@ -1,8 +1,6 @@
-"""A study's results in the terminal: who is better, by how much, and with what significance.
+"""Closing tables of a study: ranked observers with differences and significance, filter consistency, and run times.
 
-Heads are the names that the tables use.
-
-Then which observers know how wrong they are, and what the run took.
+Heads are the names of the tables' columns.
 """
 
 from collections import Counter
@@ -21,21 +19,23 @@ from pcbench.statistics.number_format import as_good, difference, fraction, inte
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
 from pcbench.study import scenarios_of
 
-LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
+LONGEST = 48  # rows of a closing table; beyond, wins are counted instead
 LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
 # least first, where there are such
 BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency")
 COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "diff. to best"
-PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
-EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
-COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
-HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
+PAIRED = (
+    f"'{LESS}' is the mean paired difference over the same runs; = means not significant (paired t-test, Holm, 5 %)."
+)
+EXACT = "Numbers without ± are exact: expected values over all noise. Metrics that need runs are left out."
+COSTS = "sample, tick: multiplications per sample and per tick of one run; memory: bytes stored from tick to tick."
+HALF = "± is half a 95 % interval; a skewed interval is given by its ends."
 SQUARE = "signal_nees"  # of the closing table
 SQUARES = ("nees", "nis")  # of the table below it
 MEANS = (
-    "nees is the squared error divided by the observer's covariance, nis the squared innovation divided by "
-    "its own; in brackets the range in which 95 of 100 studies lie if the covariance is right."
+    "nees is the squared error divided by its covariance, nis the squared innovation divided by its covariance, both per "
+    "degree of freedom. In brackets: the 95 % band if the covariance is correct."
 )
 
 
@@ -81,14 +81,14 @@ def closing(
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
             view = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
-                screen.print(f"{name}: has no {metric} of {signal}.")
+                screen.print(f"{name}: {signal} has no {metric}.")
             else:
                 many = part.cell.nunique() * part.observer.nunique() > LONGEST
                 notes |= dict.fromkeys((_count_wins if many else _print_cells)(view, screen))
         carries = rows[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
-        for yes, text in ((True, "carries"), (False, "does not carry")):
+        for yes, text in ((True, "includes"), (False, "does not include")):
             if names := ", ".join(dict.fromkeys(carries.observer[carries.predicts_unknown_input == yes])):
-                screen.print(f"The prediction to now {text} the unknown input found: {names}.")
+                screen.print(f"The prediction to the present {text} the estimated unknown input: {names}.")
         notes |= dict.fromkeys(print_consistency(name, rows, screen))
         screen.say(*filter(None, [result.unproven(name)]))
         if sentence := settles_sentence(known[name], result.study.axes):
@@ -118,7 +118,7 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
     notes += [HALF] if "exact" not in methods or "runs" in methods else []
     if "exact" not in methods and any(cell.observer.nunique() > 1 for cell in cells):
         notes.append(PAIRED)
-    return notes + ([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])
+    return notes + ([f"Left out for lack of space: {', '.join(left_out)}."] if left_out else [])
 
 
 def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
@@ -199,7 +199,7 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     rows.sort(key=lambda row: (-won[row[0]], np.nan_to_num(row[2], nan=np.inf)))
     columns = [
         Column("observer", [mark_uncertified(o, own.certified) for o, own, _ in rows], left=True),
-        Column("cells won", [str(won[o]) for o, _, _ in rows]),
+        Column("grid points\nwon", [str(won[o]) for o, _, _ in rows]),
         Column("as good as\nthe best", [str(led[o]) for o, _, _ in rows]),
         Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),
     ]
@@ -207,18 +207,18 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     if lost:
         shares = [100 * own.diverged.sum() / (own.n + own.diverged).sum() for _, own, _ in rows]
         columns.append(Column("runs diverged", [f"{share:.3g} %" for share in shares]))
-    cells, fewest = part.cell.nunique(), " among those with fewest diverged runs" if lost else ""
-    screen.fit(f"{name}: least {metric} of {part.signal.iloc[0]}{fewest}, over {cells:,} cells", columns)
+    cells, fewest = part.cell.nunique(), " among those with the fewest diverged runs" if lost else ""
+    screen.fit(f"{name}: least {metric} of {part.signal.iloc[0]}{fewest}, over {cells:,} grid points", columns)
     names, most = most_often(leaders)
     return [
-        f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); "
-        f"{cells - won.total():,} of {cells:,} cells have no winner.",
+        f"An observer wins a grid point if it is significantly better than every other (paired t-test, Holm, 5 %); "
+        f"{cells - won.total():,} of {cells:,} grid points have no winner.",
         *([f"{name}: {as_good(names, most, cells)}."] if most and not won else []),
     ]
 
 
 def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[str]:
-    """Print whether errors and samples are what observers with a covariance believe; return what a reader has to know."""
+    """Print NEES and NIS of observers with a covariance, with verdicts; return the notes below the table."""
     part = stats[stats.metric.isin([*SQUARES, *(BANDS[m] for m in SQUARES)])]
     by_observer = ["observer", "metric"]
     cells = [
@@ -229,7 +229,7 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
     if not any(text for texts in judged.values() for text in texts):
         return []
     names = [o for _, o, _ in rows]
-    columns = [Column("cell", [cell for cell, _, _ in rows])] if len(cells) > 1 else []
+    columns = [Column("grid point", [cell for cell, _, _ in rows])] if len(cells) > 1 else []
     columns.append(Column("observer", names, left=True))
     if len(rows) > LONGEST_CONSISTENCY:
         columns = [Column("observer", list(dict.fromkeys(names)), left=True)]
@@ -239,7 +239,7 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
             for o, text in zip(names, texts, strict=True):
                 words[o].update(filter(None, [text.partition(" ")[2]]))
             counts = [", ".join(f"{word} {n}" for word, n in each.most_common()) for each in words.values()]
-            columns.append(Column(f"{metric}: cells", counts, left=True))
+            columns.append(Column(f"{metric}: grid points", counts, left=True))
         else:
             bands = [_band(wide, o, metric) for _, o, wide in rows]
             around = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
@@ -264,40 +264,40 @@ def _band(wide: Any, observer: str, metric: str) -> Band:
 
 
 def sentence(result: Result, folder: str) -> str:
-    """Return what a run took, in a sentence."""
+    """Return the time of a run, in a sentence."""
     p = result.provenance
     if not result.cost.runs and result.exact and not p["blocks"]:
         cells = result.stats.groupby(["scenario", "cell"]).ngroups
-        return f"Exact numbers of {'one cell' if cells == 1 else f'{cells:,} cells'} are in {folder}."
+        return f"Exact numbers of {'one grid point' if cells == 1 else f'{cells:,} grid points'} are in {folder}."
     if result.study.evaluation == "exact" and not result.exact:
         if p["blocks"] and result.stats.reason.isna().any():
             return (
                 f"The tables in {folder} contain its runs, and exact moments are stored next to them: compare them with "
                 f"pcbench verify {folder} --exact, or give another folder with --out for tables of exact numbers."
             )
-        return f"No number in {folder} is exact: its tables say why, in the column reason of stats."
+        return f"No number in {folder} is exact: the column `reason` of stats.parquet explains why."
     if not result.cost.runs:
-        return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
+        return f"All runs were complete already: {p['blocks']} blocks in {folder}."
     spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
     return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."
 
 
 def timings(result: Result, seconds: float) -> list[str]:
-    """Return where the time of a run went, a line each; `seconds` since the command began."""
+    """Return the times of the parts of a run, one line each; `seconds` since the command began."""
     p, cost = result.provenance, result.cost
     if not cost.runs and not cost.exact_seconds:
         return []
     before = max(seconds - p["wall_seconds"], 0.0)
-    rows = [("from the command to the study", before, "imports, reading, designs that are tuned")]
+    rows = [("from the command to the study", before, "imports, reading, tuning")]
     if cost.exact_seconds:
         rows.append(("exact numbers", cost.exact_seconds, "planning, solving and writing them"))
     if cost.runs:
-        programs = f"on all threads, {p['compile_seconds']:.1f} s of it making programs"
+        programs = f"on all threads, {p['compile_seconds']:.1f} s of it compiling"
         rows += [
             ("planning", p["planning_seconds"], "designs, schedules, bounds"),
             ("computing", p["computing_seconds"], programs),
             ("writing", p["writing_seconds"], "on all threads"),
             ("closing tables", p["closing_seconds"], "statistics of the runs"),
         ]
-    rows.append(("the study in all", p["wall_seconds"], f"{p['runs_added']:,} runs" if cost.runs else ""))
+    rows.append(("the whole study", p["wall_seconds"], f"{p['runs_added']:,} runs" if cost.runs else ""))
     return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, took, how in rows]

@@ -1,6 +1,6 @@
-"""How all tables of pcbench look: a number is never cut. In a narrow terminal, columns are left out, or go into a table below.
+"""Tables for the terminal: a number is never cut. In a narrow terminal, columns are left out, or follow in a table below.
 
-What a program reads: arrays, complex numbers and tuples as JSON.
+Also JSON with arrays, complex numbers and tuples.
 """
 
 import json
@@ -47,7 +47,7 @@ class Screen(Console):
             self.print(sentence, soft_wrap=True)
 
     def say_unproven(self, certified: Iterable[object]) -> None:
-        """Say what the mark behind a name means, where one stands."""
+        """Explain the mark behind a name, if there is one."""
         if mark_uncertified("", certified):
             self.print(f"{UNPROVEN} its gains.")
 
@@ -97,7 +97,7 @@ class Screen(Console):
         return parts
 
     def fits(self, columns: list[Column]) -> bool:
-        """Say whether the columns that stay are no wider than the terminal."""
+        """Return whether the columns that stay fit into the terminal."""
         return self._needs(_table([c for c in columns if not c.spare], None)) <= self.width
 
     def _needs(self, table: Table) -> int:

@@ -1,18 +1,18 @@
-"""NAME: a controller of your own, in one file.
+"""NAME: your own controller, in one file.
 
-    pcbench check NAME.py:NAME                                   does it keep to the protocol, does the loop settle?
-    pcbench run cart/white --set controller.use=NAME.py:NAME     the loop closed by it, once for each observer
+    pcbench check NAME.py:NAME                                   check that it follows the protocol, and that the loop is stable
+    pcbench run cart/white --set controller.use=NAME.py:NAME     close the loop with it, once per observer
 
-In a study file it is a table: [controller] use = "NAME.py:NAME", its options beside it, and actuator_delay and the like.
-It is a few pure functions of its numbers (`params`), written in jax.numpy for one run. n states, m inputs.
+In a study file it is a table: [controller] use = "NAME.py:NAME", with its options, actuator_delay and others.
+A controller is a few pure functions of its numbers (`params`). Write them in jax.numpy for one run. n states, m inputs.
 
-    prepare   find its numbers, in NumPy, once for each cell
-    start     what it keeps from tick to tick, before the first; leave it out where it keeps nothing
-    command   what it asks of the plant now, u [m], from the estimate of now, and what it keeps
-    before    the command of a time before 0, when commands were already on their way
-    target    the set point of the first r states: tables say how far the plant is off it
+    prepare   computes its numbers, in NumPy, once per grid point
+    start     returns its memory before the first tick; leave it out if the controller has no memory
+    command   returns the command u [m] from the present estimate, and the new memory
+    before    returns the command of a tick before 0, for a loop that ran already
+    target    returns the set point of the first r states; the tables show the tracking error
 
-This one leads the first state to `aim`: state feedback with an integrator, least squares of error and command (LQR).
+This controller leads the first state to `aim`: state feedback with an integrator, designed as LQR.
 """
 
 from typing import Any, NamedTuple
@@ -28,34 +28,34 @@ import pcbench
 
 
 class Options(BaseModel):
-    """What a study may set: [controller] use = "NAME.py:NAME", aim = 0.5."""
+    """Options that a study can set: [controller] use = "NAME.py:NAME", aim = 0.5."""
 
     aim: float = Field(0.5, description="set point of the first state")
-    weight: float = Field(1.0, gt=0, description="of the command: larger is gentler")
-    period: float | None = Field(None, gt=0, description="between decisions [s]; default: every tick")
+    weight: float = Field(1.0, gt=0, description="weight of the command: larger is gentler")
+    period: float | None = Field(None, gt=0, description="period of the controller [s]; default: one tick")
     limit: float = Field(10.0, gt=0, description="largest command")
 
 
 class Params(NamedTuple):
-    """Every number it uses: nothing else may change from cell to cell."""
+    """All numbers of the controller: nothing else may differ between grid points."""
 
-    K: Any  # [m, n] of the state
-    Ki: Any  # [m] of the integral
+    K: Any  # [m, n] gain of the state
+    Ki: Any  # [m] gain of the integral
     aim: Any
     limit: Any
-    T: Any  # s between decisions
-    every: Any  # the same in ticks
+    T: Any  # period [s]
+    every: Any  # period in ticks
 
 
 def prepare(options: Options, context: pcbench.ControllerContext) -> Params:
-    """Find the numbers. `context` has the linear model, dt [s], the names of the states, `late` (ticks to the plant)."""
+    """Compute the numbers. `context` has the linear model, dt [s], names of the states, `late` (delay of commands in ticks)."""
     every, (Phi, Gamma) = context.every(options.period), context.tick  # one tick: x -> Phi x + Gamma u
     n, m = Gamma.shape
     A, B = np.eye(n + 1), np.zeros((n + 1, m))
     tick = np.block(
         [[Phi, np.zeros((n, 1))], [-context.dt * np.eye(1, n), np.ones((1, 1))]]
-    )  # the integral is a state too
-    for _ in range(every):  # the input is held from decision to decision
+    )  # the integral is an additional state
+    for _ in range(every):  # the input is held over the period
         A, B = tick @ A, tick @ B + np.vstack([Gamma, np.zeros((1, m))])
     S = solve_discrete_are(A, B, np.eye(n + 1), options.weight * np.eye(m))
     K = np.linalg.solve(options.weight * np.eye(m) + B.T @ S @ B, B.T @ S @ A)
@@ -69,24 +69,24 @@ def target(params: Params, tick: Array) -> Array:
 
 
 def before(params: Params, tick: Array, estimate: Array) -> Array:
-    """Return the command of a tick below 0: none."""
+    """Return the command of a tick before 0, here 0."""
     return jnp.zeros(len(params.K))
 
 
 def start(params: Params, estimate: Array) -> Any:
-    """Return what is kept before tick 0: the last command, and the integral of the first state's error."""
+    """Return the memory before tick 0: the last command, and the integral of the first state's error."""
     return jnp.zeros(len(params.K)), jnp.zeros(())
 
 
 def command(params: Params, now: pcbench.Now, estimate: Array, coming: Any, kept: Any) -> tuple[Array, Any]:
-    """Return the command, and what is kept. coming(i) is the input that acts i ticks on, as far as it is decided."""
-    x = estimate[: params.K.shape[1]]  # an observer may estimate unknown inputs too: they stand behind the states
+    """Return the command and the new memory. coming(i) is the input that acts in i ticks, if it is computed already."""
+    x = estimate[: params.K.shape[1]]  # estimated unknown inputs follow the states
     off = x.at[0].add(-params.aim)
     integral = kept[1] - params.T * off[0]
     free = -params.K @ off - params.Ki * integral
     u = jnp.clip(free, -params.limit, params.limit)
-    new = u, jnp.where(jnp.all(u == free), integral, kept[1])  # at its limit it does not wind up
-    decides = now.tick % params.every == 0  # between decisions the command is held
+    new = u, jnp.where(jnp.all(u == free), integral, kept[1])  # no windup at the limit
+    decides = now.tick % params.every == 0  # the command is held over the period
     after = jax.tree.map(lambda a, b: jnp.where(decides, a, b), new, kept)
     return after[0], after
 
