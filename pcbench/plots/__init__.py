@@ -1,13 +1,12 @@
-"""Figures of a result, for notebooks, papers and the page of `report`: functions that return a matplotlib Figure.
+"""Figures of a result for notebooks, papers and the report: functions that return a matplotlib Figure.
 
     result = pcbench.run("noise-map.toml")           # or pcbench.open_result("results/noise-map")
     plots.distributions(result, metric="steady_rmse")
     plots.curves(result, paper=plots.Paper(width=3.3, size=8, font="Times New Roman")).savefig("curve.pdf")
 
-`scenario` and `signal` may be left out: then the first scenario and its first headline signal are meant. Axes of a study that a
-figure does not show stand at their first value, or where `at` says. Intervals are 95 %. Errors are e = x - xhat. `paper` says
-how wide a column is [inches], and the size and font of text; `plots.save` writes SVG and PDF whose text is text. What each
-shows is found in `frames`.
+Without `scenario` and `signal`, a figure shows the first scenario and its first main signal. An axis of the study that a figure
+does not show has its first value, or the value in `at`. Intervals are 95 %. Errors are e = x - xhat. `paper` sets the column
+width [inches], the font and its size. `plots.save` writes SVG, PDF and PNG; text stays text in SVG and PDF.
 """
 
 from pcbench.plots.fault_tolerance import bearing

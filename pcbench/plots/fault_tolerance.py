@@ -1,4 +1,4 @@
-"""How much of each fault an observer bears before the model alone is better, of a study that varies its axes one by one."""
+"""Errors relative to model-only, for a study that varies its axes one at a time."""
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ BESIDE = 2  # panels
 
 
 def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
-    """Return axis, value, observer, part: the mean of a metric over that of the model alone, of axes that hold numbers."""
+    """Return axis, value, observer, part: the mean of a metric divided by that of model-only, for numeric axes."""
     whole = frames.rows(result, scenario, signal, metric)
     alone = whole[whole.observer == ALONE].set_index("cell")["mean"]
     at, out = frames.values_at(whole, int(whole.cell.min())), []
@@ -31,10 +31,10 @@ def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd
 
 
 def borne(parts: pd.DataFrame) -> pd.DataFrame:
-    """Return axis, observer, most: the value, from the usual one on, up to which an observer is better than the model alone.
+    """Return axis, observer, most: the value up to which an observer is better than model-only, from the first value on.
 
-    Between two values by a straight line; infinite (of the sign of the values) where it is better at all of them, and NaN where
-    it is worse at the usual value, the first. A mean that is not finite is of runs that diverged, and worse.
+    It is interpolated linearly between two values. It is infinite, with the sign of the values, if the observer is better at
+    all values, and NaN if it is worse at the first one. A mean that is not finite (diverged runs) counts as worse.
     """
     out = []
     for (axis, observer), mine in parts.groupby(["axis", "observer"], sort=False):
@@ -66,9 +66,9 @@ def bearing(
     metric: str = frames.METRIC,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return the errors of observers over those of the model alone, a panel for each axis; above 1 the model alone is better.
+    """Return the errors of observers divided by those of model-only, one panel per axis; above 1, model-only is better.
 
-    The study varies its axes one by one (`vary = "one-at-a-time"`), and `model-only` is among its observers: else UserError.
+    Raises UserError unless the study has `vary = "one-at-a-time"` and the observer `model-only`.
     """
     whole = frames.rows(result, scenario, signal, metric)
     if result.study.vary != "one-at-a-time" or ALONE not in set(whole.observer):
@@ -91,5 +91,5 @@ def bearing(
                 line = mine[mine.observer == observer]
                 ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
                         linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
-        drawn[0].set_title(f"{describe_metric(metric, whole.signal.iloc[0])} over that of {ALONE}")
+        drawn[0].set_title(f"{describe_metric(metric, whole.signal.iloc[0])} divided by that of {ALONE}")
     return figure

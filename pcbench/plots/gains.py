@@ -1,4 +1,4 @@
-"""What gains are worth: as printed, by design and tuned; and what a design trades for what."""
+"""Published, designed and tuned gains compared, and the trade-off of a design."""
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -11,17 +11,17 @@ from pcbench.plots.labels import title_of
 from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
 from pcbench.plots.palette import LOOKS, SOFT, styles
 
-TUNINGS = {  # the word, the marker, and how far beside its observer it stands
-    "published": ("as printed", "o", -0.22),
-    "design": ("by design", "s", 0.0),
+TUNINGS = {  # text, marker, and horizontal offset from its observer
+    "published": ("published", "o", -0.22),
+    "design": ("designed", "s", 0.0),
     "tuned": ("tuned", "D", 0.22),
 }
 
 
 def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
-    """Return the objective of every observer with each of its gains: filled on held-out runs, open on training runs.
+    """Return each observer's objective with published, designed and tuned gains: filled held-out runs, open training runs.
 
-    Raises UserError where the result has no table `fair`.
+    Raises UserError if the result has no table `fair`.
     """
     if result.fair is None:
         raise UserError(
@@ -31,7 +31,7 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     half = 1.96 * table.held_out_se  # of the 95 % interval
     table = table.assign(low=table.held_out - half, high=table.held_out + half)
     look, first = styles(table.observer), table.iloc[0]
-    hollow = Line2D([], [], linestyle="none", label="open: on training runs")
+    hollow = Line2D([], [], linestyle="none", label="open: training runs")
     with sheet(paper, f"{first.scenario}, held-out runs", keys=[hollow]) as (figure, (ax,)):
         place = set_values(ax, "x", list(look))
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
@@ -52,22 +52,22 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
 def trade_off(
     table: pd.DataFrame, cost: str, *, x: str = "rate", title: str = "", label: str = "", paper: Paper = PAPER
 ) -> Figure:
-    """Return what a promise costs: a column `cost` of a frame of `pcbench.trade_off` over another, the decay rate [1/s].
+    """Return a column `cost` of a frame of `pcbench.trade_off` over another column, by default the decay rate [1/s].
 
-    `label` is what the cost is called, with its unit.
+    `label` is the name of the cost, with its unit.
     """
     for name in (cost, x):
         if name not in table:
             raise unknown("trade-off", "column", name, table.columns)
-    stands = table[table.refused == ""]
-    words = "promised decay rate [1/s]" if x == "rate" else x.replace("_", " ")
+    designs = table[table.refused == ""]
+    words = "guaranteed decay rate [1/s]" if x == "rate" else x.replace("_", " ")
     option = str(table.columns[0])
     with sheet(paper, title) as (figure, (ax,)):
-        set_range(ax, "x", stands[x], margin=0.12)
-        set_range(ax, "y", stands[cost], margin=0.12)
-        ax.set(title=label or cost.replace("_", " "), xlabel=f"{words}; beside a point: {option}")
-        ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=LOOKS["kf"].colour)
-        for row in stands.to_dict("records"):
+        set_range(ax, "x", designs[x], margin=0.12)
+        set_range(ax, "y", designs[cost], margin=0.12)
+        ax.set(title=label or cost.replace("_", " "), xlabel=f"{words}; label of a point: {option}")
+        ax.plot(designs[x], designs[cost], marker="o", markersize=4, linewidth=1.2, color=LOOKS["kf"].colour)
+        for row in designs.to_dict("records"):
             right = ax.transLimits.transform(ax.transScale.transform((row[x], row[cost])))[0] > 0.5
             ax.annotate(layout.word(row[option]), (row[x], row[cost]), textcoords="offset points",
                         xytext=(-5 if right else 5, 3), ha="right" if right else "left", fontsize=paper.size - 1)  # fmt: skip

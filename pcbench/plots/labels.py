@@ -1,6 +1,6 @@
-"""What pictures say: how a metric is named with its unit, and what a picture is of.
+"""Texts of figures: metrics in words with their units, and titles. Figures as SVG, PDF or PNG files, or as a part of a page.
 
-Pictures as files: SVG and PDF whose text is text, PNG; and as a part of a page.
+Text stays text in SVG and PDF.
 """
 
 import io
@@ -38,9 +38,9 @@ def title_of(metric: str, signal: str, unit: str) -> str:
 def describe_metric(metric: str, signal: str) -> str:
     """Return a metric of a signal in words."""
     late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
-    pooled = ", all runs together" if "pooled" in metric else ""
+    pooled = ", pooled over runs" if "pooled" in metric else ""
     words = WORDS.get(plain, plain.replace("_", " "))
-    return f"{words} of {signal.replace('_', ' ')}" + (" in the tail" if late else "") + pooled
+    return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if late else "") + pooled
 
 
 def unit_of(part: pd.DataFrame) -> str:
@@ -49,12 +49,12 @@ def unit_of(part: pd.DataFrame) -> str:
 
 
 def title_of_scenario(result: Result, scenario: str) -> str:
-    """Return what a scenario is called: one that a study's own plant makes, by the study's name."""
+    """Return the title of a scenario: the study's name for a plant of the study."""
     return result.study.name if scenario == LTI else scenario
 
 
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
-    """Return what a picture is of: the scenario, the values of the axes it does not show, how many runs."""
+    """Return the title of a figure: the scenario, the values of the axes it does not show, and the number of runs."""
     many = int((part.n + part.diverged).max())
     said = [
         title_of_scenario(result, part.scenario.iloc[0]),
@@ -64,7 +64,7 @@ def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
 
 
 def times(value: float) -> str:
-    """Return how many times larger something is: with two digits, or as many as tell it from 1."""
+    """Return a ratio with two digits, or as many as distinguish it from 1."""
     if not isfinite(value):
         return "∞"
     if 1 < value < 1.1:
@@ -91,15 +91,15 @@ def render_figure(figure: Figure, kind: str) -> bytes:
 
 
 def save(figure: Figure, file: str | Path) -> None:
-    """Write a figure as SVG, PDF or PNG, as its suffix says; raise UserError for another, or where it cannot be written."""
+    """Write a figure as SVG, PDF or PNG, by its suffix. Raise UserError for another suffix or if the file cannot be written."""
     kind = Path(file).suffix.removeprefix(".").lower()
     if kind not in KINDS:
-        raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; give one.")
+        raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; use one.")
     single_table.put_content(file, render_figure(figure, kind))
 
 
 def inline(figure: Figure, name: str) -> str:
-    """Return a figure as SVG that stands inside a page: no header, few digits, names within it that begin with `name`."""
+    """Return a figure as SVG for a page: without header, with few digits, and with identifiers that begin with `name`."""
     text = render_figure(figure, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)

@@ -43,7 +43,7 @@ LOOK = {
 
 
 class Paper(NamedTuple):
-    """What a picture is made for: a column of a page."""
+    """Size and font of a figure, for a column of a page."""
 
     width: float = 3.75  # inches, of one column; maps of many observers take two
     size: float = 9.0  # points, of text
@@ -57,9 +57,9 @@ class Paper(NamedTuple):
     def checked(self) -> "Paper":
         """Return the paper; raise UserError for a width or a size on which nothing can be read."""
         if not 2.0 <= self.width <= 20.0:
-            raise UserError(f"--width: got {self.width:g}, expected inches of a column, 2 to 20; give one.")
+            raise UserError(f"--width: got {self.width:g}, expected 2 to 20 inches; use a value in this range.")
         if not 4.0 <= self.size <= 24.0:
-            raise UserError(f"--size: got {self.size:g}, expected points of text, 4 to 24; give one.")
+            raise UserError(f"--size: got {self.size:g}, expected 4 to 24 points; use a value in this range.")
         return self
 
     def width_of(self, text: str, smaller: float = 0.0) -> float:

@@ -1,8 +1,6 @@
-"""Lines: how errors are distributed over runs, how a metric moves with one axis of a study, and what more seeds are worth.
+"""Line figures: distributions over runs, a metric over one axis of a study, and the width of intervals over the number of runs.
 
-Simulated means against exact ones: distances in standard errors, sorted, over the normal quantiles they should have.
-
-What an observer is worth against what it costs.
+Also a quantile plot of simulated means against exact ones, and a metric over operation counts.
 """
 
 from collections.abc import Iterable
@@ -35,10 +33,10 @@ def distributions(
     cell: int = 0,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return the empirical distribution of a metric over runs, a line for each observer; left is better.
+    """Return the empirical distribution of a metric over runs, one line per observer; further left is better.
 
-    `cell` is the number of the combination of axis values. An observer whose runs diverge ends below 1. Raises UserError for
-    an unknown word.
+    `cell` is the number of the grid point. The line of an observer whose runs diverge ends below 1. Raises UserError for an
+    unknown name.
     """
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
@@ -66,8 +64,8 @@ def curves(
 ) -> Figure:
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.
 
-    The other axes stand at their first value, or where `at` says. Points of one value stand a little apart. Raises UserError
-    where no axis varies, or for a word that is none.
+    The other axes have their first value, or that in `at`. Points of one value are drawn side by side. Raises UserError if no
+    axis varies, or for an unknown name.
     """
     whole = frames.rows(result, scenario, signal, metric)
     axis = axis or next(iter(frames.varying(whole)), None)
@@ -107,9 +105,9 @@ def convergence(
     cell: int = 0,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return how wide the 95 % interval of a mean is after ever more seeds, as a part of the mean, beside 1 / sqrt(seeds).
+    """Return half the 95 % interval of a mean, relative to the mean, over the number of runs, with a line 1 / sqrt(runs).
 
-    Raises UserError for an unknown word.
+    Raises UserError for an unknown name.
     """
     named = frames.rows(result, scenario, signal, metric)
     part = frames.convergence(result, scenario, signal, metric, cell)
@@ -117,13 +115,13 @@ def convergence(
     with sheet(paper, about(result, named, frames.values_at(named, cell))) as (figure, (ax,)):
         set_values(ax, "x", sorted(set(part.seeds)) or [1, 2])
         set_range(ax, "y", 100 * part.half, log=True)
-        ax.set(title=f"± of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="seeds")
+        ax.set(title=f"half 95 % interval of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="runs")
         for observer, line in lines(n for n in look if n in set(part.observer)).items():
             mine = part[part.observer == observer]
             ax.plot(mine.seeds, 100 * mine.half, marker=look[observer].marker, markersize=3.5, **line)
         seeds = np.array([part.seeds.min(), part.seeds.max()])
         last = 100 * part[part.seeds == seeds[1]].half.median()
-        ax.plot(seeds, last * np.sqrt(seeds[1] / seeds), label="1/√seeds", color=SOFT, linestyle=":", linewidth=0.9)
+        ax.plot(seeds, last * np.sqrt(seeds[1] / seeds), label="1/√runs", color=SOFT, linestyle=":", linewidth=0.9)
     return figure
 
 
@@ -138,15 +136,18 @@ def lines(names: Iterable[str]) -> dict[str, LineLook]:
 
 
 def quantiles(found: ExactValidation, *, paper: Paper = PAPER) -> Figure:
-    """Return the quantile plot of a comparison: points on the line are chance. Raises UserError where there is none to draw."""
+    """Return the quantile plot of simulated against exact means: chance alone puts the points on the line.
+
+    Raises UserError if no mean varies.
+    """
     rows = found.rows[np.isfinite(found.rows.z)].sort_values("z", kind="stable")
     if rows.empty:
-        raise UserError("plots.quantiles: got no mean that varies, expected some; run a study with noise.")
+        raise UserError("plots.quantiles: got no mean that varies, expected at least one; run a study with noise.")
     expected = ndtri((np.arange(len(rows)) + 0.5) / len(rows))
     with sheet(paper, f"{len(rows):,} simulated means against exact values", height=2.4) as (figure, (ax,)):
         set_range(ax, "x", expected, log=False)
         set_range(ax, "y", [*rows.z, *expected], log=False)
-        ax.set(title="(mean less exact) / standard error", xlabel="normal quantile")
+        ax.set(title="(mean - exact) / standard error", xlabel="normal quantile")
         ax.plot(expected[[0, -1]], expected[[0, -1]], color=SOFT, linewidth=0.8, zorder=1)
         for observer, style in styles(sorted(rows.observer)).items():
             mine = (rows.observer == observer).to_numpy()
@@ -155,8 +156,8 @@ def quantiles(found: ExactValidation, *, paper: Paper = PAPER) -> Figure:
 
 
 COSTS = {
-    "sample": "multiplications of a sample",
-    "tick": "multiplications of a tick",
+    "sample": "multiplications per sample",
+    "tick": "multiplications per tick",
     "memory": "bytes of memory",
 }
 
@@ -172,12 +173,12 @@ def cost(
     cell: int = 0,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return a metric of every observer of a cell over what it costs (`pcbench.operation_counts`), by sample, tick or memory.
+    """Return a metric of every observer of a grid point over its operation counts (`pcbench.operation_counts`).
 
-    Raises UserError where there is no such cost.
+    `by` is sample, tick or memory. Raises UserError for another name.
     """
     if by not in COSTS:
-        raise unknown("cost", "cost", by, COSTS)
+        raise unknown("cost", "operation count", by, COSTS)
     whole = frames.rows(result, scenario, signal, metric)
     chosen = whole[whole.cell == cell]
     both = chosen.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])

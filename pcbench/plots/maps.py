@@ -1,4 +1,4 @@
-"""Maps over two axes of a study: a metric of each observer, who wins with what significance, and how many runs diverge.
+"""Maps over two axes of a study: a metric of each observer, winners with their significance, and diverged runs.
 
 A cell is a coloured rectangle with what fits into it. Maps of many cells are an image each, with labelled lines of equal value.
 """
@@ -73,8 +73,8 @@ def heatmaps(
 ) -> Figure:
     """Return a map of a metric's mean over two axes (None: the first two that vary) for each observer, on one scale.
 
-    Where an axis has more than 24 values it is an image, with lines of equal value, and `marks` on it: by what is said of each,
-    its place (x, y). Raises UserError where fewer than two axes vary, or for a word that is none.
+    If an axis has more than 24 values, the map is an image with lines of equal value. `marks` are points (x, y) by their label.
+    Raises UserError if fewer than two axes vary, or for an unknown name.
     """
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
@@ -112,7 +112,7 @@ def divergence(
     at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
+    """Return a map over two axes of the percentage of diverged runs, for each observer."""
     return heatmaps(result, x, y, scenario=scenario, metric="divergence_rate", at=at, paper=paper)
 
 
@@ -127,11 +127,10 @@ def winners(
     at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return a map over two axes of who wins, in its colour, and by which factor it is ahead of the second.
+    """Return a map of the winners over two axes, in their colours, with the error of the second relative to the winner's.
 
-    Where the best is not significantly better than every other (5 %, Holm) its colour is pale, and the cell says with
-    whom it ties.
-    Other axes that vary have a map for each of their values, where these are few and `at` says nothing of them.
+    If the best is not significantly better than every other (5 %, Holm), its colour is pale, and the map names the observer it
+    ties with. Each combination of the other varying axes has its own map, if there are few and `at` does not fix them.
     """
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
@@ -147,7 +146,7 @@ def winners(
         for key, mine in groups
     ]  # fmt: skip
     keys = [Patch(color=style.colour, label=name) for name, style in look.items() if name in set(found.best)]
-    title = f"least {describe_metric(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
+    title = f"winner by {describe_metric(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
     return draw(maps, _side(result, whole, x), _side(result, whole, y), title, keys, paper)
 
 
@@ -171,7 +170,7 @@ def _standing(look: dict[str, Style], row: Row) -> Cell:
     if row["winner"]:
         p = f", p {row['p']:.1g}" if isfinite(row["p"]) else ""
         return Cell(
-            colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} significantly{p}, the second {ahead}"
+            colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} significantly better{p}, second {ahead}"
         )
     tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")

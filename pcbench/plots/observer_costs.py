@@ -68,7 +68,7 @@ def keep(out: str | Path | None, thing: Thing, made: pd.DataFrame) -> pd.DataFra
 def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
     """Return scenario, cell, observer, sample, tick, memory, as `pcbench.operation_counts`; counted if not in `out`.
 
-    None where nothing is sampled, so that there is no cost of a sample; and where an observer's code is not here.
+    None if the scenario has continuous measurements, or if the code of an observer is not loaded.
     """
     one = next(each for each in cells(study, scenario) if each.number == cell)
     if one.scenario.sampling.continuous:

@@ -54,7 +54,7 @@ def several(
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
     high (between which nine in ten errors of RUNS runs lie at that time) and rms (over them), measured (as it has arrived and
     is held; of signals that an output shows as they are) or target (of a closed loop). Where the study asks for consistency,
-    also sigma (the standard deviation that an observer believes, of this run) and, of no signal, nees, nees_low and nees_high
+    also sigma (the assumed standard deviation of this run) and, of no signal, nees, nees_low and nees_high
     (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true). Runs that are all alike,
     and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an
     observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
@@ -73,7 +73,7 @@ def several(
 
 
 def has_nees(whole: pd.DataFrame) -> bool:
-    """Say whether a frame of `of` says how wrong observers believe to be."""
+    """Return whether a frame of `of` contains NEES."""
     return bool((whole.kind == "nees").any())
 
 
@@ -81,7 +81,8 @@ def _cell(study: Study, scenario: str, number: int) -> Cell:
     every = {each.number: each for each in cells(study, scenario)}
     if number not in every:
         raise UserError(
-            f"--grid-point: got {number}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
+            f"--grid-point: got {number}, expected one of 0 .. {len(every) - 1}, the grid points of {scenario}; use "
+            "one of these."
         )
     return every[number]
 
@@ -101,7 +102,7 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
         return {}
     with config.float64():
         tasks = [_task(plan, root_seed, seed) for plan in padding.fit(list(drafts(list(at.values()))))]
-    progress.begin("runs in time", len(tasks))
+    progress.begin("runs over time", len(tasks))
     groups: dict[Hashable, list[Task]] = {}  # by program, which is then made once
     for task in tasks:
         groups.setdefault((padding.key_of(task.plan), task.every, task.rows), []).append(task)

@@ -77,7 +77,7 @@ SHADES = (0.0, 0.34, -0.42, 0.5, -0.6, 0.18, -0.22)  # of white or black, for th
 
 
 def styles(labels: Iterable[str]) -> dict[str, Style]:
-    """Return a style for each label; the same label has the same look whatever it stands beside, unless it has siblings."""
+    """Return a style for each label. A label has the same style in all figures, unless others of its observer are shown too."""
     out: dict[str, Style] = {}
     siblings: dict[str, int] = {}
     names = list(dict.fromkeys(labels))

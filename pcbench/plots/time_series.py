@@ -1,7 +1,4 @@
-"""One run in time: the plant with the estimates on it, and under it their errors with what of them is luck.
-
-Over time too: whether observers know how wrong they are, and the delays of a recorded log.
-"""
+"""Figures over time: one run with its estimates and errors, NEES, and the delays of a recording."""
 
 from collections.abc import Mapping
 
@@ -44,12 +41,12 @@ def time(
     seed: int | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return one run in time: above the plant, the estimates and what has arrived and is held; below the errors.
+    """Return one run over time. Upper panel: plant, estimates and held measurements. Lower panel: errors.
 
-    `cell` is the number of the combination of axis values, `seed` the run (None: the study's first). Errors of one size stand
-    as they are, with the band in which nine in ten errors of several runs lie; errors that span decades as their root mean
-    square over these runs, or their size where runs are alike, on a logarithmic axis. In a closed loop each observer has a
-    plant of its own, and the target is drawn. Raises UserError for a word, a cell or a seed that is none.
+    `cell` is the number of the grid point, `seed` the run (None: the study's first). The lower panel shows the errors with the
+    band of 90 % of the errors of several runs. If the errors span decades, it shows their root mean square over these runs, or
+    their size if runs do not differ, on a logarithmic axis. In a closed loop each observer has its own plant, and the target
+    is drawn. Raises UserError for an unknown name, grid point or seed.
     """
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
@@ -57,7 +54,7 @@ def time(
     whole = one_run.of(result.study, scenario, result.out, cell, seed)
     if whole is None:
         raise UserError(
-            f"plots.time: got no kept run of {scenario} and observers whose code is not here, expected one of the two; "
+            f"plots.time: got no stored run of {scenario} and observers without their code, expected one of the two; "
             "run the study again from its own file."
         )
     return draw_run(result, whole, scenario, signal, cell, seed, paper)
@@ -80,7 +77,7 @@ def draw_run(
         set_limits(below, "x", 0.0, float(part.t.max()))
         log = _set_errors_range(below, part)
         exact = exactly(result, scenario, cell)
-        error = "error (true less estimated)" if has_truth else signal.replace("_", " ")
+        error = "error (true minus estimated)" if has_truth else signal.replace("_", " ")
         below.set(title=_size(part, unit, exact) if log else f"{error} [{unit}]", xlabel="t [s]")
         if has_truth:
             set_limits(axes[0], "y", *_range(part))
@@ -205,30 +202,30 @@ def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
 def nees(
     result: Result, *, scenario: str | None = None, cell: int = 0, seed: int | None = None, paper: Paper = PAPER
 ) -> Figure:
-    """Return the mean of e' P^-1 e / n over runs at every time, for each observer that believes a covariance P of its error e.
+    """Return the NEES over time: the mean of e' P^-1 e / n over runs, for each observer with a covariance P of its error e.
 
-    Shaded is where the mean lies in 95 of 100 cases if P is true (chi-square). The runs are those of `time`. Raises UserError
-    where the study does not ask for consistency, or no observer of it has a covariance.
+    The shaded 95 % band holds for a true P (chi-square). The runs are those of `time`. Raises UserError if the study does not
+    have `consistency = true`, or if none of its observers has a covariance.
     """
     scenario = frames.scenario_of(result, scenario)
     whole = one_run.of(result.study, scenario, result.out, cell, seed)
     if whole is None or not one_run.has_nees(whole):
         raise UserError(
-            f"plots.nees: got runs of {scenario} in which nobody says how wrong it is, expected consistency = true in "
-            "[options.scenario] and an observer with a covariance, as kf; run the study so."
+            f"plots.nees: got runs of {scenario} without NEES, expected consistency = true in [options.scenario] and an "
+            "observer with a covariance, such as kf; run the study with both."
         )
     return drawn_nees(result, whole, scenario, cell, paper)
 
 
 def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
-    """Draw how wrong observers believe to be in a run that is at hand, a frame of `one_run.of`."""
+    """Draw the NEES of a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
     at = (frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items())
     title = ", ".join([title_of_scenario(result, scenario), *at])
-    with sheet(paper, title, keys=[Patch(color=GRID, label="95 % if right")]) as (figure, (ax,)):
+    with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])
-        ax.set(title="squared error over its assumed covariance (NEES / n)", xlabel="t [s]")
+        ax.set(title="NEES: squared error / assumed covariance, per state", xlabel="t [s]")
         ends = part[part.kind != "nees"].groupby(["kind", "t"]).value
         low, high = ends.min()["nees_low"], ends.max()["nees_high"]
         ax.fill_between(low.index, low, high, color=GRID, linewidth=0, zorder=1)
@@ -241,15 +238,15 @@ def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, pa
 
 
 def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
-    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.info` returns.
+    """Return the delays of every channel of a recording over time, and their histogram; `table` is a frame of `pcbench.info`.
 
-    Of a long log an even selection of samples is drawn. Raises UserError where no sample ever arrived.
+    For a long recording, an even selection of samples is drawn. Raises UserError if no sample arrived.
     """
     survey: Survey = table.attrs["survey"]
     kept = {name: seen.delays.kept.round(DIGITS) for name, seen in survey.channels.items() if len(seen.delays.kept)}
     if not kept:
         raise UserError(
-            f"plots.delays: got a log {table.attrs['name']} in which nothing arrived, expected samples that did."
+            f"plots.delays: got a recording {table.attrs['name']} without arrivals, expected at least one; use another one."
         )
     late = np.concatenate([each[:, 1] for each in kept.values()])
     edges = edges_of(late)

@@ -1,6 +1,6 @@
-"""The experiment as it was run: what was true, what drove it, how it was measured; and what of that is not as published.
+"""The experiment as it was run, with its differences to the publication, and the options of its observers.
 
-The options of each observer that differ from their defaults, and where they come from.
+Only options that differ from their defaults are listed, each with its origin.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,13 +29,13 @@ COMPARED = (
     "input",
     "unknown_input",
     "duration",
-)  # fields of which is said that they are not as published
+)  # fields that are compared with the publication
 MANY = 8  # rows or columns up to which matrices are printed
 LONG = 120  # letters of a value at most
 
 
 class Fact(NamedTuple):
-    """One thing that is known of an experiment."""
+    """One line about an experiment."""
 
     what: str
     said: str
@@ -43,21 +43,21 @@ class Fact(NamedTuple):
 
 
 class Experiment(NamedTuple):
-    """What the page says of how a scenario was run."""
+    """The description of a scenario on the page."""
 
-    published: str  # what it begins from, and what of that is not so here
+    published: str  # source, and the differences to it
     facts: list[Fact]
     matrices: list[tuple[str, list[list[str]]]]  # name, rows of numbers
 
 
 def experiment(result: Result, scenario: str) -> Experiment:
-    """Return how a scenario was run, over all its cells."""
+    """Return the description of a scenario over all its grid points."""
     every = cells(result.study, scenario)
     s, varied = every[0].scenario, result.study.axes
     facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, varied))]
     for name, values in varied.items():
         if name.startswith("plant."):
-            what = f"{name.removeprefix('plant.').replace('_', ' ')} of the plant"
+            what = f"plant parameter {name.removeprefix('plant.').replace('_', ' ')}"
             facts.append(Fact(what, " | ".join(map(_plain, values)), len(values) > 1))
     numbers, matrices = numbers_of(s), list[tuple[str, list[list[str]]]]()
     if nonlinear(s):
@@ -74,7 +74,7 @@ def experiment(result: Result, scenario: str) -> Experiment:
 
 
 class Row(NamedTuple):
-    """A field of a scenario, how it is called, how a value is said, and whether that is said of its usual value too."""
+    """A field of a scenario: its title, the text of a value, and whether its default is shown too."""
 
     name: str
     title: str
@@ -83,7 +83,7 @@ class Row(NamedTuple):
 
 
 def _field_rows(s: Scenario) -> list[Row]:
-    """What is said of a scenario, in order; of what is not so usually only where it is."""
+    """Return the fields of a scenario that the page may show, in order."""
     signals, outputs = signals_of(s), frames.output_units(s)
 
     def states(values: ArrayLike) -> str:
@@ -103,7 +103,10 @@ def _field_rows(s: Scenario) -> list[Row]:
         return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
 
     def by_text(text: str) -> Callable[[Any], str]:
-        return lambda values: ", ".join(dict.fromkeys(text.format(number(v)) for v in np.atleast_1d(values)))
+        def one(v: float) -> str:
+            return "Gaussian" if v == np.inf else text.format(number(v))  # degrees of freedom
+
+        return lambda values: ", ".join(dict.fromkeys(map(one, np.atleast_1d(values))))
 
     forms = {
         "states": states,
@@ -116,19 +119,23 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row("plant", "plant", lambda name: _plant(s, name), always=True),
         Row("input", "input", _source, always=True),
         Row("controller", "loop", lambda name: f"closed by {name}"),
-        Row("control", "controller's options", lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items())),
+        Row(
+            "control",
+            "options of the controller",
+            lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items()),
+        ),
         Row("unknown_input", "unknown input", _source),
-        Row("x0", "start x(0)", states, always=True),
-        Row("xhat0", "observers' start", states, always=True),
-        Row("prior_std", "std of the start", states, always=True),
+        Row("x0", "initial state x(0)", states, always=True),
+        Row("xhat0", "initial estimate xhat(0)", states, always=True),
+        Row("prior_std", "prior std of x(0)", states, always=True),
     ]
     varied = [Row(f.name, f.title, forms.get(f.form) or by_text(f.form)) for f in FIELDS]
     last = [
-        Row("delay_sine", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
-        Row("continuous", "measured", lambda v: "continuously, without noise"),
-        Row("initial_box", "observers' start, drawn within", states),
+        Row("delay_sine", "variation of the delays", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
+        Row("continuous", "measurements", lambda v: "continuous, without noise"),
+        Row("initial_box", "random xhat(0) within", states),
         Row("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s", always=True),
-        Row("steady_start", "tail (steady_ metrics) from", by_text("{} s"), always=True),
+        Row("steady_start", "steady_start (steady_ metrics)", by_text("{} s"), always=True),
         Row("settle_band", "settled within", states, always=True),
         Row(
             "divergence_threshold",
@@ -141,20 +148,21 @@ def _field_rows(s: Scenario) -> list[Row]:
 
 
 def _fact(row: Row, every: list[Cell], varied: Mapping[str, object]) -> Fact | None:
-    """What is to be said of a field over all cells; nothing where it is as usual in all of them."""
+    """Return the line of a field over all grid points; None if it has its default at all of them."""
     values = list({str(v): v for c in every for v in (c.scenario.value(row.name),)}.values())
     record = RECORD_OF.get(row.name)
     usual = None if row.always or not record else getattr(every[0].scenario, record)._field_defaults.get(row.name)
     zeros = isinstance(values[0], tuple) and usual == () and not any(np.ravel(values[0]))
     if not row.always and len(values) == 1 and (values[0] == usual or zeros):
         return None
-    nothing = "none" if usual in (0.0, (), "") else "as the samples"
-    words = [nothing if v == usual and not row.always else row.say(v) for v in values]
+    loop = bool(every[0].scenario.loop.controller)
+    unset = "same as the delay" if usual is None and loop else "none" if usual in (None, 0.0, (), "") else ""
+    words = [unset if unset and v == usual and not row.always else row.say(v) for v in values]
     return Fact(row.title, " | ".join(words), row.name in varied and len(values) > 1)
 
 
 def _observer(cell: Cell, label: str) -> str:
-    """An observer with the options that are not its own defaults."""
+    """Return an observer with the options that differ from its defaults."""
     own = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
     if not own or (label in cell.own and is_absent(cell.own[label])):
         return label
@@ -162,25 +170,25 @@ def _observer(cell: Cell, label: str) -> str:
 
 
 def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
-    """What a scenario begins from, and which of its fields this study has changed."""
+    """Return the source of a scenario, and the fields that this study has changed."""
     printed = SCENARIOS.get(s.name)
     if printed is None or s.own:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
     differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != printed.value(f) for c in every)]
     differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
-    differ += ["start (random)"] if every[0].choices.random_initial_state else []
-    but = f" Here another: {', '.join(differ)}; as below." if differ else ""
+    differ += ["initial state (random)"] if every[0].choices.random_initial_state else []
+    but = f" This study changes: {', '.join(differ)} (see below)." if differ else ""
     return f"As published: {s.summary}. Source: {s.source}.{but}"
 
 
 def _plant(s: Scenario, name: str) -> str:
-    """What a plant is; of one whose code is not here, its name."""
+    """Return the summary of a plant, or its name if its code is not loaded."""
     summary, many = entry_of(s).summary, len(states_of(s))
-    return f"of the study, linear, {many} states" if name == LTI else name if summary == ABSENT else summary
+    return f"linear plant of the study, {many} states" if name == LTI else name if summary == ABSENT else summary
 
 
 def _source(given: Sources) -> str:
-    """An input in words."""
+    """Return an input in words."""
     parts = given.split(",") if isinstance(given, str) else given
     return ", ".join(map(_one_source, parts)) or "none"
 
@@ -189,11 +197,11 @@ def _one_source(part: Source) -> str:
     if isinstance(part, Wave):
         unit, pace = f" {part.unit}" if part.unit else "", f", {number(part.frequency)} Hz" if part.frequency else ""
         return f"{part.shape} of {number(part.amplitude)}{unit}{pace}"
-    return f"a table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
+    return f"table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
 
 
 def _each(values: Sequence[float | str], units: list[str]) -> str:
-    """One number where all channels are alike, or all of them."""
+    """Return one number if all channels are equal, otherwise all numbers."""
     pairs = zip(values, units, strict=False)
     words = [f"{number(v)} {unit}".strip() if not isinstance(v, str) else "one interval" for v, unit in pairs]
     return words[0] if len(set(words)) == 1 else ", ".join(words)
@@ -219,7 +227,7 @@ class Option(NamedTuple):
 def rows(result: Result) -> list[Option]:
     """Return the options of a study's observers that differ from their defaults, in the order of the study.
 
-    Of an observer whose code is left alone the defaults are not known: all options that were given are returned.
+    If the code of an observer is not loaded, its defaults are unknown, and all options of the study are returned.
     """
     study, found = result.study, dict[Option, None]()
     every = scenarios_of(study)
@@ -243,7 +251,7 @@ def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
         of_scenario = f"the scenario{f' {scenario.name}' if len(study.scenarios) > 1 else ''}"
         usual = _word(default) if name in fields and not fields[name].is_required() else "-"
         is_tuned = name in tuned and tuned[name] == value
-        first_cell = " in the first cell" if is_tuned and study.tuned and study.tuned.cells else ""
+        first_cell = " at the first grid point" if is_tuned and study.tuned and study.tuned.cells else ""
         origin = "the study" if name in set_here else of_scenario
         found.append(Option(observer, name, _word(value) + first_cell, usual, is_tuned, origin))
     return found

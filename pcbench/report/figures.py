@@ -1,7 +1,4 @@
-"""The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files.
-
-As files for a paper they are SVG and PDF whose text is text, and PNG.
-"""
+"""The figures of a study with their captions: the page shows them, and `--figures` writes them as SVG, PDF and PNG files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,52 +23,52 @@ from pcbench.toml_text import TomlTable
 
 
 class FigureOptions(NamedTuple):
-    """What is to be looked at."""
+    """Selection of the figures."""
 
-    metric: str = frames.METRIC  # by which observers are ranked
-    signals: list[str] | None = None  # of every scenario that has them; None: those it is known by; []: all
-    cell: int | None = None  # at whose values axes stand that a picture does not show; None: the one that tells most
-    seed: int | None = None  # of the run in time; None: the study's first
+    metric: str = frames.METRIC  # that ranks observers
+    signals: list[str] | None = None  # None: the main signals of each scenario; []: all
+    cell: int | None = None  # grid point of the axes that a figure does not show; None: largest lead
+    seed: int | None = None  # of the run over time; None: the study's first
     paper: Paper = PAPER
-    threshold: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
+    threshold: float | None = None  # limit of the error; None: twice the least mean of an axis
 
 
 SHOWN = FigureOptions()
 
 
 class Picture(NamedTuple):
-    """A figure with its words."""
+    """A figure with its texts."""
 
-    name: str  # of a file, without its kind
+    name: str  # of a file, without its suffix
     title: str
     figure: Figure
-    text: str  # what it shows, for those who do not see it
+    text: str  # what it shows, for readers who cannot see it
     note: str = ""  # how to read it
 
 
 def cell_of(result: Result, scenario: str, shown: FigureOptions) -> int:
-    """Return the number of the cell at which pictures stand."""
+    """Return the number of the grid point of the figures."""
     if shown.cell is not None:
         return shown.cell
-    if result.study.vary == "one-at-a-time":  # where the others stand while one varies
+    if result.study.vary == "one-at-a-time":  # the first values of all axes
         return 0
     signals = frames.signals_with_metric(result, scenario, shown.signals, shown.metric)
     return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
 
 
 class Place(NamedTuple):
-    """A scenario with what all its pictures need."""
+    """A scenario with the data of all its figures."""
 
     result: Result
     scenario: str
     cell: int
-    run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
+    run: pd.DataFrame | None  # over time; None: it is not stored, and its code is not loaded
     costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
     shown: FigureOptions
 
 
 def places(result: Result, scenarios: list[str], shown: FigureOptions, progress: Progress = SILENT) -> dict[str, Place]:
-    """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
+    """Return scenarios with their runs over time and operation counts; what is not stored is computed."""
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
         costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
@@ -80,14 +77,14 @@ def places(result: Result, scenarios: list[str], shown: FigureOptions, progress:
 
 
 def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
-    """Yield the pictures of each signal of a scenario, and those of all signals (None)."""
+    """Yield the figures of each signal of a scenario, and those of all signals (None)."""
     for signal in frames.signals_with_metric(place.result, place.scenario, place.shown.signals, place.shown.metric):
         yield signal, of_signal(place, signal)
     yield None, of_all_signals(place)
 
 
 def of_signal(place: Place, signal: str) -> Iterator[Picture]:
-    """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
+    """Yield the figures of one signal of a scenario, in the order of the page."""
     result, scenario, cell, run, costs, shown = place
     here: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
     name = f"{scenario.replace('/', '-')}-{signal}"
@@ -101,21 +98,23 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         figure = time_series.draw_run(result, run, scenario, signal, cell, seed, shown.paper)
         exact = time_series.exactly(result, scenario, cell)
         text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
-        yield Picture(f"{name}-time", "One run in time", figure, text, note)
+        yield Picture(f"{name}-time", "One run over time", figure, text, note)
     if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
         alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
         text = captions.borne(fault_tolerance.borne(alone))
         figure = plots.bearing(result, **here)
-        yield Picture(f"{name}-bearing", "How much of each fault is borne", figure, text, captions.BEARING)
+        yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(every)
         over = f"{frames.label(x, units)} and {frames.label(y, units)}"
         text = captions.winners(frames.standings(result, scenario, signal, shown.metric))
-        yield Picture(f"{name}-winners", f"Who wins over {over}", plots.winners(result, **here), text, captions.WINNERS)
+        yield Picture(f"{name}-winners", f"Winners over {over}", plots.winners(result, **here), text, captions.WINNERS)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
         text = captions.ranges(frames.fix_axes(every, [x, y], rest), unit)
-        yield Picture(f"{name}-map", f"{title} over {over}", figure, text, "Dark is worse; one scale for all.")
+        yield Picture(
+            f"{name}-map", f"{title} over {over}", figure, text, "Darker is worse; all maps have the same scale."
+        )
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
         values = frames.fix_axes(every, [axis], rest)
@@ -128,18 +127,24 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
             note=f"{limit} Bars: 95 % intervals of the mean.".strip(),
         )
     if frames.has_spread(part):
-        figure, heading = plots.distributions(result, cell=cell, **here), f"How {words} is distributed over runs"
+        figure, heading = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"
         yield Picture(f"{name}-distribution", heading, figure, captions.medians(part, unit), "Left is better.")
         text = captions.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
         figure = plots.convergence(result, cell=cell, **here)
-        yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, captions.CONVERGENCE)
+        yield Picture(
+            f"{name}-convergence",
+            "Width of the interval against the number of runs",
+            figure,
+            text,
+            captions.CONVERGENCE,
+        )
     if costs is not None and (costs["sample"] > 0).sum() > 1:
         figure = plots.cost(result, costs, cell=cell, **here)
-        yield Picture(f"{name}-cost", f"{title} against cost", figure, captions.costs(costs), captions.COSTS)
+        yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), captions.COSTS)
 
 
 def of_all_signals(place: Place) -> Iterator[Picture]:
-    """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
+    """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
     result, scenario, cell, run, _, shown = place
     name = scenario.replace("/", "-")
     lost = frames.rows(result, scenario, None, "divergence_rate")
@@ -155,7 +160,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), captions.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
-        yield Picture("fair", "Gains as printed, by design and tuned", figure, captions.fair(result.fair))
+        yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
 
 
 def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
@@ -170,7 +175,7 @@ def write(
     shown: FigureOptions = SHOWN,
     formats: tuple[str, ...] = KINDS,
 ) -> list[str]:
-    """Write every picture of the page, and return the names of the files, without their kind."""
+    """Write every figure of the page, and return the names of the files, without their suffix."""
     target, names = storage.target(str(out)), []
     storage.make(target)
     every = places(result, result.scenarios, shown, progress)
@@ -184,9 +189,9 @@ def write(
 
 
 def kinds_of(text: str) -> tuple[str, ...]:
-    """Return the kinds of files that a list with commas names; raise UserError for one that is none."""
+    """Return the file formats of a comma-separated list; raise UserError for an unknown one."""
     kinds = tuple(dict.fromkeys(kind.strip().lower() for kind in text.split(",")))
     for kind in kinds:
         if kind not in KINDS:
-            raise unknown("--formats", "kind of file", kind, KINDS)
+            raise unknown("--formats", "file format", kind, KINDS)
     return kinds

@@ -1,4 +1,4 @@
-"""The report's first table of a scenario: who is better, by how much, and with what significance."""
+"""The report's first table of a scenario: ranked observers with differences and significance."""
 
 from typing import NamedTuple
 
@@ -12,13 +12,13 @@ from pcbench.report.summary import Stood, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
 
-MOST = 4  # cells that stand in full; of more, wins are counted
-COSTS = {"sample": "products a sample", "tick": "products a tick", "memory": "bytes"}
-BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # what stands beside the metric that ranks
+MOST = 4  # grid points that have their own table; of more, wins are counted
+COSTS = {"sample": "multiplications per sample", "tick": "multiplications per tick", "memory": "bytes of memory"}
+BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # columns after the metric that ranks
 
 
 class HeadlineRow(NamedTuple):
-    """What is said of one observer."""
+    """The row of one observer."""
 
     cells: list[str]  # in the order of the heads
     colour: str
@@ -26,7 +26,7 @@ class HeadlineRow(NamedTuple):
 
 
 class Headline(NamedTuple):
-    """A table of words, a row for each observer."""
+    """A table of texts with one row per observer."""
 
     title: str
     heads: list[str]
@@ -37,9 +37,9 @@ class Headline(NamedTuple):
 def headlines(
     result: Result, scenario: str, signal: str, metric: str, cell: int = 0, costs: pd.DataFrame | None = None
 ) -> list[Headline]:
-    """Return a table for each cell, or of many cells one that counts who wins how many, and that of one `cell`.
+    """Return a table per grid point; of many, a table of the wins and that of one `cell`.
 
-    `costs` are what its observers cost, a frame of `pcbench.operation_counts` of this cell alone.
+    `costs` is a frame of `pcbench.operation_counts` of this grid point.
     """
     part = frames.rows(result, scenario, signal, metric)
     found = frames.standings(result, scenario, signal, metric)
@@ -98,11 +98,11 @@ def _cell(
     note = (
         f"{n:,} runs each; ± is half a 95 % interval."
         if n > 1
-        else "One run each: no interval, and nothing is significant."
+        else "One run each: no intervals, and no significant differences."
     )
     some_diverge = heads.index("diverged") in kept
     note += " Means are over the runs that did not diverge." if some_diverge else " No run diverged."
-    note = note if n else "Exact: the expected values over all noise."
+    note = note if n else "Exact expected values over all noise."
     title = f"At {at}" if at else ""
     return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
 
@@ -119,10 +119,10 @@ def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
         cells.append(f"{share:.3g} %" if share else "none")
         ranked.append(((-t.won, median), HeadlineRow(cells, t.colour, best=False)))
     rows = [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
-    heads = ["observer", "cells won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
+    heads = ["observer", "grid points won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((found.winner == "").sum())
     note = (
-        f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); {ties} of "
-        f"{len(found)} cells have no winner. It is as good as the best if none is significantly better."
+        f"An observer wins a grid point if it is significantly better than every other (paired t-test, Holm, 5 %). {ties} of "
+        f"{len(found)} grid points have no winner. An observer is as good as the best if none is significantly better."
     )
-    return Headline(f"Over all {len(found)} cells", heads, rows, f"{note} {result.unproven(stood.scenario)}".strip())
+    return Headline(f"All {len(found)} grid points", heads, rows, f"{note} {result.unproven(stood.scenario)}".strip())

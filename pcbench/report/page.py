@@ -1,6 +1,6 @@
-"""One self-contained page from a study's folder: who wins, the experiments, tables and pictures, and how to repeat it.
+"""One self-contained page from a study's folder: winners, experiments, tables, figures, and how to repeat the study.
 
-Nothing is loaded from elsewhere, and the pictures are SVG in the page: it opens anywhere, prints, and needs no script.
+It loads no other file, and its figures are SVG in the page: it opens offline, prints, and needs no script.
 """
 
 from importlib.resources import files
@@ -25,36 +25,38 @@ from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.serialize import as_dict
 
 WORDS = {
-    "significant": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
-    "comparisons; or the other diverges significantly more often",
-    "steady_start": "the part of a run that steady_ metrics are of, from the time said at each experiment on",
-    "cell": "one combination of the values of a study's axes",
+    "significant": "better than every other by a paired t-test over the same runs (5 %, with Holm's correction over "
+    "the study's "
+    "comparisons), or the other diverges significantly more often",
+    "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
+    "grid point": "one combination of the values of a study's axes",
 }
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
 OF_STATS = {
-    "pooled_rmse": "root of the expected square of e over ticks 0 .. N-1",
-    "steady_pooled_rmse": "the same from the scenario's tail start on",
-    "pooled_tracking_rmse": "root of the expected square of set point less state, in a closed loop",
-    "steady_pooled_tracking_rmse": "the same from the tail start on",
-    "rms_efficiency": "the least steady_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
-    "divergence_rate": "the share of runs whose error became non-finite or left the scenario's divergence threshold; none of "
-    "them is averaged",
+    "pooled_rmse": "square root of the expected square of e over ticks 0 .. N-1",
+    "steady_pooled_rmse": "the same from the scenario's steady_start on",
+    "pooled_tracking_rmse": "square root of the expected square of the set point minus the state, in a closed loop",
+    "steady_pooled_tracking_rmse": "the same from steady_start on",
+    "rms_efficiency": "the least steady_pooled_rmse of any causal estimator divided by that of the observer; 1 is best",
+    "divergence_rate": "the fraction of runs whose error became non-finite or exceeded the scenario's divergence "
+    "threshold; no mean "
+    "includes them",
 }
 
 
 class Part(NamedTuple):
-    """What the page says of one signal of a scenario."""
+    """The part of the page about one signal of a scenario."""
 
     title: str
     headlines: list[headline.Headline]
-    at: str  # the values of the axes at which pictures stand
+    at: str  # the values of the axes that a figure does not show
     pictures: list[dict[str, str]]
 
 
 class Section(NamedTuple):
-    """What the page says of one scenario."""
+    """The section of the page about one scenario."""
 
     anchor: str
     title: str
@@ -65,8 +67,8 @@ class Section(NamedTuple):
 def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, shown: FigureOptions = SHOWN) -> int:
     """Write the page of a study's folder as one file, and return its size in bytes.
 
-    `shown` says what is to be looked at: the metric that ranks, signals, cell and seed. Runs shown in time are simulated where
-    the folder has none of these yet, and kept there. Raises UserError where the folder holds no finished study.
+    `shown` selects the metric that ranks, signals, grid point and seed. Runs that are shown over time are simulated if the
+    folder does not have them, and stored there. Raises UserError if the folder contains no finished study.
     """
     content = page(open_result(folder), progress, shown).encode()
     target = storage.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
@@ -140,17 +142,17 @@ def _what(result: Result) -> str:
     scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
     observers, runs = list(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
     many = f", {cells} combinations of axis values" if cells > scenarios else ""
-    seeds = f"with up to {runs:,} noise seeds each" if runs else "exact: the expected values over all noise"
+    seeds = f"with up to {runs:,} runs each" if runs else "exact expected values over all noise"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
     return f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, {seeds}."
 
 
 def _how_sure(result: Result) -> str:
     if result.exact:
-        return "What has no interval is exact, and a difference between two such numbers is sure."
+        return "Numbers without an interval are exact, and so are the differences between them."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
-        return "One run each: nothing is significant."
-    return "Scenarios with noise stand first, then those in which the best is farthest ahead."
+        return "One run each: no difference is significant."
+    return "Scenarios with noise come first, then those in which the best observer has the largest lead."
 
 
 def _provenance(result: Result) -> list[tuple[str, str]]:
@@ -166,5 +168,5 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
 
 
 def _escape(value: object) -> object:
-    """What the page shows: a text that cannot be printed has escapes; pictures are made of such text already."""
+    """Return a value for the page: characters that cannot be printed are escaped; figures are escaped already."""
     return value if isinstance(value, Markup) or not isinstance(value, str) else printable(value, but="\n")

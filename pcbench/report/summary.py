@@ -1,4 +1,4 @@
-"""Who wins where, and with what significance: the page's first table, one row per scenario and signal."""
+"""The page's first table: winners and their significance, one row per scenario and signal."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -26,21 +26,21 @@ class Row(NamedTuple):
     title: str
     signal: str
     best: list[tuple[str, str]]  # name, colour; empty: all diverge
-    sure: bool  # no other is significantly better than these
-    won: str  # what of it is sure
+    sure: bool  # no other observer is significantly better
+    won: str  # significance, in words
     value: str  # its metric with interval
     others: list[tuple[str, str, str]]  # name, colour, how many times larger
     tells: float  # by which rows are ordered, the largest first
 
 
 class Tally(NamedTuple):
-    """What one observer won."""
+    """The wins of one observer."""
 
     observer: str
     colour: str
-    won: int  # cells
-    led: int  # cells in which no other is significantly better
-    of: int  # cells in which it ran
+    won: int  # grid points
+    led: int  # grid points at which no other observer is significantly better
+    of: int  # grid points at which it ran
 
 
 class Stood(NamedTuple):
@@ -76,7 +76,7 @@ def rows(result: Result, found: list[Stood]) -> list[Row]:
 
 
 def tally(every: list[Stood]) -> list[Tally]:
-    """Return how many cells, of all signals shown, each observer significantly wins and leads, the most first."""
+    """Return how many grid points of all signals shown each observer wins and leads, the most first."""
     won, led, of = Counter[str](), Counter[str](), Counter[str]()
     for _, _, part, found in every:
         of.update(dict.fromkeys(part.observer, len(found)))
@@ -126,18 +126,18 @@ def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic:
                 return number_format.as_good(names, most, len(found))
             if not any(found.best):
                 return "all diverge"
-            return "one run: nothing is significant" if runs == 1 else "not compared"
+            return "one run: no significance" if runs == 1 else "not compared"
         ties = int((found.winner == "").sum())
-        share = f"{int(won.get(best, 0))} of {len(found)} cells"
+        share = f"{int(won.get(best, 0))} of {len(found)} grid points"
         rest = ", ".join(f"{o} {n}" for o, n in won.items() if o != best)
         return "; ".join(filter(None, [share, rest, f"ties {ties}" if ties else ""]))
     row = found.iloc[0]
     if not best:
         return "all diverge"
     if runs == 1:
-        return "one run: nothing is significant"
+        return "one run: no significance"
     if deterministic and row.winner:
-        return "runs do not differ"
+        return "runs do not vary"
     if not runs and row.winner:
         return "the values are exact"
     if row.winner:

@@ -64,7 +64,7 @@ class Table(NamedTuple):
         """Return what a reader has to know of it, a sentence each."""
         runs = {e.row["n"] + e.row["diverged"] for e in self.entries}
         each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
-        leans = "; one that leans to one side by its ends" if any(" .. " in e.text for e in self.entries) else ""
+        leans = "; skewed intervals by their ends" if any(" .. " in e.text for e in self.entries) else ""
         notes = [f"Means over {each} runs, ± half a 95 % interval{leans}."]
         if any(e.best for e in self.entries):
             notes += ["Bold: the best, and each that is not significantly worse (paired t-test, Holm, 5 %)."]

@@ -50,7 +50,7 @@ def test_a_distribution_is_the_runs_in_order(result):
         np.testing.assert_allclose(mine.share, np.arange(1, 25) / 24)
     figure = plots.distributions(result, metric="steady_rmse", cell=1)
     (ax,) = figure.axes
-    assert "rms error of position in the tail [m]" in said(figure)
+    assert "rms error of position after the transient [m]" in said(figure)
     drawn = {line.get_label(): line.get_xdata() for line in ax.get_lines()}
     np.testing.assert_array_equal(drawn["kfbo"][1:], part[part.observer == "kfbo"].value)
 

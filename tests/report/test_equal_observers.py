@@ -31,12 +31,15 @@ def standings(*sets):
 
 def test_a_draw_in_every_cell_names_the_observers_that_are_as_good():
     found = standings(*[("kf", "kf-shifted-innovation")] * 4, ("kf-shifted-innovation", "kf"))
-    assert _significance(found, NONE, "", False, 64) == "as good as the best: kf, kf-shifted-innovation in 5 of 5 cells"
+    assert (
+        _significance(found, NONE, "", False, 64)
+        == "as good as the best: kf, kf-shifted-innovation at 5 of 5 grid points"
+    )
 
 
 def test_an_observer_that_is_as_good_in_fewer_cells_is_not_named():
     found = standings(("kf", "pco"), ("kf", "ekf"), ("ekf", "kf"), ())
-    assert _significance(found, NONE, "", False, 64) == "as good as the best: kf in 3 of 4 cells"
+    assert _significance(found, NONE, "", False, 64) == "as good as the best: kf at 3 of 4 grid points"
 
 
 def test_cells_in_which_all_diverge_have_no_best():
@@ -45,7 +48,7 @@ def test_cells_in_which_all_diverge_have_no_best():
 
 def test_cells_of_one_run_have_no_winner_and_no_draw():
     found = standings((), ()).assign(best="kf")
-    assert _significance(found, NONE, "", True, 1) == "one run: nothing is significant"
+    assert _significance(found, NONE, "", True, 1) == "one run: no significance"
 
 
 def study_of(cells, runs=64, **means):
@@ -141,13 +144,14 @@ def _split(names, wanted):
 
 def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 1)
-    result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation in 4 of 4 cells"
+    result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation at 4 of 4 grid points"
     assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
     (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
     assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
     found = summary.stood(result, "steady_rmse", None)[0].found
     assert (
-        captions.winners(found) == "Of 4 cells: tie 4. None is better than kf and kf-shifted-innovation in 4 of them."
+        captions.winners(found)
+        == "Of 4 grid points: tie 4. No observer is significantly better than kf and kf-shifted-innovation at 4 of them."
     )
     (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
     assert one.won == "as good as the best: kf, kf-shifted-innovation"
@@ -160,7 +164,7 @@ def test_of_one_run_each_nothing_is_marked():
         row for h in headline.headlines(result, "cart/white", "position", "steady_rmse") for row in h.rows if row.best
     ]
     (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
-    assert (row.won, row.sure) == ("one run: nothing is significant", False)
+    assert (row.won, row.sure) == ("one run: no significance", False)
 
 
 def test_a_metric_without_tests_has_no_leaders():

@@ -90,7 +90,7 @@ def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
     text = (drawn("motor") / "report.html").read_text()
     head, text_, rest = text.partition("<text")
     text = f'{head}<text x="9999" y="5">far</text><text x="1" y="9">a</text><text x="2" y="9">b</text>{text_}{rest}'
-    text = text.replace("<h2>How to repeat it</h2>", BROKEN + "<svg width='9' height='9'></svg>")
+    text = text.replace("<h2>Repeat this study</h2>", BROKEN + "<svg width='9' height='9'></svg>")
     (tmp_path / "report.html").write_text(text.replace("function hints", "console.log('noise'); function hints"))
     told = looked_at(tmp_path / "report.html", tmp_path, 1400)
     for said in (

@@ -28,7 +28,8 @@ PART = rows(
 
 def test_without_a_limit_it_is_twice_the_least_error_of_the_axis():
     assert captions.describe_limit(PART, "delay", "m", None) == (
-        "Significantly below 0.02 m, twice the least: kf up to 0.2, not at 0.4; chain nowhere; kfbo up to 0.1, not at 0.4."
+        "Significantly below 0.02 m (twice the least mean): kf up to 0.2, not at 0.4; chain nowhere; "
+        "kfbo up to 0.1, not at 0.4."
     )
 
 
@@ -43,14 +44,14 @@ def test_what_is_not_sure_is_not_said():
     wide = rows(("kf", 0.1, 0.010, 0.015, 0), ("kf", 0.2, 0.010, 0.015, 0))
     assert (
         captions.describe_limit(wide, "delay", "m", None)
-        == "Significantly below 0.02 m, twice the least: kf not decided anywhere."
+        == "Significantly below 0.02 m (twice the least mean): kf undecided everywhere."
     )
 
 
 def test_an_error_that_falls_again_is_said():
     odd = rows(("kf", 0.1, 0.05, 0.001, 0), ("kf", 0.2, 0.01, 0.001, 0))
     assert captions.describe_limit(odd, "delay", "m", 0.02) == (
-        "Significantly below 0.02 m: kf up to 0.2, beyond not decided, but not at 0.1."
+        "Significantly below 0.02 m: kf up to 0.2, undecided beyond, but not at 0.1."
     )
 
 

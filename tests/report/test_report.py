@@ -57,6 +57,22 @@ def test_it_is_one_file_that_needs_no_other(text):
     assert len(ids) == len(set(ids)), "no picture's name is another's"
 
 
+def test_experiment_shows_default_values_of_axes_in_words():
+    axes = {
+        "sampling_pattern": ["periodic", "sine"],
+        "assumed_noise_scale": [1.0, 2.0],
+        "student_t_dof": [float("inf"), 3.0],
+    }
+    axes |= {"actuator_delay": [0.1], "loss": [0.0, 0.2]}
+    study = parse.grid_of({"name": "x", "scenarios": ["cart/white"], "observers": ["kf"], "axes": axes}, {}, []).study
+    facts = {f.what: f.said for f in experiment.experiment(SimpleNamespace(study=study), "cart/white").facts}
+    assert facts["sampling pattern"] == "periodic | sine"
+    assert facts["assumed measurement noise (std)"] == "1 times the true one | 2 times the true one"
+    assert facts["distribution of the measurement noise"] == "Gaussian | Student's t, 3 degrees of freedom"
+    assert facts["lost samples"] == "none | 20 %"
+    assert facts["actuator delay"] == "0.1 s"
+
+
 def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
     tuned = {"scenario": "cart/slow", "cell": {"delay": 0.2}, "metric": "rmse", "signal": "position"}
     study = {
@@ -77,7 +93,7 @@ def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
     assert not [o for o in rows if o.observer == "model-only"]
     assert read_study.tuning_sentence == (
         "The gains of pccebo, kf-push were tuned for rmse of position in cart/slow at delay = 0.2. "
-        "The other cells use the same gains."
+        "The other grid points use the same gains."
     )
 
 
@@ -126,7 +142,7 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
     for observer, wins, _ in rows:
         assert int(wins) == won.get(observer, 0)
         assert re.search(rf"{observer} {wins}(</strong>)? of 8", text), "and so says the summary"
-    assert f"{won.max()} of 8 cells" in text
+    assert f"{won.max()} of 8 grid points" in text
     cell = frames.telling(result, "cart/white", "position", "steady_rmse")
     for row in mine[mine.cell == cell].to_dict("records"):
         assert f">{number_format.interval(row)}</td>" in text
@@ -162,7 +178,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
 
 def test_it_says_the_experiment_that_was_run_not_the_one_that_was_published(text):
     said = re.sub(r"<[^>]+>", " ", html.unescape(text))
-    assert "Here another: sampling period, delay, noise std; as below." in said
+    assert "This study changes: sampling period, delay, noise std (see below)." in said
     for fact in ("0.1 s | 0.2 s", "0.2 s | 0.4 s", "0.1 m | 0.5 m", "10 s, in ticks of 0.001 s"):
         assert fact in said, fact
     model = re.search(r"A =<table>(.*?)</table>", text, re.S).group(1)
@@ -231,10 +247,10 @@ def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp
     assert "which opens in any browser" in done.stdout, done.stderr
     assert (tmp_path / "a" / "page.html").exists()
     for words, sentence in (
-        (["--formats", "svg,gif"], "'gif' is no kind of file"),
+        (["--formats", "svg,gif"], "'gif' is no file format"),
         (["--width", "0.5"], "--width: got 0.5"),
         (["--size", "99"], "--size: got 99"),
-        (["--out", "page.html"], "--out: got page.html beside --figures"),
+        (["--out", "page.html"], "--out: got page.html together with --figures"),
     ):
         done = call("report", str(folder), "--figures", str(tmp_path / "f"), *words)
         assert done.returncode == 2

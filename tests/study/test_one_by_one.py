@@ -58,7 +58,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
     assert each["b", "x"] == [float("inf"), pytest.approx(1.0 - 0.8 * 0.5 / 2.5)]
     assert np.isnan(each["b", "y"]).all()
     assert captions.borne(found).startswith(
-        "Better than the model alone: a: x to 2, y to 1; b: x everywhere, x to 0.84"
+        "Better than model-only: a: x up to 2, y up to 1; b: x everywhere, x up to 0.84"
     )
 
 
