@@ -1,10 +1,10 @@
-"""pcbench: which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?
+"""pcbench: compare state observers for measurements that are sampled, delayed, noisy or lost, with statistical significance.
 
     import pcbench
-    pcbench.setup()                       # all CPUs, float64, compiled programs remembered
+    pcbench.setup()                       # all CPUs, float64, a cache of compiled programs
     result = pcbench.run("quick")         # .stats, .pairs, .runs as pandas frames
 
-Nothing heavy is imported before it is used.
+Large libraries are imported when they are used.
 """
 
 from importlib import import_module

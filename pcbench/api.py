@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `exact_moments`, `simulate` and `design`."""
+"""Functions of the Python API: `run`, `exact_moments`, `simulate`, `operation_counts`, `design` and `tune`."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -209,8 +209,8 @@ def simulate(
         study, cell = all_observers.one_cell(scenario, names, overrides or [])
         if cell.scenario.loop.controller and len(cell.options) > 1:
             raise UserError(
-                f"{study.name}: got {len(cell.options)} observers in a closed loop, expected one: each drives a plant of its "
-                "own; simulate them one at a time."
+                f"{study.name}: got {len(cell.options)} observers in a closed loop, expected one: each drives its own "
+                "plant; simulate them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         import pandas as pd
@@ -252,7 +252,7 @@ def simulate(
 def operation_counts(
     study: Described, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
 ) -> "pd.DataFrame":
-    """Count the multiplications of observers.
+    """Count the multiplications and the memory of observers.
 
     Args:
         study: as in `run`.
@@ -296,7 +296,7 @@ def _forward_fill(arrived: np.ndarray) -> np.ndarray:
 def design(
     scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> Design:
-    """Compute an observer's gains in a scenario, with the certificate that proves them.
+    """Compute an observer's gains in a scenario, with their certificate.
 
     Args:
         scenario: a scenario's name, or a study with one scenario and one grid point.
@@ -357,15 +357,13 @@ def tune(
     if log is None:
         if delay is not None or start is not None:
             raise UserError(
-                f"{'start' if delay is None else 'delay'}: got it without a log, expected both; give log, or leave it out."
+                f"{'start' if delay is None else 'delay'} has no effect without log; give log, or leave it out."
             )
         from pcbench.gains.tune import tune as on_runs
 
         return on_runs(scenario, observer, **how)
     if alone := [name for name in SIMULATED if name in how]:
-        raise UserError(
-            f"{alone[0]}: got it with a log, expected it for simulated runs alone; leave {' and '.join(alone)} out, or log."
-        )
+        raise UserError(f"{alone[0]} has no effect with log; leave {' and '.join(alone)} out, or log.")
     from pcbench.playback.tuning import tune_log
 
     return tune_log(log, scenario, observer, delay=delay, start=start, **how)

@@ -277,7 +277,8 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
                 raise
             except Exception as error:
                 raise UserError(
-                    f"{WHERE}: {name} cannot be computed at the operating point: {describe_exception(error)}; mend that line."
+                    f"{WHERE}: {name} cannot be computed at the operating point: {describe_exception(error)}; "
+                    "correct that line."
                 ) from None
         if found[moves].shape != (n,):
             raise UserError(
@@ -313,7 +314,8 @@ def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) ->
         same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
     except Exception as error:
         raise UserError(
-            f"{WHERE}: output_residual cannot be computed at the operating point: {describe_exception(error)}; mend that line."
+            f"{WHERE}: output_residual cannot be computed at the operating point: {describe_exception(error)}; "
+            "correct that line."
         ) from None
     if same.shape != y0.shape or np.any(same != 0):
         raise UserError(
@@ -329,7 +331,7 @@ def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: A
     except Exception as error:
         raise UserError(
             f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: "
-            f"{describe_exception(error)}; mend that line."
+            f"{describe_exception(error)}; correct that line."
         ) from None
     if same.shape or same != 0:
         raise UserError(
@@ -344,5 +346,5 @@ def _require_finite(name: str, value: np.ndarray, e: Equations) -> None:
         raise UserError(
             f"{WHERE}: {name}: got {brief_repr(np.asarray(value).tolist())} at the operating point x = "
             f"{brief_repr(list(e.x0))}, "
-            f"u = {brief_repr(list(e.u0))}, expected finite numbers; take another point, or mend the function."
+            f"u = {brief_repr(list(e.u0))}, expected finite numbers; take another point, or correct the function."
         )

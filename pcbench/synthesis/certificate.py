@@ -140,7 +140,7 @@ def require_certified(certificate: Certificate, where: str, least: float = 0.0) 
 
 
 def no_certificate(why: str) -> Certificate:
-    """Make the certificate of gains without a proof.
+    """Make the certificate of gains that are not certified.
 
     Args:
         why: the reason, which tables and `design` show.
