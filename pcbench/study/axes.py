@@ -1,6 +1,6 @@
-"""Checks the values of a study's axes, in seconds and SI units; an axis itself is declared in `pcbench.fields`.
+"""Checks of the values of a study's axes, in seconds and SI units. The axes are declared in `pcbench.fields`.
 
-Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+A mistake ends in one sentence: where, what was found, what was expected, and what to write instead.
 """
 
 import math
@@ -40,8 +40,8 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
     if name == "parameter_drift" and any(out) and not drifts(base):
         raise UserError(
-            f"{where}: got {brief_repr(values)} for {base.name}, where it has no effect: nothing drifts; leave it out"
-            + (", or say in [lti.plant] how the plant differs from its model." if base.plant == "lti" else ".")
+            f"{where}: got {brief_repr(values)} for {base.name}, which has no parameter drift, expected 0; leave it out"
+            + (", or write in [lti.plant] how the plant differs from its model." if base.plant == "lti" else ".")
         )
     if len({str(v) for v in out}) < len(out):
         raise UserError(
@@ -51,7 +51,7 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
 
 
 def axes_of(s: Scenario) -> tuple[str, ...]:
-    """Return the axes that a scenario has, beside its plant's parameters."""
+    """Return the axes that a scenario has, in addition to its plant's parameters."""
     return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
 
 
@@ -74,9 +74,8 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
             raise UserError(
-                f"{where}: got {brief_repr(value)}, expected no log among the values of an axis; write it as delay of "
-                "a table, one "
-                "[scenarios.NAME] for each log."
+                f"{where}: got {brief_repr(value)}, expected no recording among the values of an axis; write it as "
+                "`delay` of a table [scenarios.NAME], one for each recording."
             )
         if value != INTERVAL:
             raise UserError(
@@ -98,9 +97,7 @@ def _single(name: str, value: object, base: Scenario, where: str) -> float:
         _require_whole_ticks(name, n, base, where)
     plant, parameter = entry_of(base), name.removeprefix("plant.")
     if parameter in plant.positive and n <= 0:
-        raise UserError(
-            f"{where}: got {brief_repr(value)}, expected a number greater than 0: it divides, or is a size."
-        )
+        raise UserError(f"{where}: got {brief_repr(value)}, expected a number greater than 0; write a positive one.")
     if parameter in plant.signs and abs(n) != 1:
         raise UserError(f"{where}: got {brief_repr(value)}, expected a sign; write 1 or -1.")
     if name in LIMITS and not LIMITS[name].holds(n):

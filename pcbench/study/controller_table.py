@@ -1,4 +1,4 @@
-"""A study's own controller, `[controller]`: which law closes the loop of its scenarios, with what options, how far away."""
+"""A study's table `[controller]`: the control law of its scenarios, its options, and its network to the plant."""
 
 from collections.abc import Mapping
 from typing import Annotated, NamedTuple
@@ -51,8 +51,8 @@ def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, User
         raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", way.use, able)
     if s.sampling.prefilled:
         raise UserError(
-            f"{where}: got a controller for {s.name}, whose measuring began before t = 0, expected a scenario that starts at "
-            "t = 0; leave the table out, or take another scenario."
+            f"{where}: got a controller for {s.name}, whose sampling began before t = 0, expected a scenario that starts at "
+            "t = 0; leave the table out, or use another scenario."
         )
     control = {key: value for key, value in given.items() if key not in Network.model_fields}
     entry = mine.entry if mine else CONTROLLERS[way.use]
@@ -63,8 +63,8 @@ def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, User
     options = validate_options(entry.options, control, where)
     if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
         raise UserError(
-            f"{where}: got a plant with D in {s.name}, expected an output without the input: in a closed loop it is decided "
-            "after the measurement; leave D out."
+            f"{where}: got a plant with D in {s.name}, expected none: a closed loop computes the input after the "
+            "measurement; leave D out."
         )
     if entry.check:
         entry.check(options, sizes(s, where))
@@ -149,7 +149,8 @@ def warning(s: Scenario, where: str) -> str:
     if found is None or abs(found.mode) < 1:
         return ""
     return (
-        f"{where}: {s.loop.controller} does not stabilise the plant of {s.name}, its command {found.late:g} s late: the "
+        f"{where}: with commands delayed by {found.late:g} s, {s.loop.controller} does not stabilise the plant of "
+        f"{s.name}: the "
         f"closed loop has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size {abs(found.mode):.6g}, "
         "expected below 1."
     )

@@ -43,7 +43,8 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
     for key in (*TAKEN, *(INSTANTS if turns else ())):
         if table.get(key):
             raise UserError(
-                f"{where}.{key}: got {brief_repr(table[key])} with the delays of a log, expected one of them; leave it out."
+                f"{where}.{key}: got {brief_repr(table[key])} with the delays of a recording, expected one of them; "
+                "leave it out."
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = readers.open_log(name if folder is None else folder / name)
@@ -54,11 +55,11 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
     late = np.rint((arrived - sampled) / tick)
     if np.isnan(late).all():
         raise UserError(
-            f"{where}.delay: got the log {name}, in which nothing arrived, expected samples that did; give another."
+            f"{where}.delay: got the recording {name} without arrivals, expected at least one; use another."
         )
     if turns:
         order = np.argsort(sampled, kind="stable")
-        got = f"{where}.delay: got the log {name}"
+        got = f"{where}.delay: got the recording {name}"
         return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
     order = np.lexsort((sampled, channel))
     order = order[~np.isnan(late[order])]
@@ -95,14 +96,12 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     if unlike.any():
         t = sampled[np.argmax(unlike)]
         raise UserError(
-            f"{got}, whose samples of {t:g} s were not late alike, expected one delay for all of one tick; give a log of one "
-            f"channel, or write {FROM} to draw them."
+            f"{got}, whose samples at {t:g} s have different delays, expected one delay per tick; use a recording of one "
+            f"channel, or write {FROM} to draw random delays."
         )
     many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the last one is where it begins again
     if many < 1 or np.isnan(each[:many]).all():
-        raise UserError(
-            f"{got}, of which nothing that arrived can be replayed, expected two samples or more; give another."
-        )
+        raise UserError(f"{got}, which has too few arrivals to be replayed, expected two samples or more; use another.")
     least = np.nanmin(each[:many])
     intervals = np.diff(instants[: many + 1])
     return {

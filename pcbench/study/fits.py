@@ -1,4 +1,4 @@
-"""Whether a cell can be run: periods, delays, faults of samples and loops that fit the tick, the horizon and the observers."""
+"""Checks whether a grid point can be run: times, measurement errors and loops that fit its tick, duration and observers."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ REACH = 10  # times the horizon: no sample that is later ever arrives
 
 
 def fits(s: Scenario, where: str) -> None:
-    """Raise UserError where times do not fit together, or a fault of samples has no effect or cannot be as asked."""
+    """Raise UserError if times do not fit together, or if a measurement error is impossible or has no effect."""
     misfits = itertools.chain(
         _of_continuous(s), _of_loop(s), _of_clocks(s), _of_sensors(s), _of_correlation(s), _of_delays(s), _of_stamps(s)
     )
@@ -36,7 +36,7 @@ def fits(s: Scenario, where: str) -> None:
 
 
 def _of_continuous(s: Scenario) -> Iterator[str]:
-    """Say which of a sampler's axes a scenario has that measures continuously."""
+    """Yield a sentence for each sampling axis of a scenario with continuous measurements."""
     if not s.sampling.continuous:
         return
     q = len(s.sampling.delay)
@@ -45,28 +45,30 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
     for name, value in ((name, usual[name]) for name in AXES if name in usual):
         if s.value(name) != value and (name != "quantization_step" or any(s.value(name))):
             yield (
-                f"got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without noise, "
-                "expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
+                f"got {name} = {plain(name, s.value(name))} in {s.name}, whose measurements are continuous and without noise, "
+                "expected no such axis; leave it out, or use a scenario with samples, such as arm/sampled."
             )
 
 
 def _of_loop(s: Scenario) -> Iterator[str]:
-    """Say which delays a closed loop cannot have, and which drift has no effect."""
+    """Yield a sentence for each delay that a closed loop cannot have, and for a drift without effect."""
     measured, actuator_delay = s.sampling, s.loop.actuator_delay
     # of a loop for any plant the sampler is any: its commands have a delay of their own
     if s.loop.controller and measured.prefilled:
         if measured.delay_sequence:
             yield (
-                f"got delay_sequence in {s.name}, whose measuring began before t = 0, expected one delay of samples; leave "
-                "them out, or close the loop of another scenario (guide: loops)."
+                f"got delay_sequence in {s.name}, whose sampling began before t = 0, expected one delay of the "
+                "samples; leave it "
+                "out, or close the loop of another scenario (see pcbench guide closed-loops)."
             )
         if any(clock.random for clock in clocks(s)):
             yield (
-                f"got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-                f"offered with times of each run's own; leave {', '.join(DRAWN)} and the sampling_pattern 'uniform' out."
+                f"got a random schedule in {s.name}, whose sampling began before t = 0, expected one schedule for "
+                "all runs; leave "
+                f"{', '.join(DRAWN)} and the sampling_pattern 'uniform' out."
             )
         if INTERVAL in measured.delay:
-            yield f"got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
+            yield f"got a delay of one interval in {s.name}, expected seconds: sampling began before t = 0; write a number."
         if len(set(measured.delay)) > 1:
             each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
             yield f"got delays of {each} s in {s.name}, expected one for all channels; write one number."
@@ -76,13 +78,13 @@ def _of_loop(s: Scenario) -> Iterator[str]:
             yield from _too_short(s, "actuator_delay", actuator_delay, s.dt / 2)
     if s.truth.parameter_drift and not drifts(s):
         yield (
-            f"got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, where nothing drifts, expected 0; leave it "
-            "out."
+            f"got a parameter_drift of {s.truth.parameter_drift:g} in {s.name}, which has no parameter drift, expected 0; "
+            "leave it out."
         )
 
 
 def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[str]:
-    """Say whether a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
+    """Yield a sentence if a delay of a loop, with its variation, falls below `least` [s]; a constant 0 is allowed."""
     (swing, pace), t = s.sampling.delay_sine, (np.arange(to_ticks(s.duration, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
@@ -96,7 +98,7 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
 
 
 def _of_clocks(s: Scenario) -> Iterator[str]:
-    """Say which delays are beyond all that can arrive, and which jitter or assumed delay does not fit the intervals or ages."""
+    """Yield a sentence for each delay beyond the run, and for each jitter or assumed delay that does not fit."""
     ticks, error = to_ticks(s.duration, s), s.belief.assumed_delay_error
     for one in sensors(s):  # before their steps are listed
         mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
@@ -104,8 +106,8 @@ def _of_clocks(s: Scenario) -> Iterator[str]:
             continue
         if not (latest := sampling.latest_of_gamma(mean, shape)) <= REACH * s.duration:
             yield (
-                f"got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, by which one sample of 10,000 is "
-                f"later than {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
+                f"got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, with which one of 10,000 samples "
+                f"has a delay above {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
                 "smaller mean."
             )
     for clock in clocks(s):
@@ -118,47 +120,49 @@ def _of_clocks(s: Scenario) -> Iterator[str]:
         youngest, early = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
         if early > (assumed := youngest + to_ticks(error, s)) and early:
             yield (
-                f"got stamps up to {early * s.dt:g} s ahead in {s.name}, where samples may be only {assumed * s.dt:g} s late, "
-                "expected none to arrive before its stamp; take smaller errors of stamps, a negative timestamp_offset, or a "
-                "longer delay."
+                f"got timestamps up to {early * s.dt:g} s after the sampling in {s.name}, whose shortest delay is "
+                f"{assumed * s.dt:g} s, expected "
+                "no arrival before its timestamp; use smaller timestamp errors, a negative timestamp_offset, or a longer delay."
             )
         if youngest * s.dt + error < -1e-9:
             yield (
-                f"got an assumed_delay_error of {error:g} s where samples may be only {youngest * s.dt:g} s late, expected an "
-                f"assumed delay of 0 or more; write at least {-youngest * s.dt:g}."
+                f"got an assumed_delay_error of {error:g} s with a shortest delay of {youngest * s.dt:g} s, "
+                "expected an assumed "
+                f"delay of 0 or more; write at least {-youngest * s.dt:g}."
             )
 
 
 def _of_sensors(s: Scenario) -> Iterator[str]:
-    """Say which noise, losses or delays of one sensor have no effect, or cannot be drawn as asked."""
+    """Yield a sentence for each noise, loss or delay of a sensor that is impossible or has no effect."""
     for one in sensors(s):
         measured, belief = one.sampling, one.belief
         noiseless = not any(measured.noise_std)
         if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
             yield (
-                f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, where the assumed noise is 0, "
-                "expected a noise_std above 0; give one, or leave it out."
+                f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, whose assumed noise is 0, "
+                "expected a noise_std above 0; write one, or leave it out."
             )
         if noiseless and np.isfinite(measured.student_t_dof):
             yield (
                 f"got student_t_dof = {measured.student_t_dof:g} in {s.name}, whose samples have no noise, expected a "
-                "noise_std above 0; give one, or leave it out."
+                "noise_std above 0; write one, or leave it out."
             )
         if noiseless and measured.outlier_probability:
             yield (
-                f"got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to be "
-                "larger, expected a noise_std above 0; give one, or leave it out."
+                f"got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise, "
+                "expected a noise_std above 0; write one, or leave it out."
             )
         values, weights, mean = measured.delay_values, measured.delay_weights, measured.delay_gamma_mean
         if weights and len(weights) != len(values):
             yield (
-                f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each: a "
-                "histogram has as many bars as places."
+                f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each; "
+                "write as many "
+                "weights as values."
             )
         if weights and measured.delay_self_transition:
             yield (
-                "got delay_weights and delay_self_transition, expected one of them: delays are drawn one by one or are a "
-                "Markov chain."
+                "got delay_weights and delay_self_transition, expected one of them: delays are independent or a Markov chain; "
+                "leave one out."
             )
         if mean and values:
             yield f"got delay_gamma_mean = {mean:g} and delay_values, expected one of them; leave one out."
@@ -167,14 +171,14 @@ def _of_sensors(s: Scenario) -> Iterator[str]:
             continue
         got = f"got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected "
         if not 0 < loss < 1:
-            yield f"{got}a loss between 0 and 1 to come in bursts; give one, or leave mean_burst_length out."
+            yield f"{got}a loss between 0 and 1; write one, or leave mean_burst_length out."
         elif burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
             least = max(1, loss / (1 - loss))
-            yield f"{got}gaps of at least {least:g} samples in the mean, which so many losses leave at least; write more."
+            yield f"{got}at least {least:g} samples, the shortest mean length with this loss; write more."
 
 
 def _of_correlation(s: Scenario) -> Iterator[str]:
-    """Say why the noise of channels cannot be correlated as asked."""
+    """Yield a sentence if the noise of the channels cannot be correlated as given."""
     given, many = s.sampling.noise_correlation, len(s.sampling.delay)
     if not given:
         return
@@ -199,74 +203,74 @@ def _of_correlation(s: Scenario) -> Iterator[str]:
 
 
 def _of_delays(s: Scenario) -> Iterator[str]:
-    """Say which field has no effect without another, and which delays cannot be a chain, or come in turn, as asked."""
+    """Yield a sentence for each field without effect, and for delays that cannot be a Markov chain or a sequence."""
     for name, needs in (("outlier_scale", "outlier_probability"), ("delay_gamma_shape", "delay_gamma_mean")):
         if not s.value(needs) and s.value(name) != Sampling._field_defaults[name]:
             article = "an" if needs[0] in "aeiou" else "a"
             yield (
-                f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, where it has no effect, "
-                "expected both or neither; leave it out there."
+                f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, so it has no effect, "
+                "expected both or neither; leave it out."
             )
     values, stay, turns = s.sampling.delay_values, s.sampling.delay_self_transition, s.sampling.delay_sequence
     if stay and not values:
         yield (
-            f"got delay_self_transition in {s.name} without delay_values, where it has no effect, expected both or neither; "
+            f"got delay_self_transition in {s.name} without delay_values, so it has no effect, expected both or neither; "
             "write delay_values = [0.0, ...], or leave it out."
         )
     if len(values) == 1 or len(set(values)) < len(values):
         yield (
-            f"got delay_values of {', '.join(f'{v:g}' for v in values)} s, expected two different values or more; a delay "
-            "that is always so much longer is written as delay."
+            f"got delay_values of {', '.join(f'{v:g}' for v in values)} s, expected two or more different values; write "
+            "a constant delay as delay."
         )
     if len(stay) not in (0, 1, len(values)):
         yield (
             f"got {len(stay)} values of delay_self_transition for {len(values)} delay_values, expected one, or one for each."
         )
     if turns and set(turns) == {LOST}:
-        yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them."
+        yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them; write one."
     beside = [name for name in DRAWN if s.value(name)]
     beside += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
     if turns and beside:
         yield (
-            f"got {beside[0]} with delay_sequence in {s.name}, expected one of them: delays in turn are the same in all "
-            "runs, and a network that is drawn is another in each; leave one out."
+            f"got {beside[0]} with delay_sequence in {s.name}, expected one of them: the sequence is the same in all "
+            "runs, and the other one is random in each run; leave one out."
         )
     if s.sampling.dither and not any(s.sampling.quantization_step):
         yield (
-            f"got dither = 1 in {s.name}, where samples are not rounded, expected a quantization_step above 0; give one, or "
+            f"got dither = 1 in {s.name}, whose samples are not rounded, expected a quantization_step above 0; write one, or "
             "leave it out."
         )
 
 
 def _of_stamps(s: Scenario) -> Iterator[str]:
-    """Say where stamps would not be in the order of the samples of a sensor, or a drift moves none of them."""
+    """Yield a sentence if timestamps would not be in the order of the samples, or if a clock skew has no effect."""
     drift, ticks = abs(s.sampling.clock_skew), to_ticks(s.duration, s)
     if drift and round(1e-6 * drift * ticks) == 0:
         yield (
-            f"got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no stamp by half a tick "
-            f"({s.dt / 2:g} s) within the horizon, so no result would change; write more than {5e5 / ticks:.3g} ppm, take a "
+            f"got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no timestamp by half a tick "
+            f"({s.dt / 2:g} s) within the duration, so no result would change; write more than {5e5 / ticks:.3g} ppm, use a "
             "shorter tick, or leave it out."
         )
     if drift > 1e5:
-        yield f"got a clock_skew of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
+        yield f"got a clock_skew of {drift:g} ppm, expected at most 100,000; write a smaller one."
     for clock in clocks(s):
         least = sampling.intervals(clock, ticks)[0]
         if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
             yield (
                 f"got a timestamp_jitter of {s.sampling.timestamp_jitter:g} s with intervals down to {least * s.dt:g} s, "
-                "expected less than half the shortest interval, so that stamps stay in order; write at most "
+                "expected less than half the shortest interval, so that timestamps stay in order; write at most "
                 f"{max((least - 2) // 2, 0) * s.dt:g}."
             )
 
 
 def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
-    """Raise UserError where an observer cannot work on a scenario's schedule."""
+    """Raise UserError if an observer does not support a scenario."""
     if sentence := next(_refusals(label, entry, s), ""):
         raise UserError(f"{where}: {label} in {s.name} got {sentence}")
 
 
 def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
-    """Say what an observer cannot work with, what it takes instead, and which observer does."""
+    """Yield what an observer does not support, what it needs instead, and which observer supports it."""
     if nonlinear(s) and not entry.nonlinear:
         residual = plant_of(s).residual
         moves = np.ones(0) if residual is None else residual(numbers_of(s))
@@ -274,33 +278,32 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             i = int(np.argmax(np.abs(moves)))
             yield (
                 f"an operating point that is no equilibrium ({states_of(s)[i][0]} changes by itself, by {moves[i]:.3g}), "
-                f"expected one, where the plant has a linear model; move the point, leave {label} out, or take ekf."
+                f"expected an equilibrium, which a linear model needs; move the point, leave {label} out, or use ekf."
             )
         if residual is None:
             able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
-            yield (
-                f"a nonlinear plant, expected a linear model to be designed from; leave {label} out, or take one of {able}."
-            )
+            yield (f"a nonlinear plant, expected one with a linear model; leave {label} out, or use one of {able}.")
     if s.loop.controller and not entry.loops:
         yield (
-            "a closed loop, expected an input that is known beforehand: it looks back further than a loop keeps its inputs; "
-            f"leave {label} out, or take ekf."
+            "a closed loop, expected an open one: it needs older inputs than a loop stores; "
+            f"leave {label} out, or use ekf."
         )
     if s.sampling.continuous and entry.observer.field is None:
         able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)
         yield (
-            f"continuous measurements, expected samples: it is no vector field; leave {label} out, take one of {able}, or a "
-            "scenario that samples."
+            f"continuous measurements, expected samples: it has no continuous-time form; leave {label} out, use one "
+            f"of {able}, or "
+            "use a scenario with samples."
         )
     measured = s.sampling
     regular = measured.sampling_pattern == "periodic"
     follows = INTERVAL in measured.delay and not (regular and not measured.sampling_jitter)
     drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
     if entry.takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
-        varies = ", ".join(drawn) or "a delay of one varying interval"
+        varies = ", ".join(drawn) or "a delay of one interval that varies"
         yield (
             f"{f'a delay_jitter of {_each(measured.delay_jitter)} s' if measured.delay_jitter else varies}, expected one "
-            f"constant delay: it does not use the age of a sample; leave {label} out, or take pccebo, pco or kf."
+            f"constant delay: it does not use the age of a sample; leave {label} out, or use pccebo, pco or kf."
         )
     if entry.takes == "constant delays":
         shifts = ("delay_jitter", "sampling_jitter", "sampling_phase")
@@ -309,20 +312,21 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
         unsteady += [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
         if unsteady:
             yield (
-                f"{', '.join(unsteady)}, expected regular samples of constant ages, the first at t = 0: it works sample by "
-                f"sample; leave {label} out, or take kf."
+                f"{', '.join(unsteady)}, expected regular samples with constant delays, the first at t = 0; leave "
+                f"{label} out, or "
+                "use kf."
             )
     if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
         yield (
-            f"{wrong}, expected correct timestamps: it clones the state when a sample is taken, whatever its timestamp; "
-            f"leave {label} out, or take kf."
+            f"{wrong}, expected correct timestamps: it copies the state when a sample is taken, whatever its timestamp; "
+            f"leave {label} out, or use kf."
         )
     if entry.takes == "one clock" and len(clocks(s)) > 1:
         each = {name: s.value(name) for name in OF_A_SENSOR}
         several = "; ".join(f"{k} = {plain(k, v)}" for k, v in each.items() if isinstance(v, tuple) and len(set(v)) > 1)
         yield (
-            f"channels that differ ({several}), expected one period, one delay and one network for all; give equal ones, or "
-            "take kf."
+            f"channels that differ ({several}), expected one period, one delay and one network for all; make them equal, or "
+            "use kf."
         )
 
 

@@ -152,8 +152,8 @@ def _tuned_options(
         return {}
     at = ", ".join(f"{name} = {axis.plain(name, value)}" for name, value in zip(names, point, strict=True))
     raise UserError(
-        f"{where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every cell; tune again with "
-        "this cell among the axes."
+        f"{where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every grid point; tune again "
+        "with this one in the axes."
     )
 
 
@@ -175,15 +175,16 @@ def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
         got = f"{where}: options.scenario.{given[0][0]}: got {given[0][1]!r} for {s.name}"
         if not s.loop.controller:
             raise UserError(
-                f"{got}, where no controller gives commands, expected a closed loop such as helicopter/constant; leave it out."
+                f"{got}, which has no controller, expected a closed loop such as helicopter/constant; leave it out."
             )
         raise UserError(
-            f"{got}, whose loop is closed by {s.loop.controller}, expected pd, which alone has it; leave it out."
+            f"{got}, whose loop is closed by {s.loop.controller}, expected pd, the only controller with this "
+            "option; leave it out."
         )
     if choices.input and s.loop.controller:
         raise UserError(
-            f"{where}: options.scenario.input: got {choices.input!r} for {s.name}, whose input a controller gives, expected a "
-            "path to follow (options.scenario.path); leave it out."
+            f"{where}: options.scenario.input: got {choices.input!r} for {s.name}, whose input comes from a controller, "
+            "expected options.scenario.path instead; leave it out."
         )
 
 
@@ -245,8 +246,9 @@ def engine_warnings(grid: Grid) -> list[str]:
     if not slower or grid.study.engine == "definition" or grid.study.evaluation == "exact":
         return []
     return [
-        f"jax {version('jax')} is newer than what pcbench's engines were read against: runs are computed by their definition, "
-        "with the same numbers to 1e-11 and more slowly; install an earlier jax for speed."
+        f"jax {version('jax')} is newer than the versions that pcbench's fast engines support: the engine "
+        "`definition` computes "
+        "the runs, more slowly and with the same numbers to 1e-11; install an earlier jax for speed."
     ]
 
 

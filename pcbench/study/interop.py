@@ -113,7 +113,7 @@ def _state_space(system: object) -> TomlTable:
     dt: float | None = getattr(form, "dt", None)
     if dt is True or (dt is None and hasattr(form, "state_labels")):
         raise UserError(
-            f"pcbench.lti: got a system with dt = {dt}, whose time base is not said, expected seconds; give it dt in seconds"
+            f"pcbench.lti: got a system with dt = {dt}, whose time base is unknown, expected seconds; give it dt in seconds"
             + (", or 0 for a continuous one." if dt is None else ".")
         )
     matrices = {key: plain(np.asarray(getattr(form, key), float)) for key in "ABCD"}

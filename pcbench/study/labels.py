@@ -79,8 +79,8 @@ def _labels(names: list[object], use: dict[str, str], where: str) -> list[object
             _free(label, name, where)
             if use.get(label, name) != name or label in out:
                 raise UserError(
-                    f"{where}: got '{short(name)}' as well as another observer of the label '{label}', expected a label for "
-                    f'each; write [observers.LABEL] use = "{short(name)}".'
+                    f"{where}: got '{short(name)}' and another observer with the label '{label}', expected different "
+                    f'labels; write [observers.LABEL] use = "{short(name)}".'
                 )
             use[label] = name
         elif label not in use and base_of(label) is None and (found := find_plugins("observer").get(label)):

@@ -139,7 +139,7 @@ def _read(path: Path) -> TomlTable:
         raw = toml_text.parse(text)
     except ValueError as error:
         raise UserError(
-            f"{path}: got what is not valid TOML ({short(str(error))}), expected a study; mend that line."
+            f"{path}: got what is not valid TOML ({short(str(error))}), expected a study; correct that line."
         ) from None
     raw.pop("resolved", None)
     return {"name": path.stem} | raw

@@ -77,7 +77,8 @@ def covariance(given: float | list[float] | list[list[float]], many: int, where:
     size = max(float(np.abs(Q).max()), 1e-300)
     if np.abs(Q - Q.T).max() > ROUNDING * size or np.linalg.eigvalsh(Q)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
+            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; "
+            "correct its entries."
         )
     return Q
 

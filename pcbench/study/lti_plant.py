@@ -37,7 +37,7 @@ Intensity = Size | list[Size] | list[list[Number]]
 
 
 class Differing(BaseModel):
-    """`[lti.plant]`: what is true of the plant and told to no observer; besides the matrices any of the named numbers."""
+    """`[lti.plant]`: true values that the design does not use: any of the matrices or of the named numbers."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
     __pydantic_extra__: dict[str, Number]
@@ -108,7 +108,7 @@ def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: s
     if rate * ticks > GROWTH:
         raise UserError(
             f"{where}.A: got a plant that grows by 1e{rate * ticks:.0f} over the duration of {ticks * tick:g} s, expected "
-            f"at most 1e{GROWTH}; shorten the horizon to {GROWTH / rate * tick:.2g} s."
+            f"at most 1e{GROWTH}; shorten the duration to {GROWTH / rate * tick:.2g} s."
         )
 
 
@@ -150,7 +150,7 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
             except ValueError:
                 raise UserError(
                     f"{where}.{letter}[{i}][{j}]: got '{short(text)}', expected a finite number at "
-                    f"{_named_values(own) or 'all times'}; mend the formula or its parameters."
+                    f"{_named_values(own) or 'all times'}; correct the formula or its parameters."
                 ) from None
     written = {letter: r for letter, r in rows.items() if _formulas(r)}
     return Numbers(**values, discrete=lti.dt is not None, own=own, written=written)

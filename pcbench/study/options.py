@@ -76,8 +76,8 @@ def checked_options(study: Study, name: str, given: TomlTable, where: str) -> Ba
         )
     if options.consistency and not options.random_initial_state:
         raise UserError(
-            f"{where}: got consistency where every run starts alike, expected starts drawn from the prior that "
-            "observers assume; add random_initial_state = true."
+            f"{where}: got consistency with a fixed initial state, expected x(0) drawn from the assumed "
+            "prior; add random_initial_state = true."
         )
     return options
 

@@ -148,7 +148,7 @@ def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tup
     study, every = grid_of(what, {"observers": observers}, overrides)
     if len(every) > 1:
         raise UserError(
-            f"{study.name}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
+            f"{study.name}: got {len(every)} grid points, expected one here; name one scenario, and give each axis one value."
         )
     return study, every[0]
 

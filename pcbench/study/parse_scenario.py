@@ -139,7 +139,7 @@ def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserP
     plant = given.get("plant", s.plant)
     if plant == "lti":
         raise UserError(
-            f"{where}.plant: got 'lti', expected a plant with equations of its own; write the table [lti] for a linear plant."
+            f"{where}.plant: got 'lti', expected a plant with its own equations; write the table [lti] for a linear plant."
         )
     if mine := own.get(plant):
         s = s._replace(plant=mine.code.name, own={**s.own, "plant": mine})
@@ -236,7 +236,7 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
         raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
     if name == "pd" and entry.inverse is None:
         able = ", ".join(each for each, plant in PLANTS.items() if plant.inverse)
-        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it is for: {able}.")
+        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {able}.")
     law = controller_of(s)
     options = validate_options(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:

@@ -1,6 +1,6 @@
-"""What a study's tables `[scenario]` and `[lti]` may say: every field of a scenario, spelled flat.
+"""The keys of a study's tables `[scenario]` and `[lti]`: every field of a scenario, without its record.
 
-What both may say is declared once: the axes in `pcbench.fields`, the other keys in `Experiment`.
+Keys of both tables are declared once: the axes in `pcbench.fields`, the other keys in `Experiment`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -74,7 +74,7 @@ def takes_axes(
             keys[name] = table.model_fields[name].annotation, copy(table.model_fields[name])
             keys[name][1].default = value
         for f in fields.FIELDS:
-            about = f.meaning if f.unit in ("", "1") else f"{f.unit}, {f.meaning}"
+            about = f.meaning if f.unit in ("", "1") else f"[{f.unit}] {f.meaning}"
             if f.name in required:
                 keys[f.name] = kind(f), Field(description=about)
             elif f.name not in without:
@@ -89,9 +89,9 @@ def takes_axes(
 
 
 class Experiment(BaseModel):
-    """The keys of both tables that are no axes. n states, s unknowns, q outputs; what is left out has a default.
+    """The keys of both tables that are no axes. A key that is left out has its default.
 
-    One number in place of a list holds for all of them.
+    One number instead of a list holds for all states, unknowns or outputs.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -128,14 +128,14 @@ class Experiment(BaseModel):
     observers: list[str] | None = Field(None, min_length=1, description="observers, if the study names none")
 
     def given(self) -> TomlTable:
-        """Return what the table says of the scenario's fields."""
+        """Return the fields of the scenario that the table sets."""
         said = {key: getattr(self, key) for key in type(self).model_fields if key not in ("base", "name")}
         return {key: value for key, value in said.items() if value is not None}
 
 
 @takes_axes()
 class ScenarioTable(Experiment):
-    """A scenario of a user's own, or `base` with some fields changed; what is left out is the base's, or a default."""
+    """Your own scenario, or `base` with some fields changed; other keys have the value of the base, or their default."""
 
     base: str | None = Field(None, description="built-in scenario that the other keys change")
     name: str | None = Field(

@@ -1,4 +1,4 @@
-"""A scenario as a study file to start from: `[scenario]` with every field, its unit and what it means."""
+"""A scenario as a study file: a table `[scenario]` with every field, its unit and its meaning."""
 
 import json
 import re
@@ -12,11 +12,11 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
 TITLES = {
-    "truth": "true values that no observer is designed with",
-    "loop": "what drives the plant",
-    "sampling": "how it is measured",
-    "belief": "what designers and observers assume",
-    "scoring": "what runs are judged by",
+    "truth": "true values, which the design of observers does not use",
+    "loop": "input and controller",
+    "sampling": "measurements",
+    "belief": "assumed values",
+    "scoring": "metrics",
 }
 FIRST = ("summary", "source", "plant", "observers", "dt", "duration")
 
@@ -28,7 +28,7 @@ def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping
     """
     if s.plant == "lti":
         raise UserError(
-            f"show {s.name}: got a plant of a study's own, expected another; its table [lti] is the file to edit."
+            f"show {s.name}: got a plant of a study's table [lti], expected a built-in plant; edit that table instead."
         )
     lines = [f"name = {toml_value('my-' + s.name.replace('/', '-'))}", "seeds = 256", "", "[scenario]"]
     lines += [_line(s, key) for key in FIRST]

@@ -1,4 +1,4 @@
-"""What a study file may say: scenarios x observers x axes x seeds, choices, and what to tune for."""
+"""The keys of a study file: scenarios, observers, axes, seeds, choices and tuning."""
 
 from typing import Literal
 
@@ -102,7 +102,7 @@ class TunedOptions(BaseModel):
 
 
 class Study(BaseModel):
-    """A study as it stands in a TOML file; seconds and SI units."""
+    """A study file; seconds and SI units."""
 
     model_config = ConfigDict(extra="forbid")
     name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100, description="name of the study and of its folder")
@@ -165,7 +165,7 @@ class Study(BaseModel):
 
     @property
     def tuning_sentence(self) -> str | None:
-        """Return in which cell the gains were tuned; None if none were."""
+        """Return the grid points at which the gains were tuned; None if none were."""
         if self.tuned is None:
             return None
         cell = ", ".join(f"{name} = {value}" for name, value in self.tuned.cell.items())
@@ -174,9 +174,9 @@ class Study(BaseModel):
             f"{self.tuned.signal} in {self.tuned.scenario}"
         )
         if self.tuned.cells:
-            return f"{tuned}, in each of {len(self.tuned.cells)} cells for itself."
+            return f"{tuned}, separately at each of {len(self.tuned.cells)} grid points."
         return f"{tuned}{f' at {cell}' if cell else ''}." + (
-            " The other cells use the same gains." if any(len(v) > 1 for v in self.axes.values()) else ""
+            " The other grid points use the same gains." if any(len(v) > 1 for v in self.axes.values()) else ""
         )
 
 

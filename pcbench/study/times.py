@@ -139,9 +139,9 @@ def ticks_of(horizon: float, tick: float, where: str) -> int:
     """Return a horizon [s] in ticks [s]; raise UserError where that is less than two or more than TICKS."""
     many, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
     if many > TICKS + 0.5:
-        raise UserError(f"{got}, expected at most {TICKS:,} ticks; take a shorter horizon or a longer tick.")
+        raise UserError(f"{got}, expected at most {TICKS:,} ticks; use a shorter duration or a longer tick.")
     if round(many) < 2:
-        raise UserError(f"{got}, expected at least two ticks; take a longer horizon or a shorter tick.")
+        raise UserError(f"{got}, expected at least two ticks; use a longer duration or a shorter tick.")
     return round(many)
 
 
@@ -157,14 +157,14 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
         longest = sampling.ages(clock, ticks)[1]
         if longest // least > IN_FLIGHT:
             raise UserError(
-                f"{where}: got samples up to {longest * dt:g} s late and only {least * dt:g} s apart, expected at most "
-                f"{IN_FLIGHT:,} of a channel on their way at a time; shorten the delay or sample less often."
+                f"{where}: got delays of up to {longest * dt:g} s with samples every {least * dt:g} s, expected at most "
+                f"{IN_FLIGHT:,} samples of a channel in transit; shorten the delay or sample less often."
             )
     most = random_times.overtaking(clocks, ticks)
     if most > OVERTAKING:
         raise UserError(
-            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {OVERTAKING:,}; take a "
-            "smaller delay_jitter, delays that differ less, or sample less often."
+            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {OVERTAKING:,}; use a "
+            "smaller delay_jitter, smaller differences of the delays, or a longer sampling_period."
         )
 
 
@@ -173,6 +173,6 @@ def require_few_cells(cells: int, ticks: int, where: str) -> None:
     most = min(CELLS, CELL_TICKS // ticks)
     if cells > most:
         raise UserError(
-            f"{where}: axes: got {cells:,} cells of {ticks:,} ticks, expected at most {most:,}; leave values out, or divide "
-            "the study."
+            f"{where}: axes: got {cells:,} grid points of {ticks:,} ticks, expected at most {most:,}; remove values, or "
+            "divide the study."
         )

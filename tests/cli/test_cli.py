@@ -70,7 +70,7 @@ BAD = {
     "design observer": (["design", "cart/nominal", "kbo"], "'kbo' is no observer", "'kfbo'"),
     "paper": (["reproduce", "card"], "'card' is no paper", "'cart'"),
     "list": (["list", "observer"], "'observer'", "'observers'"),
-    "cells": (["design", "cart/nominal", "kfbo", "--set", "axes.delay=[0.1,0.2]"], "got 2 cells", "one value"),
+    "cells": (["design", "cart/nominal", "kfbo", "--set", "axes.delay=[0.1,0.2]"], "got 2 grid points", "one value"),
     "unequal channels": (["run", "quick", "--set", "axes.delay=[[0.1,0.2]]"], "got 2 values", "one or 1"),
     "both variants": (
         ["run", "quick", "--set", "options.kfbo.lag-aware=true", "--set", "options.kfbo.sampled-innovation=true"],

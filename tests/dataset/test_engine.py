@@ -175,7 +175,7 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     for changes in ({}, {"engine": "steps"}):
         overwrite = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", say=said.append)
         assert overwrite.study.engine == "definition"
-    assert ["computed by their definition" in sentence for sentence in said] == [True, True]
+    assert ["the engine `definition` computes" in sentence for sentence in said] == [True, True]
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
     assert (grown.study.engine, len(said)) == ("steps", 3)
     place = storage.target(tmp_path / "begun")

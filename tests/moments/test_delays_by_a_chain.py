@@ -92,7 +92,7 @@ MISTAKES = [
         "got 2 values of delay_self_transition for 3 delay_values, expected one, or one for each",
     ),
     ({"delay_values": []}, "got delay_self_transition in lti without delay_values"),
-    ({"delay_values": [0.1]}, "expected two different values or more"),
+    ({"delay_values": [0.1]}, "expected two or more different values"),
     ({"delay_self_transition": 1.0}, "got 1, expected a probability below 1"),
     ({"delay_values": [0.0, 0.013]}, "expected a whole number of ticks"),
 ]

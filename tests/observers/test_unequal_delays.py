@@ -60,7 +60,7 @@ BAD = {
     "sampling_jitter": (
         PLANT | {"delay_jitter": 1.0},
         {},
-        "got a delay_jitter of 1 s, expected regular samples of constant ages",
+        "got a delay_jitter of 1 s, expected regular samples with constant delays",
     ),
     "sampling_pattern": (
         PLANT | {"sampling_pattern": [1.0, 2.0]},

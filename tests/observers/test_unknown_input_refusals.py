@@ -225,7 +225,7 @@ def test_a_planned_cell_is_not_run_in_float32():
     ("words", "said"),
     [
         (("run", "cart/nominal", "--observers", "smo"), "smo in cart/nominal: the plant has no unknown input"),
-        (("run", "arm/sine", "--set", "axes.noise_std=0.1"), "which measures continuously and without noise"),
+        (("run", "arm/sine", "--set", "axes.noise_std=0.1"), "whose measurements are continuous and without noise"),
         (("simulate", "arm/sawtooth", "--observer", "kf"), "kf in arm/sawtooth got continuous measurements"),
         (("design", "arm/sampled", "pio", "--set", "options.pio.xi=0"), "xi: got 0, expected greater than 0"),
     ],

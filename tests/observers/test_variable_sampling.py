@@ -181,7 +181,7 @@ def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
 
 
 def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
-    with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
+    with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one interval that varies"):
         parse.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
     parse.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
 

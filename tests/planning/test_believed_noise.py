@@ -48,7 +48,7 @@ REFUSED = [
     ({"axes": {"assumed_noise_scale": [0.0]}}, "expected a number greater than 0"),
     ({"axes": {"assumed_noise_scale": [-1.0]}}, "expected a number of at least 0"),
     ({"axes": {"assumed_noise_scale": [float("inf")]}}, "finite number"),
-    ({"lti": KNOWN["lti"] | {"noise_std": [0.0], "assumed_noise_scale": 2.0}}, "where the assumed noise is 0"),
+    ({"lti": KNOWN["lti"] | {"noise_std": [0.0], "assumed_noise_scale": 2.0}}, "whose assumed noise is 0"),
 ]
 
 

@@ -132,7 +132,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
         pcbench.run(own({"observers": ["kf"]}, slope))
     stats = pcbench.run(own({"observers": ["ekf"], "noise_std": 1e-3}, slope)).stats
     assert (stats.query("metric == 'divergence_rate'")["mean"] == 0).all()
-    with pytest.raises(UserError, match="got a parameter_drift of 1 in mine, where nothing drifts"):
+    with pytest.raises(UserError, match="got a parameter_drift of 1 in mine, which has no parameter drift"):
         parse.parse(own({"parameter_drift": 1.0}), "mine.toml")
 
 

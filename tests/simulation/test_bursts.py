@@ -116,20 +116,20 @@ def test_exact_answers_are_averaged_over_drawn_schedules_and_runs_come_to_them(g
 
 
 REFUSED = [
-    ({"mean_burst_length": 5.0}, "with a loss of 0, expected a loss between 0 and 1 to come in bursts"),
+    ({"mean_burst_length": 5.0}, "with a loss of 0, expected a loss between 0 and 1; write one"),
     ({"mean_burst_length": 5.0, "loss": 1.0}, "with a loss of 1, expected a loss between 0 and 1"),
-    ({"mean_burst_length": 2.0, "loss": 0.8}, "expected gaps of at least 4 samples in the mean"),
-    ({"mean_burst_length": 0.5, "loss": 0.2}, "expected gaps of at least 1 samples"),
+    ({"mean_burst_length": 2.0, "loss": 0.8}, "expected at least 4 samples, the shortest mean length"),
+    ({"mean_burst_length": 0.5, "loss": 0.2}, "expected at least 1 samples"),
     ({"mean_burst_length": -1.0, "loss": 0.2}, "expected a number of at least 0"),
     ({"delay_weights": [0.5, 0.5]}, "got 2 values of delay_weights for 0 delay_values"),
-    ({"delay_values": [0.0, 0.1], "delay_weights": [1.0, 0.0]}, "expected shares greater than 0"),
-    ({"delay_values": [0.0, 0.1], "delay_weights": [0.0, 0.0]}, "expected shares greater than 0"),
+    ({"delay_values": [0.0, 0.1], "delay_weights": [1.0, 0.0]}, "expected weights greater than 0"),
+    ({"delay_values": [0.0, 0.1], "delay_weights": [0.0, 0.0]}, "expected weights greater than 0"),
     (
         {"delay_values": [0.0, 0.1], "delay_weights": [0.5, 0.5], "delay_self_transition": 0.5},
         "got delay_weights and delay_self_transition",
     ),
     ({"delay_values": [0.0, 0.1], "delay_gamma_mean": 0.1}, "and delay_values, expected one of them"),
-    ({"delay_gamma_shape": 2.0}, "with a delay_gamma_mean of 0, where it has no effect"),
+    ({"delay_gamma_shape": 2.0}, "with a delay_gamma_mean of 0, so it has no effect"),
     ({"delay_gamma_mean": 0.1, "delay_gamma_shape": 0.0}, "expected a shape greater than 0"),
     ({"delay_gamma_mean": float("nan")}, "finite number"),
 ]

@@ -192,7 +192,7 @@ def test_a_filter_that_believes_samples_to_be_older_has_its_inputs():
     assert np.isfinite(estimate(got)).all()
 
 
-SAMPLES = "samples at times that all runs share"
+SAMPLES = "expected one schedule for all runs"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ SAMPLES = "samples at times that all runs share"
         ("helicopter/constant", ["options.high-gain.theta=-4"], ["theta", "greater than 0"]),
         ("helicopter/constant", ["options.ekf.R=-1"], ["R", "greater than 0"]),
         ("helicopter/constant", ["options.scenario.path=spiral"], ["spiral", "circle"]),
-        ("helicopter/constant", ["options.scenario.input=sine"], ["path to follow"]),
+        ("helicopter/constant", ["options.scenario.input=sine"], ["options.scenario.path"]),
         ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ekf"]),
         ("cart/white", ["options.scenario.feedforward=true"], ["no controller"]),
         ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "take ekf"]),

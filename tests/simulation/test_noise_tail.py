@@ -69,5 +69,5 @@ def test_what_cannot_be_is_one_sentence(study, sentence):
 
 
 def test_an_axis_of_it_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got student_t_dof = 3\.0 in arm/sine, which measures continuously"):
+    with pytest.raises(UserError, match=r"got student_t_dof = 3\.0 in arm/sine, whose measurements are continuous"):
         pcbench.run("arm/sine", axes={"student_t_dof": [3.0]}, seeds=1)

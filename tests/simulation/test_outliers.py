@@ -58,8 +58,8 @@ REFUSED = [
     ({"outlier_probability": 1.5}, "expected a probability from 0 to 1"),
     ({"outlier_probability": -0.1}, "expected a number of at least 0"),
     ({"outlier_probability": float("nan")}, "finite number"),
-    ({"outlier_probability": 0.0}, "an outlier_probability of 0, where it has no effect"),
-    ({"noise_std": [0.0]}, "whose samples have no noise to be larger"),
+    ({"outlier_probability": 0.0}, "an outlier_probability of 0, so it has no effect"),
+    ({"noise_std": [0.0]}, "whose samples have no noise, expected"),
 ]
 
 
@@ -71,7 +71,9 @@ def test_what_cannot_be_is_one_sentence(given, sentence):
 
 
 def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got outlier_probability = 0\.1 in arm/sine, which measures continuously"):
+    with pytest.raises(
+        UserError, match=r"got outlier_probability = 0\.1 in arm/sine, whose measurements are continuous"
+    ):
         pcbench.run("arm/sine", axes={"outlier_probability": [0.1]}, seeds=1)
 
 

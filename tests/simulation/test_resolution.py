@@ -91,7 +91,7 @@ REFUSED = [
     (rounded([float("nan")]), "finite number"),
     (rounded([0.1, 0.2]), "got 2 values, expected one or 1"),
     (rounded([0.1], 0.5), "expected 1 \\(with subtractive dither\\) or 0"),
-    (rounded([], 1.0), "got dither = 1 in lti, where samples are not rounded"),
+    (rounded([], 1.0), "got dither = 1 in lti, whose samples are not rounded"),
 ]
 
 
@@ -103,5 +103,5 @@ def test_what_cannot_be_is_one_sentence(study, sentence):
 
 
 def test_an_axis_of_it_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got quantization_step = 0\.1 in arm/sine, which measures continuously"):
+    with pytest.raises(UserError, match=r"got quantization_step = 0\.1 in arm/sine, whose measurements are continuous"):
         pcbench.run("arm/sine", axes={"quantization_step": [0.1]}, seeds=1)

@@ -113,13 +113,16 @@ def test_jitter_costs_what_noise_of_the_signals_slope_costs_to_first_order():
 
 
 REFUSED = [
-    ({"timestamp_offset": 7 * TICK}, "got stamps up to 0.14 s ahead in lti, where samples may be only 0.12 s late"),
-    ({"timestamp_jitter": 3 * TICK}, "expected less than half the shortest interval, so that stamps stay in order"),
+    (
+        {"timestamp_offset": 7 * TICK},
+        "got timestamps up to 0.14 s after the sampling in lti, whose shortest delay is 0.12 s",
+    ),
+    ({"timestamp_jitter": 3 * TICK}, "expected less than half the shortest interval, so that timestamps stay in order"),
     ({"timestamp_jitter": -TICK}, "expected a number of at least 0"),
     ({"timestamp_jitter": 0.013}, "expected a whole number of ticks"),
     ({"clock_skew": float("inf")}, "finite number"),
     ({"clock_skew": -2e5}, "expected at most 100,000"),
-    ({"clock_skew": 8000.0}, "moves no stamp by half a tick"),
+    ({"clock_skew": 8000.0}, "moves no timestamp by half a tick"),
 ]
 
 
@@ -143,7 +146,7 @@ def test_who_is_told_when_a_sample_is_taken_says_so():
 
 
 def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
-    with pytest.raises(UserError, match=r"got clock_skew = 5\.0 in arm/sine, which measures continuously"):
+    with pytest.raises(UserError, match=r"got clock_skew = 5\.0 in arm/sine, whose measurements are continuous"):
         pcbench.run("arm/sine", axes={"clock_skew": [5.0]}, seeds=1)
 
 
@@ -160,6 +163,6 @@ def test_in_a_loop_of_the_paper_an_offset_is_a_delay_error_that_nobody_assumes()
 @pytest.mark.parametrize("axis", ["timestamp_jitter", "delay_gamma_mean"])
 def test_a_loop_of_the_paper_is_not_offered_with_times_of_each_runs_own(axis):
     with pytest.raises(
-        UserError, match="got random sampling in helicopter/constant, expected samples at times that all"
+        UserError, match=r"got a random schedule in helicopter/constant, .* expected one schedule for all runs"
     ):
         pcbench.run("helicopter/constant", axes={axis: [0.05]}, seeds=1)

@@ -60,17 +60,17 @@ def test_what_the_scenario_cannot_have_is_one_sentence(tmp_path):
     said = refusal(study(LQR, D=[[0.0, 1.0], [0.0, 0.0]]), out)
     assert "got a plant with D" in said
     weights = {"name": "t", "scenarios": ["helicopter/constant"], "controller": LQR}
-    assert "measuring began before t = 0" in refusal(weights, out)
+    assert "sampling began before t = 0" in refusal(weights, out)
     assert "command_loss' is no axis of cart/white" in refusal("cart/white", out, axes={"command_loss": [0.1]})
     raw = study(LQR) | {"options": {"scenario": {"feedforward": True}}}
-    assert "expected pd, which alone has it" in refusal(raw, out)
+    assert "expected pd, the only controller with this option" in refusal(raw, out)
 
 
 @pytest.mark.parametrize(
     ("controller", "mode"),
     [
         (FEEDBACK | {"K": [[-2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]}, "1.0"),
-        (FEEDBACK | {"actuator_delay": 0.9}, "0.9 s late"),
+        (FEEDBACK | {"actuator_delay": 0.9}, "delayed by 0.9 s"),
     ],
 )
 def test_a_loop_that_does_not_settle_is_told_so_by_its_eigenvalue(controller, mode):

@@ -92,9 +92,9 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"sampling_period": 0.05}, "lti.sampling_period: got 0.05 with the delays of a log, expected one"),
-        ({"delay_sequence": [0.1]}, "lti.delay_sequence: got [0.1] with the delays of a log"),
-        ({"loss": 0.1}, "lti.loss: got 0.1 with the delays of a log"),
+        ({"sampling_period": 0.05}, "lti.sampling_period: got 0.05 with the delays of a recording, expected one"),
+        ({"delay_sequence": [0.1]}, "lti.delay_sequence: got [0.1] with the delays of a recording"),
+        ({"loss": 0.1}, "lti.loss: got 0.1 with the delays of a recording"),
         ({"delay": "in-turn:none"}, "no such file or folder"),
         (
             {"delay_sequence": [math.inf], "delay": 0.1, "sampling_period": 0.1},
@@ -114,11 +114,11 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
 @pytest.mark.parametrize(
     ("measured", "sentence"),
     [
-        ({"channel": ["y1"], "sampled": [1.0], "arrived": [1.1]}, "nothing that arrived can be replayed, expected two"),
+        ({"channel": ["y1"], "sampled": [1.0], "arrived": [1.1]}, "too few arrivals to be replayed, expected two"),
         ({"channel": ["y1", "y2"] * 2, "sampled": [1.0, 1.0, 2.0, 2.0], "arrived": [1.1, 1.1, 2.1, 2.2]},
-         "whose samples of 2 s were not late alike, expected one delay for all of one tick"),
+         "whose samples at 2 s have different delays, expected one delay per tick"),
         ({"channel": ["y1", "y2"] * 2, "sampled": [1.0, 1.0, 2.0, 2.0], "arrived": [1.1, np.nan, 2.1, 2.1]},
-         "whose samples of 1 s were not late alike"),
+         "whose samples at 1 s have different delays"),
     ],
     ids=["one sample", "late", "lost"],
 )  # fmt: skip
@@ -157,5 +157,5 @@ def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
 
 
 def test_a_log_as_a_value_of_an_axis_is_told_where_it_belongs():
-    with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no log among"):
+    with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no recording among"):
         parse.grid(MOTOR | {"observers": ["kf"], "axes": {"delay": ["in-turn:flight"]}}, "m", parse.FROM_HERE)

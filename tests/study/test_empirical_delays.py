@@ -88,9 +88,9 @@ def test_delays_that_are_all_alike_are_one_delay(tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"loss": 0.1}, "lti.loss: got 0.1 with the delays of a log"),
-        ({"delay_gamma_mean": 0.1}, "lti.delay_gamma_mean: got 0.1 with the delays of a log"),
-        ({"delay_weights": [1.0, 2.0]}, "lti.delay_weights: got [1.0, 2.0] with the delays of a log"),
+        ({"loss": 0.1}, "lti.loss: got 0.1 with the delays of a recording"),
+        ({"delay_gamma_mean": 0.1}, "lti.delay_gamma_mean: got 0.1 with the delays of a recording"),
+        ({"delay_weights": [1.0, 2.0]}, "lti.delay_weights: got [1.0, 2.0] with the delays of a recording"),
         ({"delay": "from:none"}, "no such file or folder"),
     ],
 )

@@ -63,7 +63,7 @@ def test_both_sides_move_alike():
     ("make", "sentence"),
     [
         (lambda: pcbench.lti(3, **SENSED), "got int, expected a state-space system"),
-        (lambda: pcbench.lti(control.ss(A, B, C, D, True), **SENSED), "time base is not said"),
+        (lambda: pcbench.lti(control.ss(A, B, C, D, True), **SENSED), "time base is unknown"),
         (lambda: pcbench.lti(control.ss(A, B, C, D, None), **SENSED), "or 0 for a continuous one"),
         (
             lambda: pcbench.lti(SYSTEMS["scipy discrete"](), **SENSED, tick=0.001),

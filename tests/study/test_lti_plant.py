@@ -168,7 +168,7 @@ def test_what_does_not_fit_is_named_in_one_sentence_and_nothing_is_written(what,
 
 
 AXES = {
-    "drift of a true model": ({"parameter_drift": [0.0, 1.0]}, r"parameter_drift: got \[0\.0, 1\.0\] for lti, where"),
+    "drift of a true model": ({"parameter_drift": [0.0, 1.0]}, r"parameter_drift: got \[0\.0, 1\.0\] for lti, which"),
     "no such": ({"plant.m": [1.0]}, r"'plant\.m' is no axis of lti; .*plant\.k"),
     "no value": ({"plant.c": [-0.1, 0.0]}, r"got a plant with k = 2, c = 0, where a formula of a matrix has no finite value"),
 }  # fmt: skip
@@ -185,7 +185,9 @@ def test_an_axis_without_an_effect_or_a_value_is_refused_in_one_sentence(what, t
 
 
 def test_drift_is_refused_on_the_tank_where_nothing_drifts_and_0_is_what_it_is():
-    with pytest.raises(UserError, match=r"axes\.parameter_drift: got \[0\.5\] for csth/10s, where it has no effect"):
+    with pytest.raises(
+        UserError, match=r"axes\.parameter_drift: got \[0\.5\] for csth/10s, which has no parameter drift"
+    ):
         parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.5]}}, "tank")
     parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": {"parameter_drift": [0.0]}}, "tank")
 

@@ -100,7 +100,7 @@ def test_a_plant_settles_alone_where_nothing_but_its_input_pushes_it(what):
 def test_the_closing_table_says_where_the_model_alone_wins(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(tomli_w.dumps({"lti": PLANT | {"duration": 1.0}, "seeds": 4}))
-    said = "lti: the plant decays by itself, is what its model says, and has no process noise."
+    said = "lti: the plant decays by itself, equals its model, and has no process noise."
     assert said in " ".join(call("run", str(path), "--out", str(tmp_path / "a")).stdout.split())
     axes = ("--set", "axes.process_std=[0.0, 0.1]")
     assert said not in " ".join(call("run", str(path), "--out", str(tmp_path / "b"), *axes).stdout.split())

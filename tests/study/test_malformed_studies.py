@@ -130,7 +130,7 @@ REFUSED = {
     ),
     "samples on their way": (
         lti(duration="100.0", sampling_period="1e-3", delay="50.0"),
-        r"got samples up to 50 s late and only 0\.001 s apart, expected at most 10,000 of a channel",
+        r"got delays of up to 50 s with samples every 0\.001 s, expected at most 10,000 samples",
     ),
     "samples out of order": (
         lti(duration="9.0", sampling_period="1e-3", delay_jitter="5.0"),
@@ -138,11 +138,11 @@ REFUSED = {
     ),
     "a million cells": (
         CART + f"axes.noise_std = {MANY}\naxes.sampling_period = {MANY}",
-        "axes: got 1,000,000 cells of 10,000 ticks, expected at most 10,000",
+        "axes: got 1,000,000 grid points of 10,000 ticks, expected at most 10,000",
     ),
     "cells of many ticks": (
         f"scenarios = ['arm/sampled']\naxes.noise_std = {MANY}\naxes.parameter_drift = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]",
-        "axes: got 6,000 cells of 20,001 ticks, expected at most 4,999",
+        "axes: got 6,000 grid points of 20,001 ticks, expected at most 4,999",
     ),
 }
 

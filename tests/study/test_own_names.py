@@ -119,7 +119,7 @@ def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(he
         ("controllers", "push"),
         ("scenarios", "swing/late"),
     ):
-        assert catalogue.list_catalogue(kind)[name]["summary"] == "of the package swing-observers"
+        assert catalogue.list_catalogue(kind)[name]["summary"] == "from the package swing-observers"
     parse.grid_of(STUDY, {}, [])
     assert "swing_package" not in sys.modules, "nothing is imported that is not named"
     raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "kf"]}, "controller": {"use": "push"}}

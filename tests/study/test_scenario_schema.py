@@ -65,7 +65,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"plant": "kart"}, "scenario.plant: 'kart' is no plant .*; did you mean 'cart'"),
         (
             WHITE | {"plant": "lti"},
-            "scenario.plant: got 'lti', expected a plant with equations of its own; write the table",
+            "scenario.plant: got 'lti', expected a plant with its own equations; write the table",
         ),
         (WHITE | {"plant": "csth"}, "scenario.x0: got 2 numbers, expected 3, one for each state of csth"),
         (WHITE | {"x0": [1.0]}, "scenario.x0: got 1 numbers, expected 2, one for each state of cart"),
@@ -93,7 +93,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"input": "sine", "controller": "pd"}, "scenario: got an input and a controller, expected one"),
         (
             WHITE | {"controller": "pd"},
-            "scenario.controller: got 'pd' on cart, expected a plant that it is for: helicopter",
+            "scenario.controller: got 'pd' on cart, expected a plant that it supports: helicopter",
         ),
         (WHITE | {"controller": "pidd"}, "scenario.controller: 'pidd' is no controller"),
         ({"base": "helicopter/constant", "control": CIRCLE}, "control.path: 'circl' is no path; did you mean 'circle'"),
@@ -119,7 +119,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"observers": ["dfk"]}, "scenario.observers: 'dfk' is no observer; did you mean 'kf'"),
         (WHITE | {"options": {"kf": {"r": 1.0}}}, "scenario.options.kf: 'r' is no key here; did you mean 'R'"),
         (WHITE | {"name": "cart/slow"}, "scenario.name: got 'cart/slow', expected a name that no other scenario has"),
-        (WHITE | {"continuous": True}, "which measures continuously and without noise, expected no such axis"),
+        (WHITE | {"continuous": True}, "whose measurements are continuous and without noise, expected no such axis"),
         (
             {"base": "csth/literal", "continuous": True},
             "continuous: got true for csth, expected a plant that is a vector",

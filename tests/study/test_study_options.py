@@ -52,7 +52,7 @@ def test_changes_and_overrides_are_both_put_in():
 
 
 def test_one_cell_is_one_cell():
-    with pytest.raises(UserError, match="got 2 cells, expected one"):
+    with pytest.raises(UserError, match="got 2 grid points, expected one"):
         parse.one_cell("cart/white", ["kf"], ["axes.noise_std=[0.1, 0.5]"])
     made, cell = parse.one_cell("cart/white", ["kf"], ["axes.noise_std=0.5"])
     assert (made.observers, cell.values["noise_std"]) == (["kf"], 0.5)

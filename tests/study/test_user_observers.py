@@ -150,7 +150,7 @@ WRONG = {
     "no such name": (["mine.py:nudg"], "did you mean 'nudge'?"),
     "no observer": (["mine.py:design"], "got a function, expected a pcbench.Observer"),
     "no name": (["mine.py:"], "expected MODULE:NAME such as mine.py:nudge"),
-    "two labels alike": (["mine.py:nudge", "mine:nudge"], "expected a label for each; write [observers.LABEL]"),
+    "two labels alike": (["mine.py:nudge", "mine:nudge"], "expected different labels; write [observers.LABEL]"),
     "a label of pcbench's": ({"kf": {"use": "mine.py:nudge"}}, "which is pcbench's own name"),
     "a label that is none": ({"a b": {"use": "mine.py:nudge"}}, "got the label 'a b', expected letters"),
     "options unknown": ({"own": {"use": "mine.py:nudge", "shore": 1.0}}, "did you mean 'share'?"),

@@ -56,8 +56,8 @@ def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
         names = [name for name, each in vars(module).items() if each is value]
         if not isinstance(value, KINDS[kind].types) or not names:
             raise UserError(
-                f"{where}.{kind}: got {describe_kind(value)}, expected {KINDS[kind].expected} that the same module holds, or "
-                "a name; write that."
+                f"{where}.{kind}: got {describe_kind(value)}, expected {KINDS[kind].expected} from the same module, or a "
+                "name; write one of them."
             )
         out[kind] = InModule(names[0])
     return out

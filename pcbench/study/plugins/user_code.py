@@ -71,8 +71,8 @@ def split(text: str, where: str) -> tuple[str, str]:
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
         raise UserError(
-            f"{where}: got '{short(text)}', expected MODULE:NAME such as mine.py:nudge; name the module, or its file, "
-            "and what it is called in it."
+            f"{where}: got '{short(text)}', expected MODULE:NAME such as mine.py:nudge; write the module or its file, "
+            "a colon, and the name in it."
         )
     return module, name
 
@@ -132,7 +132,7 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
                 f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
             ) from None
         raise UserError(
-            f"{where}: {short(module)} cannot be imported: {describe_exception(error)}; mend that line."
+            f"{where}: {short(module)} cannot be imported: {describe_exception(error)}; correct that line."
         ) from None
 
 

@@ -18,7 +18,7 @@ from pcbench.study.plugins.user_code import Code, UserPlugin
 from pcbench.study.pydantic_errors import sentence
 from pcbench.toml_text import TomlTable
 
-ABSENT = "its code is not here"
+ABSENT = "its code is not loaded"
 
 
 class NoOptions(BaseModel):
@@ -95,5 +95,5 @@ def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
             raise
         raise UserError(
             f"{where}: its {model.__name__} raised {describe_exception(error)}, expected options or a ValueError; "
-            "mend that line."
+            "correct that line."
         ) from error
