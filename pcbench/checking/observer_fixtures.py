@@ -68,7 +68,7 @@ def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise UserError(f"{where}: its options cannot be made: {describe_exception(error)}; mend that.") from None
+        raise UserError(f"{where}: its options cannot be made: {describe_exception(error)}; correct that.") from None
 
 
 class Case(NamedTuple):
@@ -164,7 +164,7 @@ def run_observer_design(candidate: Candidate, case: Case) -> Design:
         if isinstance(error, KeyboardInterrupt):
             raise
         raise Broken(
-            f"{where}: got {describe_exception(error)}, expected Design(gains, Certificate); mend that line."
+            f"{where}: got {describe_exception(error)}, expected Design(gains, Certificate); correct that line."
         ) from None
     if not isinstance(made, Design) or not isinstance(made.certificate, Certificate):
         raise Broken(

@@ -113,5 +113,5 @@ def _verdict(name: str, check: Callable[[], str]) -> Finding:
         if isinstance(error, KeyboardInterrupt):
             raise
         return Finding(
-            name, FAILS, f"{name}: got {describe_exception(error)}, expected code that can be run; mend that line."
+            name, FAILS, f"{name}: got {describe_exception(error)}, expected code that can be run; correct that line."
         )

@@ -160,7 +160,7 @@ def of_run(
         raise
     except Exception as error:
         raise UserError(
-            f"{where}: got {describe_exception(error)}, expected step(t, u, arrivals) to return xhat; mend that line."
+            f"{where}: got {describe_exception(error)}, expected step(t, u, arrivals) to return xhat; correct that line."
         ) from None
     return np.array(out)
 

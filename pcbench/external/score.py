@@ -65,7 +65,9 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
             raise UserError(
-                last if done.returncode == 2 else f"guest {reference}: ended with {last}, expected estimates; mend it."
+                last
+                if done.returncode == 2
+                else f"guest {reference}: ended with {last}, expected estimates; correct it."
             )
         return score(folder, out, name, progress, say)
 

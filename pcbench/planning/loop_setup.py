@@ -91,7 +91,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
             raise
         except Exception as error:
             raise UserError(
-                f"controller {name}: prepare: got {describe_exception(error)}, expected a pytree of arrays; mend that line."
+                f"controller {name}: prepare: got {describe_exception(error)}, expected a pytree of arrays; correct that line."
             ) from error
         (n, m), signals = known.model.B.shape, len(s.scoring.settle_band)
         sizes = law_conformance.Sizes(n, signals - n, m)

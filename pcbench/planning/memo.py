@@ -63,8 +63,8 @@ def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: B
             raise
         place = "" if line_of(error) else where
         raise UserError(
-            f"observer {label}: design got {describe_exception(error)}{place}, {EXPECTED}; mend that line."
+            f"observer {label}: design got {describe_exception(error)}{place}, {EXPECTED}; correct that line."
         ) from error
     if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
-        raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; mend it.")
+        raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; correct it.")
     return found

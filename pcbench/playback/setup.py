@@ -131,7 +131,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     if a.log.inputs is not None and len(a.log.inputs.names) != m:
         raise UserError(
             f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
-            f"{m} inputs, in their order; mend the table."
+            f"{m} inputs, in their order; correct the table."
         )
     known = known._replace(
         overtaking=max(known.overtaking, room.overtaking),

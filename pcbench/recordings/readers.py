@@ -151,7 +151,7 @@ def _read(path: Path) -> Mapping:
         table = toml_text.parse(path.read_bytes())
     except (OSError, ValueError) as error:
         raise UserError(
-            f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide recordings shows; mend it."
+            f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide recordings shows; correct it."
         ) from None
     try:
         toml = Mapping.model_validate(table)

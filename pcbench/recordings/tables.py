@@ -137,7 +137,7 @@ def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
     if not names or None in names:
         raise UserError(
             f"{path.name}: got {'a row without a channel' if names else 'no rows'}, expected samples with the name of their "
-            "channel each; mend the file."
+            "channel each; correct the file."
         )
 
     def numbers_in(name: str) -> list[tuple[int, int, str]]:
@@ -340,7 +340,7 @@ def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
     try:
         return pc.cast(column, pa.string())
     except pa.ArrowException:
-        raise UserError(f"{where}: got {column.type}, expected names of channels; mend the column.") from None
+        raise UserError(f"{where}: got {column.type}, expected names of channels; correct the column.") from None
 
 
 CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): CSV conversion error to (\w+).*: invalid value '(.*)'")

@@ -80,7 +80,7 @@ def require_sound(log: Log, batch: Batch) -> None:
                     "stamps, or leave them out and give a delay."
                 )
             raise UserError(
-                f"{place}: got {got.format(value=batch.value[i], early=early)}, expected {expected}; mend or leave out that "
+                f"{place}: got {got.format(value=batch.value[i], early=early)}, expected {expected}; correct or leave out that "
                 "row."
             )
 

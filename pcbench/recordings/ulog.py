@@ -42,10 +42,10 @@ def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.n
     """The fields of topics of these names (None: of all), by topic."""
     from pyulog import ULog
 
-    with reading(source, "a whole ULog; mend it"), redirect_stdout(StringIO()) as remarks:  # what it has passed over
+    with reading(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # what it has passed over
         log = ULog(str(source.path), names)
     if log.file_corruption or "corrupt" in remarks.getvalue():
         raise UserError(
-            f"{source.place}: got records that cannot be read among others, expected a whole ULog; mend it."
+            f"{source.place}: got records that cannot be read among others, expected a whole ULog; correct it."
         )
     return {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: d.data for d in log.data_list}

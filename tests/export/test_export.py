@@ -101,7 +101,11 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
         ("cart/white", "particle", ["particle: init needs", "erf_inv", "cannot be written in C"]),
         ("cart/white", "oosm-lag", ["oosm_lag: jump needs lu", "export another observer"]),
         ("arm/sine", "pio", ["measures continuously", "take one with a sampling period"]),
-        ({"name": "two", "scenarios": ["cart/white"], "axes": {"noise_std": [0.1, 0.2]}}, "kf", ["two: got 2 cells"]),
+        (
+            {"name": "two", "scenarios": ["cart/white"], "axes": {"noise_std": [0.1, 0.2]}},
+            "kf",
+            ["two: got 2 grid points"],
+        ),
     ],
 )
 def test_what_cannot_be_exported_says_what_stands_in_the_way(study, observer, words):

@@ -224,7 +224,7 @@ def test_an_std_that_is_no_number_above_0_is_one_sentence(key, bad, tmp_path):
         pcbench.info(tmp_path / "log.toml")
     assert str(caught.value) == (
         "log.toml: row 2 of channel y1: got a standard deviation or variance that is empty, 0, below 0 or infinite, expected "
-        "a number above 0; mend or leave out that row."
+        "a number above 0; correct or leave out that row."
     )
 
 
