@@ -16,9 +16,6 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-from pcbench.runtime import config
-
-os.environ["XLA_FLAGS"] = config.compiler_flags(os.environ.get("XLA_FLAGS", ""))  # as `pcbench.setup` has it
 os.makedirs(os.environ["PCBENCH_CACHE"], mode=0o700, exist_ok=True)  # jax would make it as the umask says
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
