@@ -22,7 +22,11 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
     if kind == "extra_forbidden":
         inside = ".".join(str(part) for part in loc[:-1])
         table = ".".join(str(part) for part in loc[:-1] if not isinstance(part, int))
-        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), keys.get(table, keys[""]))
+        place, name = f"{where}: {inside}" if inside else where, str(loc[-1])
+        if table in ("lti", "scenario") and (name in keys["options.scenario"] or name in keys[""]):
+            right = "in [options.scenario]" if name in keys["options.scenario"] else "above the first table of the file"
+            return UserError(f"{place}: '{name}' is no key here; write it {right}.")
+        return unknown(place, "key here", name, keys.get(table, keys[""]))
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
     same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]

@@ -184,6 +184,7 @@ KEYS = {  # by table of a study file
     "": [*Study.model_fields],
     "lti": [*Lti.model_fields],
     "scenario": [*ScenarioTable.model_fields],
+    "options.scenario": [*Choices.model_fields],
     "tune": [*Tune.model_fields],
     "tuned": [*TunedOptions.model_fields],
     "tuned.cells": [*TunedCell.model_fields],
