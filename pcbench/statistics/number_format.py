@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
 EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
-MARK = " *"  # behind the name of an observer whose gains have no certificate
-UNPROVEN = "* No certificate for"  # beginning of the sentence below a table
+MARK = " *"  # behind the name of an observer whose gains nothing proves
+UNPROVEN = "* No certificate for"  # with which the sentence below a table begins
 LEAN = 1.25  # an interval leans where one side is longer than the other by more
 
 
