@@ -26,8 +26,8 @@ BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_
 COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "diff. to best"
 PAIRED = f"'{LESS}' compares runs with the same noise; = is not significant (paired t-test, Holm, 5 %)."
-EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
-COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
+EXACT = "Numbers without ± are exact: expected values over all noise. Metrics that need runs are left out."
+COSTS = "sample, tick: multiplications per sample and per tick of one run; memory: bytes stored from tick to tick."
 HALF = "± is half the width of a 95 % interval. An asymmetric interval is written as (lower .. upper)."
 SQUARE = "signal_nees"  # of the closing table
 SQUARES = ("nees", "nis")  # of the table below it
