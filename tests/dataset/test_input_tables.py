@@ -133,15 +133,15 @@ def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
     ]
     assert set(table.values()) == {"reproduced", "does not hold"}
     said = [row.reproduced for row in rows if row.claim.startswith("Table 2") and "SMO" in row.claim]
-    assert all(text.endswith(("to the digit", "unit of the last digit")) for text in said)
+    assert all(text.endswith(("to the last printed digit", "unit of the last digit")) for text in said)
     verdicts = {row.claim: row.verdict for row in rows}
-    assert verdicts["SMO gains prove alpha = 1"] == "reproduced"
+    assert verdicts["SMO gains certify alpha = 1"] == "reproduced"
     assert verdicts["rho = 1 leaves eta = 0.89 (22)"] == "does not hold"
     assert verdicts["zeta = 1.8 bounds f' under d2 (38)"] == "does not hold"
     assert verdicts["zeta = 1.8 bounds f' under d1 (38)"] == "reproduced"
-    assert verdicts["modes with both sensors on the link, which no L1 moves"] == "misprint"
+    assert verdicts["modes with both sensors on the link, which no L1 changes"] == "misprint"
     shown = {row.claim: row.reproduced for row in rows}
     assert "2.62456" in shown["SMO gains: least r of (23), (24)"]
     assert "64.4553" in shown["PIO gains: least g of (38), (52) with the printed L1"]
-    jump = "both at t = 6 s, the jump itself; back within 0.1 after 10.6 ms (SMO), 42.1 ms (PIO)"
-    assert shown["under d2 SMO has the smaller largest error of d"] == jump
+    jump = "both at t = 6 s, the jump itself; below 0.1 again after 10.6 ms (SMO), 42.1 ms (PIO)"
+    assert shown["under d2 SMO has the smaller maximum error of d"] == jump
