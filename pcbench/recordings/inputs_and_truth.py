@@ -31,8 +31,8 @@ def table_of(
             if (infinite := np.isinf(values)).any():
                 i, j = (int(place[0]) for place in np.nonzero(infinite))
                 raise UserError(
-                    f"{where}: row {rows[i]}: got {values[i, j]} as {list(quantities)[j]}, expected a finite number; mend it, "
-                    "or leave it empty."
+                    f"{where}: row {rows[i]}: got {values[i, j]} as {list(quantities)[j]}, expected a finite number; correct "
+                    "it or leave it empty."
                 )
             exists = ~np.isnan(values).all(1)
             some = Rows(times(part, rows)[exists], values[exists], rows[exists])

@@ -48,7 +48,7 @@ def _opened(source: Source) -> Iterator["McapReader"]:
     """The reader of a file; whatever it raises is a UserError."""
     from mcap.reader import make_reader
 
-    with reading(source, "a whole MCAP file; mend it with mcap recover"):
+    with reading(source, "a whole MCAP file; repair it with mcap recover"):
         if not source.loaded:
             require_small_mcap(source.path, source.place)
             source.loaded["is small"] = True

@@ -36,7 +36,7 @@ def _opened(source: Source) -> Iterator["AnyReader"]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    with reading(source, "a whole bag; mend it with rosbag reindex or ros2 bag reindex, or record it again"):
+    with reading(source, "a whole bag; repair it with rosbag reindex or ros2 bag reindex, or record it again"):
         if not source.loaded:
             require_small_bag(source.path, source.place)
             source.loaded["is small"] = True

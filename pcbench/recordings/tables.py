@@ -305,7 +305,7 @@ def column_of(
     if not any(holds(column.type) for holds in NUMBERS):
         got = f"'{short(str(column[0]))}'" if len(column) and isinstance(column[0].as_py(), str) else column.type
         times = ", or times such as 2026-03-01T12:00:00.050" if time else ""
-        raise UserError(f"{where}: got {got}, expected numbers{times}; mend the column.")
+        raise UserError(f"{where}: got {got}, expected numbers{times}; correct the column.")
     if time and unit is not None and unit not in SECONDS:
         raise unknown(where, "unit of time", unit, SECONDS)
     numbers = np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
@@ -362,13 +362,13 @@ def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
             )
             raise UserError(
                 f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' as {short(d.names[int(cell[1])])}, expected "
-                f"{expected}; mend it, or leave it empty if nothing was measured."
+                f"{expected}; correct it, or leave it empty if nothing was measured."
             ) from None
         if d and (row := ROW.match(text)):
             raise UserError(
-                f"{path.name}: row {int(row[1]) - d.skip}: got {row[3]} cells, expected {row[2]} as in the other rows; mend "
+                f"{path.name}: row {int(row[1]) - d.skip}: got {row[3]} cells, expected {row[2]} as in the other rows; correct "
                 "that row, or remove it if the file was cut off there."
             ) from None
         kind = f"{path.suffix.lower().removeprefix('.')} file" if path.suffix else "frame"
         where = path.name if isinstance(path, Frame) else str(path)
-        raise unreadable(error, where, f"a {kind} of numbers, each column with its name; mend it") from None
+        raise unreadable(error, where, f"a {kind} of numbers, each column with its name; correct it") from None

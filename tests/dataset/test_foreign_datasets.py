@@ -194,6 +194,7 @@ def test_every_command_is_known_to_read_a_dataset_or_not():
         "new",
         "simulate",
         "info",
+        "convert",
         "replay",
         "design",
         "tune",

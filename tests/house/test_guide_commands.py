@@ -7,7 +7,7 @@ from documents import RUN, commands, fenced
 from walked import AS_USERS_HAVE_IT, EVERY_STUDY, left_out, walked
 from whole_studies import require_whole, run_by
 
-LANGUAGES = ("sh", "python", "toml", "text")
+LANGUAGES = ("sh", "python", "toml", "text", "c")
 NOT_RUN = [  # every block that no test runs, with the reason that its page gives
     ("README.md", "sh", ".ci/run runs it in a clean environment"),
     ("README.md", "sh", ".ci/run runs it in a clean environment"),

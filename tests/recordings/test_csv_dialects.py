@@ -133,7 +133,10 @@ def test_what_a_table_csv_gives_wrong_is_one_sentence(tmp_path, keys, sentence):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (lines().replace("-1.25", "much"), "row 2: got 'much00' as y, expected a number; mend it, or leave it empty"),
+        (
+            lines().replace("-1.25", "much"),
+            "row 2: got 'much00' as y, expected a number; correct it, or leave it empty",
+        ),
         (lines().replace("-1.25", "1,25"), "row 2: got 3 cells, expected 2 as in the other rows"),
         (lines()[:-8], "row 4: got 1 cells, expected 2 as in the other rows"),
         (lines(head="t,y,y").replace("0\n", "0,1\n"), "got 2 columns 'y', expected one; rename them"),
