@@ -4,14 +4,17 @@ An input that a row does not give keeps its value, and is 0 before its first. A 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pcbench.errors import UserError
 from pcbench.recordings.formulas import Quantity
 from pcbench.recordings.log import Columns, Floats, Ints, Rows, Table
 from pcbench.recordings.times import require_forward
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Times = Callable[[Columns, Ints], Floats]  # of the rows of a part, by their numbers from 1
 
@@ -48,6 +51,8 @@ def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
     """Return several tables as one, with columns in this `order`; what a row does not give is held, or NaN."""
 
     def read() -> Iterator[Rows]:
+        import pandas as pd
+
         carry = pd.Series(0.0, list(order))
         for rows in _in_order([_frames(each) for each in tables]):
             found = rows.groupby(level=0).last()  # of several rows at one time: the last that gives a value
@@ -60,13 +65,17 @@ def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
     return Table(tuple(order), read)
 
 
-def _frames(table: Table) -> Iterator[pd.DataFrame]:
+def _frames(table: Table) -> Iterator["pd.DataFrame"]:
+    import pandas as pd
+
     for rows in table.read():
         yield pd.DataFrame(rows.values, rows.t, list(table.names)).assign(row=rows.row)
 
 
-def _in_order(readers: list[Iterator[pd.DataFrame]]) -> Iterator[pd.DataFrame]:
+def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame"]:
     """Yield rows of several tables, each with times that rise, in parts whose times rise."""
+    import pandas as pd
+
     waiting = [next(reader, None) for reader in readers]
     while rest := [each for each in waiting if each is not None]:
         until = min(each.index[-1] for each in rest)

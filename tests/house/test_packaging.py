@@ -110,7 +110,7 @@ def test_extras_table_lists_every_library_of_an_extra():
 
 
 IMPORT_NAMES = {"tomli-w": "tomli_w"}
-OPTIONAL = {"dask", "distributed", "control", "rosbags", "mcap", "mcap_ros2", "pyulog"}
+OPTIONAL = {"dask", "distributed", "control", "rosbags", "mcap", "mcap_ros2", "pyulog", "h5py"}
 TRANSITIVE = {"annotated_types", "markupsafe"}  # part of pydantic, part of jinja2
 
 
