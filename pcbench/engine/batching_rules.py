@@ -15,7 +15,6 @@ from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
 WAYS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
 FOLDS = dict(zip(jaxpr_compat.FOLDS, WAYS, strict=True))
-WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 
 def entries_of(x: PyTree, shape: tuple[int, ...]) -> np.ndarray:
@@ -76,12 +75,6 @@ def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
     shape = flat.shape[:-1]
     return lanes_of(shape, [reduce(FOLDS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
-
-
-def products(eqn: Eqn) -> int:
-    """Return how many products a dot_general takes."""
-    (contract, _), _ = jaxpr_compat.products_of(eqn.params)
-    return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
 def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:

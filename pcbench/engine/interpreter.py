@@ -9,6 +9,7 @@ Large products and unusual primitives fall back on vmap, lanes last; results are
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -37,8 +38,6 @@ def vmap_entrywise(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     def mapped(*args: PyTree) -> PyTree:
         flat = jax.tree.leaves(args, is_leaf=is_lanes)
-        if not any(map(is_lanes, flat)):
-            return f(*args)
         closed, _, shape = lane_forms.trace_lane(f, *args)
         return jax.tree.unflatten(jax.tree.structure(shape), _evaluate(closed.jaxpr, closed.consts, flat))
 
@@ -59,24 +58,24 @@ def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[Py
 
 def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     name, forms = eqn.primitive.name, list(map(form_of, args))
-    if not any(forms):
-        return _fallback(jaxpr, eqn, args)
     if name in CALLS:
         closed = jaxpr_compat.callee(eqn.params)
-        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER
+        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER and any(forms)
         return _apply_vmap(closed, args) if together else _evaluate(closed.jaxpr, closed.consts, args)
-    if lane_forms.is_one_row(eqn, forms):
-        return [_write_row(args) if name == "dynamic_update_slice" else _read_row(args)]
     if name == "scan" and jaxpr_compat.scan(eqn.params).length:
         return _scan(eqn, args)
     if name == "while" and (found := _while(eqn, args)) is not None:
         return found
+    if not any(forms):
+        return _apply_to_arrays(jaxpr, eqn, args)
+    if lane_forms.is_one_row(eqn, forms):
+        return [_write_row(args) if name == "dynamic_update_slice" else _read_row(args)]
     args = [entries(a) for a in args]
     if name == "gather" and batching_rules.takes_rows(eqn, args):
         return [batching_rules.rows_of_table(eqn, args)]
     if name in STRUCTURAL:
         return batching_rules.structural(eqn, args)
-    if name in _RULES and (name != "dot_general" or batching_rules.products(eqn) <= batching_rules.WRITTEN_OUT):
+    if name in _RULES and (name != "dot_general" or kernels.is_written_out(eqn)):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
 
@@ -85,7 +84,7 @@ def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
     differs = lane_forms.forms_of(closed, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
-    apply = jax.vmap(jaxpr_as_fun(closed), axes, [-1 if d else None for d in differs])
+    apply = jax.vmap(lambda *a: _evaluate(closed.jaxpr, closed.consts, a), axes, [-1 if d else None for d in differs])
     found = apply(*(join(a) if is_lanes(a) else a for a in args))
     return [_split_table(x) if d else x for x, d in zip(found, differs, strict=True)]
 
@@ -132,7 +131,7 @@ def _while(eqn: Eqn, args: list[PyTree]) -> list[PyTree] | None:
 
 
 def _width(args: list[PyTree]) -> int:
-    return next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
+    return next((jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a)), 0)
 
 
 def _to_forms(values: list[PyTree], forms: lane_forms.Forms, width: int) -> list[PyTree]:
@@ -157,19 +156,24 @@ def _write_row(args: list[PyTree]) -> LaneArray:
 
 
 def _fallback(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
-    """Apply any primitive: as it is where nothing differs between lanes, else by vmap over the joined arrays."""
-    if eqn.primitive.name in _RULES.keys() | STRUCTURAL and not any(map(is_lanes, args)):
+    """Apply any primitive by vmap over the joined arrays."""
+    axes = [-1 if is_lanes(a) else None for a in args]
+    whole = [join(a) if is_lanes(a) else a for a in args]
+    apply = jax.vmap(lambda *a: _apply(jaxpr, eqn, list(a)), axes, -1)
+    return [split(out) for out in apply(*whole)]
+
+
+def _apply_to_arrays(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
+    """Apply any primitive to what is the same in all lanes."""
+    if eqn.primitive.name in _RULES.keys() | STRUCTURAL:
         found = kernels.function_of(eqn)(*args)
         return list(found) if eqn.primitive.multiple_results else [found]
+    if eqn.primitive.name == "cond":
+        branches = [partial(_evaluate, b.jaxpr, b.consts) for b in jaxpr_compat.branches(eqn.params)]
+        return jax.lax.switch(args[0], [lambda *a, f=f: f(a) for f in branches], *args[1:])
     given = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
     alone = jaxpr.replace(constvars=(), invars=list(given), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects)
-    apply = jaxpr_as_fun(ClosedJaxpr(alone, ()))
-    values = list(given.values())
-    if not any(map(is_lanes, values)):
-        return apply(*values)
-    axes = [-1 if is_lanes(a) else None for a in values]
-    whole = [join(a) if is_lanes(a) else a for a in values]
-    return [split(out) for out in jax.vmap(apply, axes, -1)(*whole)]
+    return jaxpr_as_fun(ClosedJaxpr(alone, ()))(*given.values())
 
 
 _RULES = (

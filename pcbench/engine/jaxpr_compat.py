@@ -10,6 +10,7 @@ sentence, and not with other numbers.
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
+import numpy as np
 from jax.extend import random as generators
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jax.lax import GatherScatterMode
@@ -110,6 +111,12 @@ def products_of(params: EqnParams) -> tuple[Any, Any]:
     """Return a dot_general's axes: ((contracted of a, of b), (batch of a, of b))."""
     contract, batch = params["dimension_numbers"]
     return contract, batch
+
+
+def products(eqn: Eqn) -> int:
+    """Return how many products a dot_general takes."""
+    (contract, _), _ = products_of(eqn.params)
+    return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
 def takes_rows(params: EqnParams, operand: tuple[int, ...], rank: int) -> bool:

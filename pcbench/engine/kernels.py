@@ -3,7 +3,9 @@
 Products. A compiler joins a product and a sum into one operation (FMA), which rounds once, if it finds both in one loop; what
 is in one loop depends on the whole program, so that the last bit of a run would depend on which other observers are simulated
 with it. Adding a zero that the compiler does not know makes every product round by itself, and costs nothing: what is joined
-then is the product and the zero. Without `separate_products` a product is what it is.
+then is the product and the zero. Without `separate_products` a product is what it is. Small products of matrices are written
+as products and sums, so that this holds for them too; also, the multiple-model filter takes a third of the time that it takes
+with `dot_general` under vmap.
 
 Sine and cosine. XLA calls a scalar function for each lane: 5 ns a sine on one core of a server processor, 1 ns as written here,
 and 1.3 instead of 9.3 ns for sine and cosine of the same angle. Plants and observers keep `jnp.sin` and `jnp.cos`; the
@@ -20,11 +22,14 @@ those of fdlibm (Sun Microsystems, 1993), of least error on [-pi/4, pi/4].
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import partial
+from functools import partial, reduce
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
+from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn
 
 PI_2 = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
@@ -45,6 +50,7 @@ COSINE = (
     -1.13596475577881948265e-11,
 )
 LARGEST = 1e12  # rad
+WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 
 _ZERO: ContextVar[Array | None] = ContextVar("zero", default=None)
@@ -64,6 +70,25 @@ def product(a: Array, b: Array) -> Array:
     """Return a b."""
     zero = _ZERO.get()
     return lax.mul(a, b) if zero is None or a.dtype != jnp.float64 else lax.mul(a, b) + zero
+
+
+def is_written_out(eqn: Eqn) -> bool:
+    """Return whether a dot_general is written as products and sums."""
+    return jaxpr_compat.products(eqn) <= WRITTEN_OUT
+
+
+def dot(a: Array, b: Array, dimension_numbers: Any) -> Array:
+    """Return what `lax.dot_general` returns: [batch, rest of a, rest of b]."""
+    (ca, cb), (ba, bb) = dimension_numbers
+    free_a = [i for i in range(a.ndim) if i not in (*ba, *ca)]
+    free_b = [i for i in range(b.ndim) if i not in (*bb, *cb)]
+    a, b = lax.transpose(a, (*ca, *ba, *free_a)), lax.transpose(b, (*cb, *bb, *free_b))
+    a = lax.expand_dims(a, range(a.ndim, a.ndim + len(free_b)))
+    b = lax.expand_dims(b, range(len(cb) + len(bb), len(cb) + len(bb) + len(free_a)))
+    shape = jnp.broadcast_shapes(a.shape, b.shape)
+    terms = [(a[i], b[i]) for i in np.ndindex(shape[: len(ca)])]
+    whole = [[jnp.broadcast_to(x, shape[len(ca) :]) for x in term] for term in terms]
+    return reduce(lax.add, (product(*term) for term in whole))
 
 
 def power(x: Array, exponent: int) -> Array:
@@ -132,6 +157,8 @@ def function_of(eqn: Eqn) -> Callable[..., Array]:
     if eqn.outvars[0].aval.dtype == jnp.float64:
         if name in KERNELS:
             return KERNELS[name]
+        if name == "dot_general" and is_written_out(eqn):
+            return partial(dot, dimension_numbers=params["dimension_numbers"])
         if name == "square" or (name == "integer_pow" and params["y"] > 0):
             return partial(power, exponent=params.get("y", 2))
     return partial(eqn.primitive.bind, **params)

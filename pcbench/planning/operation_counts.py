@@ -20,7 +20,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
-from pcbench.engine import batching_rules, jaxpr_compat
+from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn, Jaxpr
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Gains, Memory, Observer
@@ -167,7 +167,7 @@ def _products(eqn: Eqn) -> int:
     if not jnp.issubdtype(out.dtype, jnp.floating):
         return 0
     if name == "dot_general":
-        return batching_rules.products(eqn)
+        return jaxpr_compat.products(eqn)
     if name in CUBIC:
         n = eqn.invars[0].aval.shape[-1]
         return int(n * n * out.shape[-1]) if name == "triangular_solve" else n**3 // 3

@@ -1,11 +1,13 @@
-"""The engine's own products, sine and cosine: against extended precision, and in place of jnp's in a step."""
+"""The engine's own products, sine and cosine: against extended precision, and applied by the interpreter."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
-from pcbench.engine import kernels
+import pcbench
+from pcbench.engine import event_loop, jaxpr_compat, kernels, runner
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import is_lanes, join, split
 
@@ -42,6 +44,72 @@ def test_powers_and_squares_of_a_step_round_each_product():
     wanted = x * x + x[::-1], x * x + 1.0, x * x * x
     for each, exact in zip(jax.jit(found)(0.01), wanted, strict=True):
         assert np.array_equal(each, exact)
+
+
+DOTS = {
+    "dot": lambda a, b: a[0] @ b[0],
+    "matrix and vector": lambda a, b: a @ b[0],
+    "matrices": lambda a, b: a @ b.T,
+    "outer": lambda a, b: jnp.tensordot(a[0], b[0], 0),
+    "both axes": lambda a, b: jnp.tensordot(a, b, 2),
+    "batch": lambda a, b: jnp.einsum("ij,ij->i", a, b),
+    "batch, both axes": lambda a, b: jnp.einsum(
+        "ijk,kil->ilj", jnp.stack([a, b]), jnp.stack([b, a], 1).transpose(2, 1, 0)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DOTS)
+def test_products_of_what_all_lanes_share_agree_with_matmul_and_hold_no_dot(name):
+    a, b = np.random.default_rng(5).normal(size=(2, 3, 3))
+    f = vmap_entrywise(DOTS[name])
+    np.testing.assert_allclose(f(jnp.asarray(a), jnp.asarray(b)), DOTS[name](a, b), rtol=1e-13, atol=1e-15)
+    assert "dot_general" not in str(jax.make_jaxpr(f)(a, b))
+
+
+def products_in(jaxpr):
+    """Every product of a program and of those in it, but those with a zero."""
+    for eqn in jaxpr.eqns:
+        name, number = eqn.primitive.name, eqn.outvars[0].aval.dtype == jnp.float64
+        plain = not any(getattr(v, "val", None) == 0.0 for v in eqn.invars)
+        if number and name == "mul" and plain:
+            yield str(eqn)
+        if number and name == "dot_general" and jaxpr_compat.products(eqn) <= kernels.WRITTEN_OUT:
+            yield str(eqn)
+        for program in jaxpr_compat.inner(eqn.params):
+            yield from products_in(getattr(program, "jaxpr", program))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "observers"),
+    [
+        ("cart/white", ["pccebo", "kfbo", "kf", "ekf-delay"]),
+        ("arm/sampled", ["smo", "pio", "kf"]),
+        ("reactor/batch", ["ekf", "ukf"]),
+        ("helicopter/varying", ["high-gain"]),
+    ],
+)
+def test_every_product_of_an_event_loop_rounds_by_itself(scenario, observers, monkeypatch):
+    """No product may be joined with a sum, be it of what lanes share, of a function applied as a unit, or left to vmap.
+
+    Products by the kernel are made quotients here, to tell them from others. A large dot is none of the kernel.
+    """
+    programs, simulate = [], event_loop.simulate
+
+    def noted(layout, *given):
+        programs.append(jax.make_jaxpr(lambda *rest: simulate(layout, *rest))(*given).jaxpr)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(event_loop, "simulate", noted)
+    monkeypatch.setattr(runner, "_PROGRAMS", type(runner._PROGRAMS)())
+    for draw in ("normal", "uniform"):  # what these compute is theirs alone
+        monkeypatch.setattr(jax.random, draw, lambda key, shape=(), dtype=float, **_: jnp.zeros(shape, dtype))
+    monkeypatch.setattr(kernels, "product", lax.div)
+    monkeypatch.setitem(kernels.KERNELS, "mul", lax.div)
+    with pytest.raises(KeyboardInterrupt):
+        pcbench.run({"name": "products", "scenarios": [scenario], "observers": observers}, seeds=2)
+    assert " div " in str(programs[0])
+    assert list(products_in(programs[0])) == []
 
 
 def separately(kernel):
