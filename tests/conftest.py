@@ -80,6 +80,16 @@ def _in_a_hurry(request):
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_kept_tunings():
+    """Tune whatever is to be tuned, instead of finding it in the cache; the test of the cache asks for it again."""
+    from pcbench.gains import history
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(history, "load_kept", lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope="module")
 def as_users_have_it():
     """Have batches compiled as a user has them, where a module asks for it."""
