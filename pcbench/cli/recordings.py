@@ -30,12 +30,12 @@ File = Annotated[
 
 
 def info(
-    file: Annotated[str, argument("a recording of any format, or a TOML file that maps its fields to channels")],
+    file: Annotated[str, argument("A recording of any format, or a TOML file that maps its fields to channels")],
     delay: Late = None,
     picture: Annotated[
         str | None, out("File for a figure of the delays (.svg, .pdf, .png), or the file of --toml")
     ] = None,
-    toml: Annotated[bool, option("print a TOML file to start from, that maps fields to channels", "--toml")] = False,
+    toml: Annotated[bool, option("Print a TOML file to start from, which maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
     """Show what a recording contains: rates, gaps, delays, out-of-order or repeated samples, clock drift.
@@ -83,13 +83,15 @@ def info(
 
 def convert(
     file: File,
-    folder: Annotated[str, out("folder for the new recording")],
-    thin: Annotated[int, option("keep one of so many measurements of each channel", min=1)] = 1,
-    delay: Annotated[str | None, option("of every measurement [s], or from:LOG to draw recorded delays")] = None,
-    truth: Annotated[
-        str | None, option("names of the states that the channels measure [default: the channels' own]")
+    folder: Annotated[str, out("Folder for the new recording")],
+    thin: Annotated[int, option("Keep every n-th measurement of each channel", min=1)] = 1,
+    delay: Annotated[
+        str | None, option("Delay of every measurement [s], or from:LOG to draw delays from a recording")
     ] = None,
-    seed: Annotated[int, option("of the delays that are drawn", min=0)] = 0,
+    truth: Annotated[
+        str | None, option("Names of the states that the channels measure [default: the channels' own]")
+    ] = None,
+    seed: Annotated[int, option("Seed of the delays that are drawn", min=0)] = 0,
 ) -> None:
     """Make of a fast recording what a slow, delayed sensor would have brought; all of its measurements are the truth.
 

@@ -16,8 +16,8 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
     """Return about how many seconds a call takes, from calls that end early, each after twice as many ticks.
 
     They stop once the last took `ENOUGH` seconds, or a sixteenth of the ticks are done, or a call is clearly `SHORT`. The first
-    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 for the
-    definition, whose calls do not end early.
+    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 for the definition, whose calls do not
+    end early.
     """
     if program.layout.defined:
         return 0.0

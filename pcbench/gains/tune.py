@@ -79,7 +79,7 @@ def tune(
     takes the expected value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With
     `out`, a folder, the history is stored there, and a stopped call continues if repeated. A finished tuning is kept in the
     cache, and found there by the same call of the same code. `progress` hears of each point.
-    Raises UserError for whatever the user can mend.
+    Raises UserError for arguments that do not fit, a start without a value, and a folder with another tuning.
     """
     where = f"tune {observer}"
     training, validation = Seeds(*training_seeds), Seeds(*validation_seeds)

@@ -84,7 +84,7 @@ def topics(source: Source) -> Iterator[Topic]:
 
 
 def _within(struct: Any, field: str, source: Source) -> Any:
-    """What a dotted name stands for in structs, lists of structs and matrices."""
+    """The value that a dotted name means in structs, lists of structs and matrices."""
     value = struct
     for part in field.split("."):
         if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiub":

@@ -11,9 +11,9 @@ from pcbench.recordings.log import MOST, SECONDS, Columns, Source, Topic
 
 MANY, FRAMES = 1 << 14, 100  # messages of a part, frames of a topic that are listed
 SHORT = 9  # places of a list that are fields each, such as those of a covariance of three numbers
-RECEIVED = "received"  # in place of a field: when the recorder got the message
+RECEIVED = "received"  # instead of a field: when the recorder got the message
 STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a stamp in ROS 2, MCAP's schemas, ROS 1
-NONE = object()  # in place of a field that is not there
+NONE = object()  # instead of a field that is not there
 
 
 def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[Columns]:

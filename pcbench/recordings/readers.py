@@ -8,13 +8,13 @@
     unit = "m"                          # it must be said: a bag does not
     scale = 1.0                         # the channel's value is scale times the field
     sampled = "header.stamp"            # the field that holds the stamp; left out: as `FORMATS` has it
-    period = 0.1                        # [s], in place of stamps: rows come at 0, 0.1, 0.2 ...
+    period = 0.1                        # [s], instead of stamps: rows come at 0, 0.1, 0.2 ...
     arrived = "received"                # the field that holds the arrival; "received": when the recorder got the message
-    delay = 0.05                        # [s], in place of arrived: every sample is so late
+    delay = 0.05                        # [s], instead of arrived: every sample is so late
     std = "accuracy"                    # the field of each value's standard deviation, or
     variance = "covariance.0"           # of its variance; before `scale`
     [inputs.u1]
-    [truth.position]                    # likewise, with t in place of sampled, and nothing for arrivals
+    [truth.position]                    # likewise, with t instead of sampled, and nothing for arrivals
 
 Channels are in the order of the TOML. `time_unit` is of stamps that are plain numbers: "s" where it is left out. A row
 without a value (an empty cell, NaN, null) is no measurement. `period`, `time_unit` and the table `[csv]` are of the whole file.
@@ -174,7 +174,7 @@ def _read(path: Path) -> Mapping:
 def _channel(
     c: Column, kind: Format, source: Source, index: int, name: str, delay: float | None
 ) -> Callable[[], Iterator[Batch]]:
-    """What reads a channel; `delay` [s] or its own is in place of arrivals."""
+    """What reads a channel; `delay` [s] or its own replaces arrivals."""
     where, late = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
     stamp, times = _stamps(c, c.sampled, kind, where)
     arrived = c.arrived or (None if late is not None or c.period else kind.arrived)

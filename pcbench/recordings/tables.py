@@ -47,7 +47,7 @@ COLUMNS = ("channel", "sampled", "value")
 
 
 class Frame(NamedTuple):
-    """A table in memory, in place of a file."""
+    """A table in memory instead of a file."""
 
     name: str
     table: pa.Table
@@ -55,7 +55,7 @@ class Frame(NamedTuple):
 
 
 def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
-    """Return a log in tables; `delay` [s] stands for a column `arrived`. Raise UserError where one or a column is missing."""
+    """Return a log in tables; `delay` [s] replaces a column `arrived`. Raise UserError where one or a column is missing."""
     measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
     if measured is None and isinstance(path, Mapping):
         raise UserError("the recording: got no frame 'measurements', expected one; give it.")
@@ -97,7 +97,7 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
 
 
 def _file(path: Path | Frames, what: str) -> Path | Frame | None:
-    """The file of one table of a log in a folder, or beside that of the measurements; or its frame."""
+    """The file of one table of a log in a folder, or next to the file of the measurements; or its frame."""
     if isinstance(path, Mapping):
         if unknown_names := path.keys() - {"measurements", "inputs", "truth"}:
             raise unknown("the recording", "table", min(unknown_names), ["measurements", "inputs", "truth"])

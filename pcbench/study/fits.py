@@ -228,11 +228,11 @@ def _of_delays(s: Scenario) -> Iterator[str]:
         )
     if turns and set(turns) == {LOST}:
         yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them; write one."
-    beside = [name for name in DRAWN if s.value(name)]
-    beside += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
-    if turns and beside:
+    drawn = [name for name in DRAWN if s.value(name)]
+    drawn += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
+    if turns and drawn:
         yield (
-            f"got {beside[0]} with delay_sequence in {s.name}, expected one of them: the sequence is the same in all "
+            f"got {drawn[0]} with delay_sequence in {s.name}, expected one of them: the sequence is the same in all "
             "runs, and the other one is random in each run; leave one out."
         )
     if s.sampling.dither and not any(s.sampling.quantization_step):

@@ -1,6 +1,6 @@
 """The guide's reference pages, made from the records of the code.
 
-python tests/support/reference_pages.py     writes them anew
+python tests/support/reference_pages.py     writes them again
 """
 
 import inspect
