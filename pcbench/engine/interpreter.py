@@ -84,7 +84,9 @@ def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
     differs = lane_forms.forms_of(closed, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
-    apply = jax.vmap(lambda *a: _evaluate(closed.jaxpr, closed.consts, a), axes, [-1 if d else None for d in differs])
+    apply = jax.vmap(
+        lambda *a: _evaluate(closed.jaxpr, closed.consts, list(a)), axes, [-1 if d else None for d in differs]
+    )
     found = apply(*(join(a) if is_lanes(a) else a for a in args))
     return [_split_table(x) if d else x for x, d in zip(found, differs, strict=True)]
 
@@ -170,7 +172,7 @@ def _apply_to_arrays(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]
         return list(found) if eqn.primitive.multiple_results else [found]
     if eqn.primitive.name == "cond":
         branches = [partial(_evaluate, b.jaxpr, b.consts) for b in jaxpr_compat.branches(eqn.params)]
-        return jax.lax.switch(args[0], [lambda *a, f=f: f(a) for f in branches], *args[1:])
+        return jax.lax.switch(args[0], [lambda *a, f=f: f(list(a)) for f in branches], *args[1:])
     given = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
     alone = jaxpr.replace(constvars=(), invars=list(given), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects)
     return jaxpr_as_fun(ClosedJaxpr(alone, ()))(*given.values())
