@@ -25,11 +25,11 @@ def pendulum(tmp_path, monkeypatch):
 
 @pytest.mark.ci
 def test_the_pendulums_file_is_a_study(pendulum):
-    (cell,) = parse.grid_of("pendulum.py:late_camera", {}, []).cells
+    (cell,) = parse.grid_of("pendulum.py:delayed_camera", {}, []).cells
     assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]
-    (p,) = plan(parse.grid_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []).study)
+    (p,) = plan(parse.grid_of("pendulum.py:delayed_camera", {"observers": ["shortcut"]}, []).study)
     assert p.certificates["shortcut"].status == "uncertified"
-    assert not parse.unstable(parse.grid_of("pendulum.py:late_camera", {}, []))
+    assert not parse.unstable(parse.grid_of("pendulum.py:delayed_camera", {}, []))
 
 
 @pytest.mark.nightly
@@ -43,7 +43,7 @@ def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendu
 @pytest.mark.nightly
 def test_the_pendulums_observers_are_as_the_page_says(pendulum):
     """The two filters are one; the shortcut is off by less than pccebo and costs more."""
-    result = pcbench.run("pendulum.py:late_camera", seeds=64)
+    result = pcbench.run("pendulum.py:delayed_camera", seeds=64)
     wide = result.stats[result.stats.signal == "position"].set_index(["metric", "observer"])["mean"]
     said = {cells[0].strip("` "): cells[1:] for cells in rows(LOOP) if cells[0].startswith("`")}
     for observer, (rms, _, cost) in said.items():

@@ -230,7 +230,7 @@ def test_its_numbers_are_axes_and_observers_keep_the_nominal_ones(own):
 
 
 @pytest.mark.nightly
-def test_an_lqr_holds_it_upright_by_what_a_late_camera_sees(own):
+def test_an_lqr_holds_it_upright_by_what_a_delayed_camera_sees(own):
     """The law is designed for the Jacobians; the plant it holds is the nonlinear one."""
     law = {"use": "lqr", "Q1": [10.0, 10.0, 1.0, 1.0], "Q2": [0.1], "actuator_delay": 0.01}
     table = {"x0": [0.1, 0.1, 0.0, 0.0], "prior_std": [0.1] * 4, "sampling_period": 0.033, "duration": 4.0}

@@ -130,7 +130,7 @@ def test_a_log_that_cannot_be_replayed_is_one_sentence(tmp_path, measured, sente
 
 
 def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
-    assert empirical_delays.duration_of({"base": "mine.py:late_camera"}) == np.inf
+    assert empirical_delays.duration_of({"base": "mine.py:delayed_camera"}) == np.inf
     assert empirical_delays.duration_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].duration != 10.0
     assert empirical_delays.duration_of({"base": "reactor/batch", "duration": 3.0}) == 3.0
     assert empirical_delays.duration_of({}) == 10.0
