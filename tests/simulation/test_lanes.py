@@ -259,3 +259,10 @@ def test_a_function_of_a_user_called_together_is_one_like_any_other(monkeypatch)
     np.testing.assert_array_equal(lane_array.join(vmap_entrywise(together)(x)), 2 * np.ones((3, L)))
     with pytest.raises(AssertionError):
         vmap_entrywise(protocols.vmap_as_unit(lambda x: x * 2.0))(x)
+
+
+def test_numbers_among_the_results_are_arrays_of_their_type():
+    """A newer jax keeps them as numbers of Python in the jaxpr."""
+    found = vmap_entrywise(lambda x: (x[0], True, 2.0, 3))(lane_array.split(jnp.ones((2, L))))
+    assert [np.asarray(x).dtype for x in found[1:]] == [bool, float, jnp.asarray(3).dtype]
+    assert all(isinstance(x, np.ndarray | jax.Array) for x in found[1:])
