@@ -183,9 +183,10 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
             f"{where}: got an observer that does not say what it expects of a sample, expected one that does, for else a log "
             "has no likelihood; tune kf, or another that `pcbench list observers` shows to know its covariance."
         )
-    if not entry.smooth:
+    if entry.observer.init_random is not None:
         raise UserError(
-            f"{where}: got an observer whose steps cannot be differentiated, expected one that goes downhill; tune kf."
+            f"{where}: got an observer that draws random numbers, expected one whose likelihood is smooth in its options; "
+            "tune ekf or ukf."
         )
 
 
