@@ -11,6 +11,7 @@ from pcbench.plants.factory import PlantSpec, make_plant
 from pcbench.scenarios import Scenario
 
 __all__ = ["PLANTS", "PlantSpec", "make_plant"]
+UNIT = 1e-12  # a row of C shows a state as it is if it differs from a unit vector by less
 
 
 def _of(module: ModuleType, summary: str) -> PlantSpec:
@@ -58,6 +59,20 @@ def estimated_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
 def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (signal, unit) of all whose errors are scored: what observers may estimate, and the plant's own errors."""
     return estimated_of(scenario) + entry_of(scenario).errors
+
+
+def outputs_of_states(scenario: Scenario) -> dict[str, int]:
+    """Return the number of the output that shows a state as it is, by state."""
+    C, states = np.asarray(entry_of(scenario).nominal(numbers_of(scenario)).C), states_of(scenario)
+    return {states[j][0]: i for i, row in enumerate(C) for j, unit in enumerate(np.eye(len(row)))
+            if np.abs(row - unit).max() < UNIT}  # fmt: skip
+
+
+def output_units(scenario: Scenario) -> list[str]:
+    """Return the unit of every output; empty where it shows no single state."""
+    units = dict(states_of(scenario))
+    named = {output: units[state] for state, output in outputs_of_states(scenario).items()}
+    return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
 def numbers_of(scenario: Scenario) -> PyTree:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
-from pcbench.plants import estimated_of, signals_of
+from pcbench.plants import estimated_of, output_units, outputs_of_states, signals_of
 from pcbench.playback import innovation_tests, replay_metrics, smoother, step_block, stream
 from pcbench.playback.innovation_tests import InnovationSums, Sums
 from pcbench.playback.setup import Playback, PlaybackSetup, open_playback, prepare_observers, room_of
@@ -29,7 +29,9 @@ class ReplayResult(NamedTuple):
     """What came of a log."""
 
     innovations: pd.DataFrame  # a row each observer that says what it expects of samples
-    distances: pd.DataFrame  # rms of estimate less smoothed, by observer and signal; empty: no smoother
+    distances: (
+        pd.DataFrame
+    )  # rms of estimate minus smoothed after the transient, by observer and signal; empty: no smoother
     metrics: pd.DataFrame  # by observer and signal, as a study has them; empty: no truth
     estimates: pd.DataFrame | None  # every tick; None where they are in a folder
     summary: dict[str, Any]  # the log, the tick, how far times were rounded, and sentences
@@ -118,9 +120,9 @@ def stamps_that_go_back(survey: Survey) -> list[str]:
 def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
     """Run all parts of a log, and write estimates."""
     signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
-    scored = [name for name, _ in signals] if a.log.truth else []
+    scored, given = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
     runners = stream.init_runners(p, bool(scored), seed)
-    out_from = int((1 - innovation_tests.HELD_OUT) * a.last)
+    out_from = held_out_from(a)
     judged = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
     arrived = np.zeros(q, int)
     model = smoother.model_of(p.setting, p.problem.xhat0)
@@ -133,12 +135,20 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
     for part, reads in stream.through(runners, stream.parts(a, p, scored), p.back, ends):
         w, ticks = part.window, part.first + np.arange(a.length)
         kept = min(a.length, a.last + 1 - part.first)
-        estimates = {label: np.asarray(read.estimate)[:kept] for label, read in reads.items()}
-        draft.write(replay_metrics.table(ticks[:kept], estimates, signals, a.clock))
+        estimates, sigmas = (
+            {label: np.asarray(getattr(read, what))[:kept] for label, read in reads.items()}
+            for what in ("estimate", "sigma")
+        )
+        true = {pair: x for pair, x in zip(signals, part.truth[:kept].T, strict=False) if pair[0] in given}
+        draft.write(replay_metrics.table(ticks[:kept], estimates, sigmas, true, signals, a.clock))
         progress.step(kept)
-        for label in judged:
-            numbers = np.asarray(reads[label].surprise).reshape(-1, step_block.JUDGED + q)
-            judged[label] = judged[label].add(numbers, np.repeat(ticks >= out_from, p.slots))
+        numbers = {label: np.asarray(reads[label].surprise) for label in judged}
+        by_channel = {label: each[..., step_block.JUDGED :] for label, each in numbers.items()}
+        table = replay_metrics.innovation_table(w, part.first, by_channel, a.log.channels, a.clock)
+        draft.write(table, replay_metrics.INNOVATIONS)
+        for label, each in numbers.items():
+            rows = each[..., : step_block.JUDGED + q].reshape(-1, step_block.JUDGED + q)
+            judged[label] = judged[label].add(rows, np.repeat(ticks >= out_from, p.slots))
         truth = np.abs(part.truth[:kept])
         largest = np.fmax(largest, truth.max(0, initial=0.0, where=~np.isnan(truth)))
         largest_y = np.maximum(largest_y, np.where(w.mask, np.abs(w.value), 0.0).max((0, 1), initial=0.0))
@@ -149,14 +159,29 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
             y[w.taken[k, slot], channel] = w.value[k, slot, channel]
             if w.variance_ratio is not None:
                 ratio[w.taken[k, slot], channel] = w.variance_ratio[k, slot, channel]
-    draft.close()
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
     band, noise = np.asarray(p.problem.band)[: len(scored)], np.sqrt(np.asarray(p.setting.noise_variance))
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
     smoothed = None
     if model is not None and enough:
         smoothed = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
+        draft.write(replay_metrics.smoothed_table(smoothed, signals, a.clock), replay_metrics.SMOOTHED)
+    draft.close()
     return Passage(judged, arrived, scores, smoothed)
+
+
+def held_out_from(a: Playback) -> int:
+    """Return the tick at which the held-out part of a recording begins."""
+    return int((1 - innovation_tests.HELD_OUT) * a.last)
+
+
+def _outputs(a: Playback) -> list[dict[str, str]]:
+    """Return of each channel its name, its unit, and the state that it shows as it is; empty: none does."""
+    scenario, rows = a.cell.scenario, []
+    states = {output: state for state, output in outputs_of_states(scenario).items()}
+    for i, (name, unit) in enumerate(zip(a.log.channels, a.log.units or output_units(scenario), strict=True)):
+        rows.append({"channel": name, "unit": unit, "state": states.get(i, "")})
+    return rows
 
 
 def _results(
@@ -169,7 +194,9 @@ def _results(
     )
     channels = innovation_tests.by_channel(passage.judged, a.log.channels, passage.arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels))
-    distances = replay_metrics.distances(draft.estimates, passage.smoothed, list(a.cell.options), signals)
+    distances = replay_metrics.distances(
+        draft.estimates, passage.smoothed, list(a.cell.options), signals, steady=a.cell.times.tail
+    )
     if passage.smoothed is None:
         a.remarks.append(
             "distances to a smoother are left out: it needs a linear model without unknown inputs, and memory for all ticks."
@@ -189,6 +216,9 @@ def _results(
         "start": a.clock.start,
         "ticks": a.last,
         "dt": dt,
+        "steady_start": a.cell.times.tail * dt,
+        "held_out_from": held_out_from(a) * dt,
+        "outputs": _outputs(a),
         "largest_rounding": off,
         "better_dt": better,
         "certificates": {label: c.status for label, c in p.certificates.items()},

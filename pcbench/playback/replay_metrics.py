@@ -22,20 +22,74 @@ from pcbench.planning import digits
 from pcbench.playback.step_block import Score
 from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.times import Clock
+from pcbench.recordings.windows import Window
 from pcbench.runtime import ending
 from pcbench.simulation import metrics
 
 Signals = tuple[tuple[str, str], ...]  # with their units
 ESTIMATES = "estimates.parquet"
+INNOVATIONS = "innovations.parquet"
+SMOOTHED = "smoothed.parquet"
 SUMMARY = "replay.json"
+TABLES = (ESTIMATES, INNOVATIONS, SMOOTHED)
+TIME = ("t", "s", "time since the start of the log")
 
 
-def table(ticks: Ints, estimates: dict[str, Floats], signals: Signals, clock: Clock) -> pa.Table:
-    """Return some ticks of estimates [K, n] by observer as a table: t and <observer>.<signal>, with their units."""
-    fields = [("t", "s", "time since the start of the log", ticks * clock.dt)]
+def table(
+    ticks: Ints,
+    estimates: dict[str, Floats],
+    sigmas: dict[str, Floats],
+    truth: dict[tuple[str, str], Floats],
+    signals: Signals,
+    clock: Clock,
+) -> pa.Table:
+    """Return some ticks as a table.
+
+    It has t, the true states [K] by <signal> if they are given, the estimates [K, n] by <observer>.<signal>, and the standard
+    deviations of their errors [K, n] by <observer>.<signal>.sigma if the observer has them.
+    """
+    fields = [(*TIME, ticks * clock.dt)]
+    fields += [(signal, unit, "true state", x) for (signal, unit), x in truth.items()]
     for observer, each in estimates.items():
         for (signal, unit), column in zip(signals, each.T, strict=False):
             fields.append((f"{observer}.{signal}", unit, "estimate, after the jump of the tick", column))
+        for (signal, unit), column in zip(signals, sigmas[observer].T, strict=False):
+            fields.append((f"{observer}.{signal}.sigma", unit, "assumed standard deviation of its error", column))
+    return with_units(fields, clock)
+
+
+def smoothed_table(smoothed: Floats, signals: Signals, clock: Clock) -> pa.Table:
+    """Return the smoothed states [ticks, n] as a table: t and <signal>."""
+    fields = [(*TIME, np.arange(len(smoothed)) * clock.dt)]
+    fields += [(signal, unit, "smoothed state", x) for (signal, unit), x in zip(signals, smoothed.T, strict=False)]
+    return with_units(fields, clock)
+
+
+def innovation_table(
+    w: Window, first: int, judged: dict[str, Floats], channels: tuple[str, ...], clock: Clock
+) -> pa.Table:
+    """Return the measurements that arrive in a window, which begins at tick `first`, as a table, in the order of arrival.
+
+    It has one row per measurement with its channel, times and value, and of each observer in `judged` [K, S, 2 q] the
+    innovation and its standard deviation. They are NaN if the observer does not report them.
+    """
+    k, slot, channel = np.nonzero(w.mask)
+    fields: list[tuple[str, str, str, Any]] = [
+        ("sampled", "s", "time since the start of the log", w.taken[k, slot] * clock.dt),
+        ("arrived", "s", "time since the start of the log", (first + k) * clock.dt),
+        ("value", "", "measured value", w.value[k, slot, channel]),
+    ]
+    for observer, numbers in judged.items():
+        sigma = numbers[k, slot, len(channels) + channel]
+        meaning = "measured value minus prediction, given all that arrived before"
+        fields.append((f"{observer}.innovation", "", meaning, numbers[k, slot, channel] * sigma))
+        fields.append((f"{observer}.innovation.sigma", "", "assumed standard deviation of the innovation", sigma))
+    names = pa.DictionaryArray.from_arrays(pa.array(channel.astype(np.int32)), pa.array(channels, pa.string()))
+    return with_units(fields, clock).add_column(0, "channel", names)
+
+
+def with_units(fields: list[tuple[str, str, str, Any]], clock: Clock) -> pa.Table:
+    """Return columns (name, unit, meaning, numbers [K]) as a table that stores what they are."""
     about = {"pcbench.schema": SCHEMA, "start": repr(clock.start), "dt": repr(clock.dt)}
     schema = [pa.field(n, pa.float64(), metadata={"unit": unit, "meaning": meaning}) for n, unit, meaning, _ in fields]
     arrays = [pa.array(np.ascontiguousarray(column)) for *_, column in fields]
@@ -47,28 +101,35 @@ class Draft:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.estimates = folder / f".{ESTIMATES}.part"  # can be read once it is closed
-        self.summary = folder / f".{SUMMARY}.part"
-        self._writer: pq.ParquetWriter | None = None
+        self.estimates = self.part(ESTIMATES)  # can be read once it is closed
+        self.summary = self.part(SUMMARY)
+        self._writers: dict[str, pq.ParquetWriter] = {}
         self._files = ExitStack()
 
-    def write(self, table: pa.Table) -> None:
-        """Add some ticks."""
-        if self._writer is None:
-            self.estimates.unlink(missing_ok=True)  # of a process that was killed
-            file = self._files.enter_context(os.fdopen(storage.create(self.estimates), "wb"))
-            writer = pq.ParquetWriter(file, table.schema, compression="snappy", use_dictionary=False)
-            self._writer = self._files.enter_context(writer)
-        self._writer.write_table(table, row_group_size=len(table))
+    def part(self, name: str) -> Path:
+        """Return where a file is before it has its name."""
+        return self.folder / f".{name}.part"
+
+    def write(self, table: pa.Table, name: str = ESTIMATES) -> None:
+        """Add rows to one of TABLES."""
+        if name not in self._writers:
+            self.part(name).unlink(missing_ok=True)  # of a process that was killed
+            file = self._files.enter_context(os.fdopen(storage.create(self.part(name)), "wb"))
+            writer = pq.ParquetWriter(file, table.schema, compression="snappy", use_dictionary=["channel"])
+            self._writers[name] = self._files.enter_context(writer)
+        self._writers[name].write_table(table, row_group_size=max(len(table), 1))
 
     def close(self) -> None:
-        """End the estimates."""
+        """End the tables."""
         self._files.close()
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write what else is known beside the estimates, NaN as null, and give both files their names."""
+        """Write what else is known beside the tables, NaN as null, and give the files their names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
-        storage.rename_all([(self.estimates, self.folder / ESTIMATES), (self.summary, self.folder / SUMMARY)])
+        written = [name for name in TABLES if name in self._writers]
+        storage.rename_all([(self.part(name), self.folder / name) for name in (*written, SUMMARY)])
+        for name in set(TABLES) - set(written):  # of an earlier replay
+            (self.folder / name).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -77,9 +138,9 @@ def draft(folder: Path) -> Iterator[Draft]:
     out, new = Draft(folder), not folder.exists()
 
     def clear() -> None:
-        for each in (out.estimates, out.summary):
+        for name in (*TABLES, SUMMARY):
             with suppress(OSError):
-                each.unlink(missing_ok=True)
+                out.part(name).unlink(missing_ok=True)
         if new:
             with suppress(OSError):  # it holds the files that were made
                 folder.rmdir()
@@ -154,8 +215,11 @@ def rounding_warnings(
     return out
 
 
-def distances(file: Path, smoothed: Floats | None, observers: list[str], signals: Signals) -> pd.DataFrame:
-    """Return the rms over all ticks of each estimate less the smoothed state, by observer and signal; empty: no smoother."""
+def distances(file: Path, smoothed: Floats | None, observers: list[str], signals: Signals, steady: int) -> pd.DataFrame:
+    """Return the rms from tick `steady` on of each estimate minus the smoothed state, by observer and signal.
+
+    Empty: no smoother. NaN: the recording ends before that tick.
+    """
     rows = []
     if smoothed is not None:
         states = dict(zip(signals, smoothed.T, strict=False))
@@ -163,6 +227,8 @@ def distances(file: Path, smoothed: Floats | None, observers: list[str], signals
         for first, table in parts(file):
             for o, signal, unit in sums:
                 e = table.column(f"{o}.{signal}").to_numpy() - states[signal, unit][first : first + len(table)]
+                e = e[max(steady - first, 0) :]
                 sums[o, signal, unit] += float(e @ e)
-        rows = [(*key, np.sqrt(square / len(smoothed))) for key, square in sums.items()]
+        many = len(smoothed) - steady
+        rows = [(*key, np.sqrt(square / many) if many > 0 else np.nan) for key, square in sums.items()]
     return pd.DataFrame(rows, columns=["observer", "signal", "unit", "rms"])

@@ -17,12 +17,14 @@ from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, Plant
 from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
-from pcbench.simulation import metrics, rng, simulate_runs
+from pcbench.simulation import metrics, rng, simulate_runs, trajectory
 from pcbench.simulation.metrics import ErrorSums, SettlingState
 from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
-JUDGED = 4  # numbers of an InnovationStats, which are followed by one for each channel
+JUDGED = (
+    4  # numbers of an InnovationStats, which are followed by two for each channel: nu / sigma of all, then sigma of all
+)
 
 
 class Score(NamedTuple):
@@ -39,7 +41,8 @@ class Read(NamedTuple):
     """What is seen at every tick of a stretch."""
 
     estimate: Array  # [K, n]
-    surprise: Array  # [K, S, JUDGED + q] how far packets are from what was expected; [K, S, 0] of who does not say it
+    sigma: Array  # [K, n] assumed standard deviations of its errors; [K, 0] if the observer has none or the layout asks none
+    surprise: Array  # [K, S, JUDGED + 2 q] how far packets are from what was expected; [K, S, 0] of who does not say it
 
 
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
@@ -78,7 +81,7 @@ def run(
 ) -> tuple[Run, Score | None, Read]:
     """Take the observer over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
     ((label, o),) = layout.observers
-    quiet = jnp.zeros((w.arrive.shape[1], JUDGED + len(p.params) if o.innovation else 0))
+    quiet = jnp.zeros((w.arrive.shape[1], JUDGED + 2 * len(p.params) if o.innovation else 0))
 
     def step(
         carry: tuple[Run, Score | None], row: tuple[Array, Window, Array]
@@ -86,7 +89,8 @@ def run(
         (run, score), (k, w, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
         run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
-        read = Read(o.estimate(p.gains[label], run.memories[label]), surprise)
+        estimate, sigma = o.estimate(p.gains[label], run.memories[label]), trajectory.sigma(layout, p, k, run)
+        read = Read(estimate, sigma.get(label, jnp.zeros(0)), surprise)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
             score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
@@ -124,9 +128,10 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
             )
             if o.innovation:  # NaN is what it leaves out
                 found = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(brought[label]))
-                each = jnp.full(w.mask[slot].shape, jnp.nan) if found.each is None else found.each
+                unknown = jnp.full(w.mask[slot].shape, jnp.nan)
+                each = [unknown if numbers is None else numbers for numbers in (found.each, found.sigma)]
                 total = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
-                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), each]))
+                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), *each]))
             return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), surprises
 
         return lax.cond(w.arrive[slot] >= 0, jump, lambda so_far: so_far, so_far)

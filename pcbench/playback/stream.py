@@ -95,7 +95,7 @@ def init_runners(p: PlaybackSetup, scored: bool, seed: int) -> list[Runner]:
     """Return every observer before tick 0."""
     out = []
     for label, observer in p.layout.observers:
-        layout = p.layout._replace(observers=((label, observer),))
+        layout = p.layout._replace(observers=((label, observer),), consistency=True)
         problem = p.problem._replace(gains={label: p.problem.gains[label]})
         state, score = step_block.jit_step_block()[0](layout, problem, scored, np.asarray(seed))
         state = state if p.variances is None else step_block.with_variances(state)

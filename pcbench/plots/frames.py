@@ -13,9 +13,8 @@ from pcbench import statistics
 from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.plants import entry_of, numbers_of, states_of
+from pcbench.plants import output_units, states_of
 from pcbench.plots import layout
-from pcbench.scenarios import Scenario
 from pcbench.statistics import ranking
 from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.statistics.number_format import ROUNDING
@@ -25,7 +24,6 @@ METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
 POINTS = 100  # of a distribution
-UNIT = 1e-12  # a row of C shows a state as it is if it differs from a unit vector by less
 ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are one run
 
 
@@ -111,23 +109,6 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     measured = output_units(scenario)
     each = {"noise_std": measured, "quantization_step": measured, "process_std": [u for _, u in states_of(scenario)]}
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
-
-
-def outputs_of_states(scenario: Scenario) -> dict[str, int]:
-    """Return the number of the output that shows a state as it is, by state."""
-    C, states = (
-        np.asarray(entry_of(scenario).nominal(numbers_of(scenario)).C),
-        [name for name, _ in states_of(scenario)],
-    )
-    return {states[j]: i for i, row in enumerate(C) for j, unit in enumerate(np.eye(len(row)))
-            if np.abs(row - unit).max() < UNIT}  # fmt: skip
-
-
-def output_units(scenario: Scenario) -> list[str]:
-    """Return the unit of every output; empty where it shows no single state."""
-    units = dict(states_of(scenario))
-    named = {output: units[state] for state, output in outputs_of_states(scenario).items()}
-    return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
 def format_axis(axis: str, value: object) -> str:

@@ -20,8 +20,8 @@ from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
-from pcbench.plants import entry_of, estimated_of
-from pcbench.plots import frames, observer_costs
+from pcbench.plants import entry_of, estimated_of, outputs_of_states
+from pcbench.plots import observer_costs
 from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation import trajectory
@@ -144,7 +144,7 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
     plan, scenario = task.plan, task.plan.cell.scenario
     t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
-    shown = frames.outputs_of_states(scenario)
+    shown = outputs_of_states(scenario)
     plant = f"plant under {plan.labels[0]}" if closed else "plant"
 
     def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:

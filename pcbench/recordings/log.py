@@ -63,6 +63,7 @@ class Log(NamedTuple):
     measurements: Callable[[], Iterator[Batch]]
     inputs: Table | None = None
     truth: Table | None = None
+    units: tuple[str, ...] = ()  # of the channels; empty: those of the plant
 
 
 class Source(NamedTuple):

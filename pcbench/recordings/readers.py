@@ -134,7 +134,8 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
         return heapq.merge(*(read() for read in channels), key=lambda batch: batch.sampled[0])
 
     inputs, truth = (_table(getattr(toml, what), kind, source, what) for what in ("inputs", "truth"))
-    return Log(path.name, tuple(toml.channels), measurements, inputs, truth)
+    units = tuple(c.unit for c in toml.channels.values())
+    return Log(path.name, tuple(toml.channels), measurements, inputs, truth, units)
 
 
 def format_of(file: Path, where: str) -> Format:

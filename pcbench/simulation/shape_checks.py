@@ -76,7 +76,7 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         found = ask("innovation", arriving(observer.innovation), memory, value, snapshot)
         if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in (
             *([()] * many for many in (2, 3, 4)),
-            [*[()] * 4, value.shape],
+            *([*[()] * 4, *[value.shape] * many] for many in (1, 2)),
         ):
             raise UserError(
                 f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "

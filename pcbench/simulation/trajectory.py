@@ -52,7 +52,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
             arrived=_newest(brought),
             brought=brought,
             target=closed_loop.aims(layout, p, k),
-            sigma=_sigma(layout, p, k, run),
+            sigma=sigma(layout, p, k, run),
             errors=simulate_runs.own_errors(layout, p, params, k, run),
         )
 
@@ -78,7 +78,7 @@ def record_some(
                 estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
                 held=_newest(_brought(layout, p, k, run)),
                 target=closed_loop.aims(layout, p, k),
-                sigma=_sigma(layout, p, k, run),
+                sigma=sigma(layout, p, k, run),
                 nees={label: (each.whole, each.states) for label, each in squares.items()},
                 errors=simulate_runs.own_errors(layout, p, params, k, run),
             )
@@ -109,8 +109,8 @@ def _init_run(
     return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
 
 
-def _sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, Array]:
-    """The standard deviations of their errors that observers report at tick k."""
+def sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, Array]:
+    """Return the standard deviations of their errors that observers report at tick k."""
     if not layout.consistency:
         return {}
     found = innovation_stats.covariances(layout, p, k, run.memories, run.commands)

@@ -68,7 +68,8 @@ def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
     assert (said["ticks"], said["rows"], said["innovations"][0]["samples"]) == (305, 40, 40)
-    assert {p.name for p in (here / "out").iterdir()} == {"estimates.parquet", "replay.json"}
+    tables = {f"{name}.parquet" for name in ("estimates", "innovations", "smoothed")}
+    assert {p.name for p in (here / "out").iterdir()} == {*tables, "replay.json"}
     wrong = call(*words[:1], "none", *words[2:], cwd=here)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
     assert "no such file or folder" in wrong.stderr

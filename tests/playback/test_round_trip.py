@@ -24,7 +24,9 @@ WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "sampl
 def traced(tmp_path_factory):
     """Runs of the motor, on time and late, lost and overtaking: the frame and the folder of its log."""
     out = {}
+    options = {"scenario": {"consistency": True, "random_initial_state": True}}  # traces have standard deviations, too
     for name, study in (("plain", MOTOR), ("wild", WILD), ("stamped", STAMPED)):
+        study = study | {"options": options}
         folder = tmp_path_factory.mktemp(name)
         out[name] = study, pcbench.simulate(study, OBSERVERS, seed=3, log=folder), folder
     return out
@@ -53,7 +55,9 @@ def test_estimates_are_those_of_the_run(traced, name, kind, tmp_path):
     study, frame, folder = traced[name]
     log = folder if kind == "parquet" else as_csv(folder, tmp_path / "log")
     found = pcbench.replay(log, study, OBSERVERS).estimates
-    assert list(found.columns) == ["t", *(c for c in frame.columns if "." in c)]
+    assert list(found.columns) == ["t", "angle", "rate", *(c for c in frame.columns if "." in c)]
+    assert "kf.rate.sigma" in found.columns
+    np.testing.assert_allclose(found[["angle", "rate"]], frame[["angle", "rate"]], rtol=0, atol=1e-14)
     same(found, frame)
 
 
@@ -205,6 +209,7 @@ def test_a_folder_has_estimates_with_units_and_what_is_known(traced, tmp_path):
     assert len(table) == len(frame)
     assert table.schema.field("kf.rate").metadata[b"unit"] == b"rad/s"
     assert (tmp_path / "out" / "replay.json").is_file()
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["estimates.parquet", "replay.json"]
+    files = ["estimates.parquet", "innovations.parquet", "replay.json", "smoothed.parquet"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == files
     assert found.summary["largest_rounding"] < 1e-12
     assert found.summary["better_dt"] is None

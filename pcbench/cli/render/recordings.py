@@ -118,7 +118,9 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
             found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against the true states", screen
         )
     if len(found.distances):
-        _by_signal(found.distances, "rms", "rms distance to the smoother, which uses the whole recording", screen)
+        title = f"rms distance to the smoother from {about['steady_start']:g} s on (steady_start)"
+        _by_signal(found.distances, "rms", title, screen)
+        screen.say("Compare distances only between observers with the same assumptions, such as delays and noise.")
     off, ticks = about["largest_rounding"], about["ticks"] + 1
     screen.say(
         f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {off:.3g} s.",

@@ -64,20 +64,23 @@ def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
 
 def empty_stats() -> InnovationStats:
     """Return the square of a sample of which nothing has been looked at."""
-    return InnovationStats(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), each=jnp.zeros(0))
+    zero, none = jnp.zeros(()), jnp.zeros(0)
+    return InnovationStats(zero, zero, zero, zero, each=none, sigma=none)
 
 
 def add_innovation(
     so_far: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
 ) -> InnovationStats:
     """Return the square with the next channel, whose innovation nu has the variance s; of one that is fresh."""
-    z = nu / jnp.sqrt(s)
+    sigma = jnp.sqrt(s)
+    z = nu / sigma
     return InnovationStats(
         nis_sum=so_far.nis_sum + jnp.where(mask, nu * nu / s, 0.0),
         dof=so_far.dof + jnp.where(mask, 1.0, 0.0),
         log_det=so_far.log_det + jnp.where(mask, jnp.log(s), 0.0),
         normalized_sum=so_far.normalized_sum + jnp.where(mask, z, 0.0),
         each=jnp.append(so_far.each, jnp.where(mask, z, jnp.nan)),
+        sigma=jnp.append(so_far.sigma, jnp.where(mask, sigma, jnp.nan)),
     )
 
 
