@@ -95,8 +95,9 @@ def _export_recording(
     a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
     p, run = recording.prepare_recording(a, a.cell.entry(label).observer.on_sample is not None)
-    estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
-    expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
+    found = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
+    estimates, names = cast(pd.DataFrame, found), (f"{label}.{signal}" for signal, _ in estimated_of(a.cell.scenario))
+    expected = estimates[[name for name in names if name in estimates]].to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
     run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
     return _build_export(a.cell, label, label, p, p.setting, rows, run)
