@@ -37,19 +37,25 @@ def report(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a study's results as one HTML page that opens offline, or its figures as files.
+    """Write the results of a study or a replay as one HTML page that opens offline, or its figures as files.
 
-    Example: pcbench report results/quick --metric steady_rmse --signal velocity
+    Examples: pcbench report results/quick --metric steady_rmse --signal velocity;  pcbench report replayed
     """
     of_figures = {"--formats": formats, "--width": width, "--size": size, "--font": font}
     if figures is None:
         require_effect(of_figures, "without --figures", "add --figures, or leave it out")
     setup()
     from pcbench import statistics
+    from pcbench.plots import replay_frames
     from pcbench.plots.layout import PAPER
     from pcbench.report.figures import FigureOptions
     from pcbench.runtime import config
 
+    replayed = replay_frames.is_replay(folder)
+    if replayed:
+        chosen_metric = None if metric == RANK else metric
+        unused = {"--metric": chosen_metric, "--grid-point": grid_point, "--seed": seed, "--threshold": threshold}
+        require_effect(unused, "with a replay", "leave it out")
     statistics.require_metric(metric, "--metric")
     if threshold is not None and not threshold > 0:
         raise UserError(
@@ -64,6 +70,7 @@ def report(
         if figures is not None:
             from pcbench.dataset.result import open_result
             from pcbench.report import figures as pictures
+            from pcbench.report import replay_page
 
             kinds = pictures.kinds_of("svg,pdf,png" if formats is None else formats)
             paper = PAPER._replace(
@@ -71,13 +78,19 @@ def report(
                 size=PAPER.size if size is None else size,
                 font=PAPER.font if font is None else font,
             ).checked()
-            written = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
+            if replayed:
+                written = replay_page.write_figures(folder, figures, shown._replace(paper=paper), kinds)
+            else:
+                written = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
             where, said = figures, f"{len(written)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
         else:
-            from pcbench.report import page
+            from pcbench.report import page, replay_page
 
             where = f"{folder.rstrip('/')}/report.html" if file is None else file
-            many = page.write(folder, where, progress, shown)
+            if replayed:
+                many = page.put(replay_page.page(replay_frames.open_replay(folder), shown.signals), where)
+            else:
+                many = page.write(folder, where, progress, shown)
             bytes_ = f"{many / 1e6:.1f} MB" if many >= 1e5 else f"{many / 1e3:.0f} kB"
             said = f"{where}: one page of {bytes_}, which opens in any browser"
     print(where if quiet else said)

@@ -1,6 +1,6 @@
 """The figures of a study with their captions: the page shows them, and `--figures` writes them as SVG, PDF and PNG files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -176,11 +176,19 @@ def write(
     formats: tuple[str, ...] = KINDS,
 ) -> list[str]:
     """Write every figure of the page, and return the names of the files, without their suffix."""
+    every = places(result, result.scenarios, shown, progress)
+    drawn = (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures)
+    return put_figures(drawn, out, formats, progress)
+
+
+def put_figures(
+    pictures: Iterable[Picture], out: str | Path, formats: tuple[str, ...], progress: Progress = SILENT
+) -> list[str]:
+    """Write figures into a folder, and return the names of the files, without their suffix."""
     target, names = storage.target(str(out)), []
     storage.make(target)
-    every = places(result, result.scenarios, shown, progress)
     progress.begin("figures", None)
-    for picture in (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures):
+    for picture in pictures:
         for kind in formats:
             storage.put(target, f"{picture.name}.{kind}", render_figure(picture.figure, kind))
         names.append(picture.name)

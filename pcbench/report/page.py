@@ -3,7 +3,6 @@
 It loads no other file, and its figures are SVG in the page: it opens offline, prints, and needs no script.
 """
 
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,7 +69,12 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
     `shown` selects the metric that ranks, signals, grid point and seed. Runs that are shown over time are simulated if the
     folder does not have them, and stored there. Raises UserError if the folder contains no finished study.
     """
-    content = page(open_result(folder), progress, shown).encode()
+    return put(page(open_result(folder), progress, shown), out)
+
+
+def put(text: str, out: str | Path) -> int:
+    """Write a page as one file, and return its size in bytes."""
+    content = text.encode()
     target = storage.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     storage.make(target)
     storage.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
@@ -96,28 +100,32 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     made = f"# made with pcbench {release.get('pcbench', '')}"
     made += f", commit {commit['commit']}" if commit.get("commit") else ""
     run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
-    text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_escape).from_string(text)
-    return str(
-        template.render(
-            title=f"Study {result.study.name}",
-            what=_what(result),
-            metric=shown.metric,
-            metric_means=meaning[shown.metric],
-            sure=_how_sure(result),
-            tally=won,
-            summary=rows,
-            several=any(t.of > len(rows) for t in won),
-            anchors=anchors,
-            sections=sections,
-            options=of_scenario.rows(result),
-            tuned=result.study.tuning_sentence,
-            command="\n".join([made, run, "pcbench report again"]),
-            study=tomli_w.dumps(as_dict(result.study)).strip(),
-            provenance=_provenance(result),
-            meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
-        )
+    return render(
+        "page.html",
+        title=f"Study {result.study.name}",
+        what=_what(result),
+        metric=shown.metric,
+        metric_means=meaning[shown.metric],
+        sure=_how_sure(result),
+        tally=won,
+        summary=rows,
+        several=any(t.of > len(rows) for t in won),
+        anchors=anchors,
+        sections=sections,
+        options=of_scenario.rows(result),
+        tuned=result.study.tuning_sentence,
+        command="\n".join([made, run, "pcbench report again"]),
+        study=tomli_w.dumps(as_dict(result.study)).strip(),
+        provenance=_provenance(result),
+        meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
     )
+
+
+def render(template: str, **words: object) -> str:
+    """Return a template of this folder as HTML, with all words escaped."""
+    loader = jinja2.PackageLoader("pcbench", "report")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, finalize=_escape)
+    return environment.get_template(template).render(**words)
 
 
 def _section(place: figures.Place, anchor: str) -> Section:

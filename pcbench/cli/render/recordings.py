@@ -124,7 +124,7 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
     off, ticks = about["largest_rounding"], about["ticks"] + 1
     screen.say(
         f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {off:.3g} s.",
-        f"Estimates tick by tick: {folder}/estimates.parquet",
+        f"Estimates tick by tick: {folder}/estimates.parquet. Draw them: pcbench report {folder}",
     )
 
 

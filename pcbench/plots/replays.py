@@ -1,0 +1,175 @@
+"""Figures of a replay: states with their bands, innovations, their autocorrelation, and the log-likelihood over time.
+
+Bands contain 95 % of the values if the observer's covariance is true and errors are Gaussian: 1.96 standard deviations.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from pcbench.plots import replay_frames
+from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
+from pcbench.plots.lines import lines
+from pcbench.plots.palette import GRID, PLANT, SOFT, LineLook, pale, styles
+from pcbench.plots.replay_frames import Innovations, Replayed
+from pcbench.statistics import Z95
+
+WIDE = 1.45  # columns of the paper
+SHADE = 0.18  # of a band
+FEW = 3  # observers, up to which bands are told apart
+EXCERPT = 40  # measurements in it
+DOT = 6.0  # points^2
+BAND = Patch(color=GRID, label="95 % band")
+
+
+def states(r: Replayed, signal: str, paper: Paper = PAPER) -> Figure:
+    """Return one signal over time, tick by tick over a short time, and its error, with the bands of the observers."""
+    look, name = lines(r.observers), f"{signal.replace('_', ' ')}"
+    unit, minus = f"[{r.units[signal]}]", "true" if signal in r.truth else "smoothed"
+    every = {observer: replay_frames.states(r, observer, signal) for observer in r.observers}
+    known = any(each.error.notna().any() for each in every.values())
+    low, high = excerpt_of(r)
+    with sheet(paper, "", panels=2 + known, width=WIDE * paper.width) as (figure, axes):
+        whole, part, *below = axes
+        for ax in axes:
+            set_limits(ax, "x", *((low, high) if ax is part else (0.0, r.end)))
+        axes[-1].set_xlabel("t [s]")
+        whole.set_title(f"{name} {unit}")
+        part.set_title(f"{name} from {low:.4g} s to {high:.4g} s {unit}")
+        values = [_late(r, every[observer]).estimate for observer in r.scale]
+        for kind in ("truth", "smoothed"):
+            if signal in getattr(r, kind):
+                found = replay_frames.reference(r, signal, kind)
+                _draw_reference(whole, found, kind)
+                values.append(found.value)
+        for observer, each in every.items():
+            whole.plot(each.t, each.estimate, **look[observer])
+        set_range(whole, "y", pd.concat(values), log=False)
+        _draw_excerpt(part, r, signal, look, low, high)
+        for ax in below:
+            ax.set_title(f"{minus} minus estimated {name} {unit}")
+            _draw_errors(ax, r, every, look)
+    return figure
+
+
+def excerpt_of(r: Replayed) -> tuple[float, float]:
+    """Return the short time [s] in the middle of a recording that is drawn tick by tick."""
+    wide = min(max(EXCERPT * r.end / max(r.summary["rows"], 1), 20 * r.summary["dt"]), r.end)
+    return 0.5 * (r.end - wide), 0.5 * (r.end + wide)
+
+
+def _late(r: Replayed, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:
+    """Return the rows after the initial transient, which set the scale: what goes farther before leaves the picture."""
+    return rows[rows[time] >= min(r.summary["steady_start"], 0.5 * r.end)]
+
+
+def _draw_reference(ax: Axes, found: pd.DataFrame, kind: str) -> None:
+    """Draw the true or the smoothed states below everything else."""
+    known = found[found.value.notna()]
+    if kind == "truth":
+        ax.plot(known.t, known.value, color=pale(PLANT, 0.68), linewidth=3.0, zorder=1.6, label="truth")
+    else:
+        ax.plot(known.t, known.value, color=SOFT, linewidth=1.0, linestyle=(0, (1, 1.2)), zorder=1.7, label="smoothed")
+
+
+def _draw_excerpt(ax: Axes, r: Replayed, signal: str, look: Mapping[str, LineLook], low: float, high: float) -> None:
+    """Draw some ticks of all observers with their bands, and what was measured."""
+    every = {observer: replay_frames.excerpt(r, observer, signal, low, high) for observer in look}
+    first, values = next(iter(every.values())), []
+    for kind in ("truth", "smoothed"):
+        if signal in getattr(r, kind):
+            _draw_reference(ax, pd.DataFrame({"t": first.t, "value": first[kind]}), kind)
+    for observer, each in every.items():
+        ax.plot(each.t, each.estimate, **look[observer])
+        values += [each.estimate] if observer in r.scale else []
+        if len(look) <= FEW and each.sigma.notna().any():
+            below, above = each.estimate - Z95 * each.sigma, each.estimate + Z95 * each.sigma
+            _fill(ax, each.t, below, above, look[observer])
+            values += [below, above]
+    for channel in (each["channel"] for each in r.summary["outputs"] if each["state"] == signal):
+        dots = replay_frames.measured(r, channel, low, high)
+        ax.scatter(dots.sampled, dots.value, s=DOT, color=SOFT, linewidths=0, zorder=3, label="measured")
+        values.append(dots.value)
+    set_range(ax, "y", pd.concat(values), log=False)
+
+
+def _fill(ax: Axes, t: pd.Series, low: pd.Series, high: pd.Series, look: LineLook) -> None:
+    label = f"95 % band of {look['label']}"
+    ax.fill_between(t, low, high, color=look["color"], alpha=SHADE, linewidth=0, zorder=1.2, label=label)
+
+
+def _draw_errors(ax: Axes, r: Replayed, every: Mapping[str, pd.DataFrame], look: Mapping[str, LineLook]) -> None:
+    """Draw the errors of all observers with their bands."""
+    ax.axhline(0.0, color=SOFT, linewidth=0.6, zorder=1)
+    shown = []
+    for observer, each in every.items():
+        ax.plot(each.t[each.error.notna()], each.error.dropna(), **look[observer])
+        late = _late(r, each)
+        shown += [late.error] if observer in r.scale else []
+        if len(look) <= FEW and each.sigma.notna().any():
+            _fill(ax, each.t, -Z95 * each.sigma, Z95 * each.sigma, look[observer])
+            shown.append(pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max())
+    set_range(ax, "y", pd.concat(shown), log=False)
+
+
+def innovations(r: Replayed, channel: str, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+    """Return the innovations of a channel over the time of arrival, one panel per observer, with their 95 % bands."""
+    unit = unit_of(r, channel)
+    with sheet(paper, "", panels=len(every), width=WIDE * paper.width, keys=[BAND]) as (figure, axes):
+        for ax, (observer, found) in zip(axes, every.items(), strict=True):
+            rows, colour = found.thinned, styles(r.observers)[observer].colour
+            set_limits(ax, "x", 0.0, r.end)
+            band, late = Z95 * rows.sigma, _late(r, rows, "arrived")
+            ends = pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max()
+            set_range(ax, "y", pd.concat([late.innovation, ends]), log=False)
+            ax.set_title(f"{observer}: innovations of {channel} {unit}")
+            ax.fill_between(rows.arrived, -band, band, color=GRID, linewidth=0, zorder=1)
+            ax.scatter(rows.arrived, rows.innovation, s=DOT, color=colour, linewidths=0, zorder=2)
+        axes[-1].set_xlabel("time of arrival [s]")
+    return figure
+
+
+def unit_of(r: Replayed, channel: str) -> str:
+    """Return the unit of a channel in brackets."""
+    unit = next(each["unit"] for each in r.summary["outputs"] if each["channel"] == channel)
+    return f"[{unit or 'unit of the channel'}]"
+
+
+def autocorrelation(r: Replayed, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+    """Return the autocorrelation of the normalised innovations of a channel, with the 95 % band of white ones."""
+    band = Z95 / np.sqrt(min(found.many for found in every.values()))
+    lags = max(len(found.autocorrelation) for found in every.values())
+    with sheet(paper, "", keys=[BAND], width=WIDE * paper.width) as (figure, (ax,)):
+        set_limits(ax, "x", 0.0, lags + 1.0)
+        set_range(
+            ax, "y", [2 * band, -2 * band, *(v for each in every.values() for v in each.autocorrelation)], log=False
+        )
+        ax.set(title="autocorrelation of the normalised innovations [-]", xlabel="lag [measurements]")
+        ax.axhspan(-band, band, color=GRID, linewidth=0, zorder=1)
+        ax.axhline(0.0, color=SOFT, linewidth=0.6, zorder=1.1)
+        for observer, line in lines(r.observers).items():
+            if observer in every:
+                r_h = every[observer].autocorrelation
+                marker = styles(r.observers)[observer].marker
+                ax.plot(1 + np.arange(len(r_h)), r_h, marker=marker, markersize=4, **line)
+    return figure
+
+
+def log_likelihood(r: Replayed, observers: Sequence[str], paper: Paper = PAPER) -> Figure:
+    """Return the mean log-likelihood of a measured value over time; a line marks where the held-out part begins."""
+    every = {observer: replay_frames.log_likelihood(r, observer) for observer in observers}
+    with sheet(paper, "", width=WIDE * paper.width) as (figure, (ax,)):
+        set_limits(ax, "x", 0.0, r.end)
+        set_range(ax, "y", pd.concat([_late(r, each).value for each in every.values()]), log=False)
+        ax.set(title="mean log-likelihood per measured value [-]", xlabel="time of arrival [s]")
+        start = r.summary["held_out_from"]
+        ax.axvline(start, color=SOFT, linewidth=0.8, linestyle=(0, (4, 2)), label="start of the held-out part")
+        for observer, line in lines(r.observers).items():
+            if observer in every:
+                known = every[observer].dropna()
+                ax.plot(known.t, known.value, marker=".", markersize=3, **line)
+    return figure
