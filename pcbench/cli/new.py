@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,11 +15,17 @@ from pcbench.cli.options import Json
 from pcbench.cli.shared import argument, console, option, setup, write_new
 from pcbench.errors import UserError, short, unknown
 
-Kind = Literal["observer", "plant", "controller", "scenario"]
+Kind = Literal["observer", "plant", "controller", "scenario", "recording"]
 PLACEHOLDER = "NAME"
 TEMPLATES = Path(__file__).parent / "templates"
 BASE = "cart/white"  # of a scenario to start from
-FILES = {"observer": (".py",), "plant": (".py", ".toml"), "controller": (".py",), "scenario": (".toml",)}
+FILES = {
+    "observer": (".py",),
+    "plant": (".py", ".toml"),
+    "controller": (".py",),
+    "scenario": (".toml",),
+    "recording": ("",),
+}
 NEXT = {
     "observer": ("pcbench check {name}.py:{name}", "pcbench run cart/white --observers {name}.py:{name},kf"),
     "plant": ("pcbench check {name}.py:{name}", "pcbench check {name}.toml", "pcbench run {name}.toml"),
@@ -27,6 +34,7 @@ NEXT = {
         "pcbench run cart/white --set controller.use={name}.py:{name}",
     ),
     "scenario": ("pcbench check {name}.toml", "pcbench run {name}.toml"),
+    "recording": ("pcbench info {name}", "pcbench guide a-real-recording"),
 }
 
 
@@ -34,11 +42,11 @@ def new(
     kind: Annotated[Kind, argument("Kind of template")],
     name: Annotated[str, argument("Name of the object and of its file")],
 ) -> None:
-    """Create a template that runs, with comments; for a plant also a study.
+    """Create a template that runs, with comments; for a plant also a study. A recording is one minute of a car.
 
-    Example: pcbench new observer nudge
+    Examples: pcbench new observer nudge;  pcbench new recording car
     """
-    name = name if kind == "scenario" else name.replace("-", "_")
+    name = name if kind in ("scenario", "recording") else name.replace("-", "_")
     if not name.isidentifier():
         raise UserError(f"new {kind}: got '{short(name)}', expected a name of letters, digits and _; write another.")
     paths = [Path(name + suffix) for suffix in FILES[kind]]
@@ -46,6 +54,9 @@ def new(
         if os.path.exists(path):  # unlike the path's own, it answers for a name that is too long
             raise UserError(f"new {kind}: {path} exists already, expected a new file; give another name.")
     for path in paths:
+        if kind == "recording":
+            copy_recording(path)
+            continue
         if kind == "scenario":
             setup()
             from pcbench.scenarios import SCENARIOS
@@ -59,6 +70,17 @@ def new(
     print(f"{' and '.join(map(str, paths))} {'are' if len(paths) > 1 else 'is'} written. Next:")
     for command in NEXT[kind]:
         print("  " + command.format(name=name))
+
+
+def copy_recording(folder: Path) -> None:
+    """Write the recording of a car into a new folder, with its source and licence; raise UserError if that fails."""
+    try:
+        shutil.copytree(TEMPLATES / "recording", folder)
+    except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise UserError(
+            f"new recording: {folder} cannot be written ({error.strerror or error}), expected a writable folder; use another."
+        ) from None
 
 
 FOLDER = Path(__file__).parents[1] / "guide"
