@@ -85,7 +85,7 @@ def copy_recording(folder: Path) -> None:
 
 FOLDER = Path(__file__).parents[1] / "guide"
 GROUPS = {  # the pages by kind, in the order in which they are listed
-    "Getting started": ("quickstart", "delayed-camera", "recording-to-c"),
+    "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording"),
     "How-to guides": (
         *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
         *(

@@ -1,0 +1,116 @@
+"""The tutorial on the recording of a car: every block is run in its order, and the numbers that the page shows are compared."""
+
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from documents import PAGES, blocks, commands, fenced
+
+PAGE = "a_real_recording.md"
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory):
+    """The folder after all blocks, and what every command printed, in their order."""
+    folder, out, said = tmp_path_factory.mktemp("car"), {}, []
+    there = {"cwd": folder, "text": True, "capture_output": True, "check": False}
+    for block in fenced(PAGE):
+        if block.title:
+            (folder / block.title).write_text(block.text)
+        elif block.language == "python":
+            done = subprocess.run([sys.executable, "-c", block.text], **there)
+            assert done.returncode == 0, done.stderr
+        for line in block.text.splitlines() if block.language == "sh" else ():
+            words = shlex.split(line)
+            if words[0] == "pcbench":
+                as_json = ["--json"] if words[1] in ("info", "replay", "tune") else []
+                done = subprocess.run([sys.executable, "-m", "pcbench", *words[1:], *as_json], **there)
+                said.append(words[1])
+            elif shutil.which("cc"):
+                done = subprocess.run(words, **there)
+            assert done.returncode == 0, done.stderr
+            out[f"{words[1]} {said.count(words[1])}" if words[0] == "pcbench" else words[0]] = done.stdout
+    assert len(said) == len(commands(PAGE))
+    return folder, out
+
+
+def table(head):
+    """The rows of a table of the page, as texts."""
+    lines = PAGES[PAGE].splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith(f"| {head} |"))
+    rows = []
+    for line in lines[first + 2 :]:
+        if not line.startswith("|"):
+            return rows
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def same(value, text):
+    """Whether a number is the one that is printed, to its last digit."""
+    return abs(value - float(text)) <= 0.51 * 10 ** -len(text.partition(".")[2])
+
+
+@pytest.mark.nightly
+def test_noise_and_tests_are_those_of_the_page(printed):
+    _, out = printed
+    first, again = (json.loads(out[f"tune {i}"]) for i in (1, 2))
+    found = {row["name"]: row for row in first["intensities"]}
+    for name, start, value, interval, _ in table("intensity"):
+        row = found[name.strip("`")]
+        assert row["start"] == pytest.approx(float(start))
+        assert [row["found"], row["low"], row["high"]] == pytest.approx(
+            [float(text) for text in (value, *interval.split(" to "))], rel=0.05
+        )
+    rows = {name: cells for name, *cells in table("result")}
+    for i, tuned in enumerate((first, again)):
+        held_out = tuned["held_out"]["tuned"]
+        assert same(tuned["found"]["R"] ** 0.5, rows["standard deviation of the receiver's noise [m/s]"][i])
+        assert float(rows["`ljung_box_p` of the held-out part"][i]) == pytest.approx(held_out["ljung_box_p"], rel=0.05)
+        nis, verdict = rows["NIS of the held-out part"][i].split(", ")
+        assert same(held_out["nis"], nis)
+        assert held_out["verdict"] == verdict
+        assert same(held_out["log_likelihood"], rows["log-likelihood of the held-out part"][i])
+    for i in (1, 2):
+        errors = {row["metric"]: row["value"] for row in json.loads(out[f"replay {i}"])["metrics"]}
+        assert same(errors["steady_rmse"], rows["RMS error of the speed [m/s]"][i - 1])
+    (row,) = json.loads(out["replay 1"])["innovations"]
+    assert (row["verdict"], round(row["nis"], 3)) == ("consistent", 0.998)
+    assert row["ljung_box_p"] == pytest.approx(0.0002, rel=0.2)
+    assert json.loads(out["replay 2"])["innovations"][0]["ljung_box_p"] == pytest.approx(0.002, rel=0.2)
+
+
+@pytest.mark.nightly
+def test_profile_of_the_delay_is_that_of_the_page(printed):
+    folder, _ = printed
+    found = pd.read_csv(folder / "profile.csv")
+    rows = table("assumed delay [s]")
+    assert len(rows) == len(found)
+    for texts, values in zip(rows, found.to_numpy(), strict=True):
+        assert all(same(value, text) for value, text in zip(values, texts, strict=True)), (texts, values)
+    assert found.delay[found["log-likelihood"].idxmax()] == 0.16
+    assert found.delay[found["held out"].idxmax()] == 0.14
+    assert found["error"].min() < 0.5 * found["error"][0]
+    assert found["distance"].idxmin() == 0
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler on this machine")
+def test_filter_in_c_equals_the_replay(printed):
+    folder, out = printed
+    lines = [line for line in out["./filter"].splitlines() if "at most" in line]
+    assert [line.partition(":")[0] for line in lines] == ["speed", "bias"]
+    for line in lines:
+        assert float(line.split(" at most")[0].split(", ")[1]) < 1e-13
+    assert same(float(lines[0].rpartition("error ")[2].split()[0]), "0.046")
+    assert (folder / "second" / "report.html").stat().st_size < 1.2e6
+
+
+def test_page_shows_every_kind_of_block():
+    assert len(blocks("sh", PAGE)) == 4
+    assert len(blocks("python", PAGE)) == 1
+    assert [block.title for block in fenced(PAGE) if block.title] == ["car.toml"]
