@@ -37,19 +37,31 @@ class Headline(NamedTuple):
 def headlines(
     result: Result, scenario: str, signal: str, metric: str, cell: int = 0, costs: pd.DataFrame | None = None
 ) -> list[Headline]:
-    """Return a table per grid point; of many, a table of the wins and that of one `cell`.
+    """Return a table per grid point; of many, a table of the wins and that of one `cell`. The last is of the operations.
 
-    `costs` is a frame of `pcbench.operation_counts` of this grid point.
+    `costs` is a frame of `pcbench.operation_counts` of this grid point; None: there is no table of operations.
     """
     part = frames.rows(result, scenario, signal, metric)
     found = frames.standings(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
     counted = [_count_wins(result, Stood(scenario, signal, part, found), metric)] if len(cells) > MOST else []
     leaders = dict(zip(found.cell, found.leaders, strict=True))
-    return counted + [
-        _cell(result, scenario, signal, part, metric, each, leaders[each], costs if each == cell else None)
-        for each in ([cell] if counted else cells)
+    shown = [cell] if counted else cells
+    tables = [_cell(result, scenario, signal, part, metric, each, leaders[each]) for each in shown]
+    return counted + tables + ([] if costs is None else [_operations(part, costs)])
+
+
+def _operations(part: pd.DataFrame, costs: pd.DataFrame) -> Headline:
+    """Return the table of the operations of one run."""
+    look = styles(part.observer)
+    rows = [
+        HeadlineRow(
+            [str(one["observer"]), *(f"{one[name]:,}" for name in COSTS)], look[str(one["observer"])].colour, False
+        )
+        for one in costs[costs.observer.isin(look)].to_dict("records")
     ]
+    note = "Multiplications of the observers' functions in one run, and the bytes they store from tick to tick."
+    return Headline("Operations", ["observer", *COSTS.values()], rows, note)
 
 
 def _cell(
@@ -60,7 +72,6 @@ def _cell(
     metric: str,
     cell: int,
     leaders: tuple[str, ...],
-    costs: pd.DataFrame | None,
 ) -> Headline:
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
     stats, look = stats[stats.cell == cell], styles(part.observer)
@@ -79,24 +90,19 @@ def _cell(
             number_format.mark_uncertified(observer, [row.loc[metric].certified]),
             number_format.interval(row.loc[metric]),
         ]
-        cells.append("not significantly different" if against == "=" else against)
+        cells.append(against)
         cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
-        if costs is None or observer not in set(costs.observer):
-            cells += ["-" for _ in COSTS]
-        else:
-            counts = costs.set_index("observer").loc[observer]
-            cells += [f"{counts[name]:,}" for name in COSTS]
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.format_axis(a, first[a]) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{first.unit}]", f"diff. to best [{first.unit}]"]
-    heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged", *COSTS.values()]
+    heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged"]
     kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-") for row in rows)]
     rows = [row._replace(cells=[row.cells[i] for i in kept]) for row in rows]
     note = (
-        f"{n:,} runs each; ± is half a 95 % interval."
+        f"{n:,} runs each; ± is half a 95 % interval; = is not significant (paired t-test, Holm, 5 %)."
         if n > 1
         else "One run each: no intervals, and no significant differences."
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jinja2
 import tomli_w
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from pcbench.dataset import storage
 from pcbench.dataset.columns import MEANING
@@ -103,6 +103,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     return render(
         "page.html",
         title=f"Study {result.study.name}",
+        unbroken=_unbroken,
         what=_what(result),
         metric=shown.metric,
         metric_means=meaning[shown.metric],
@@ -138,7 +139,7 @@ def _section(place: figures.Place, anchor: str) -> Section:
         if signal is None:
             parts += [Part("All signals", [], "", drawn)] if drawn else []
             continue
-        tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, place.costs)
+        tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, None if parts else place.costs)
         at = captions.where(frames.rows(result, scenario, signal, shown.metric), place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(f"Error of {signal.replace('_', ' ')} [{unit}]", tables, at, drawn))
@@ -178,3 +179,11 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
 def _escape(value: object) -> object:
     """Return a value for the page: characters that cannot be printed are escaped; figures are escaped already."""
     return value if isinstance(value, Markup) or not isinstance(value, str) else printable(value, but="\n")
+
+
+def _unbroken(cell: str) -> Markup:
+    """Return a table's cell whose line breaks only before an interval, never inside one."""
+    text = str(escape(printable(cell)))
+    for sign in ("± ", " ..", ".. ", " %"):
+        text = text.replace(sign, sign.replace(" ", "&nbsp;"))
+    return Markup(text)

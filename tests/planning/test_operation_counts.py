@@ -158,6 +158,6 @@ def test_tables_have_what_observers_cost_where_that_is_asked():
     results.closing(result, console, "steady_rmse", None, costs)
     (row,) = [line.split() for line in console.file.getvalue().splitlines() if line.strip().startswith("model-only")]
     assert {"0", "6", "16"} <= set(row)
-    (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse", 0, costs)
+    _, table = headline.headlines(result, "cart/slow", "position", "steady_rmse", 0, costs)
     assert table.heads[-3:] == ["multiplications per sample", "multiplications per tick", "bytes of memory"]
     assert table.rows[0].cells[-3:] == ["0", "6", "16"]

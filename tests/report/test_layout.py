@@ -1,7 +1,7 @@
 """The page in a browser: nothing complains, is cut off or overlaps, on a phone, a desk and on paper; every picture is drawn."""
 
 import pytest
-from browser import CHROMIUM, looked_at
+from browser import CHROMIUM, looked_at, print_page
 from walked import STUDIES as SHORT
 
 import pcbench
@@ -82,6 +82,14 @@ def test_a_motors_page_is_whole(drawn, width, paper):
 @pytest.mark.parametrize("study", ["map", "quick", "plants", "helicopter", "unequal-delays", "equal-tuning"])
 def test_the_page_of_a_study_is_whole(drawn, study, width, paper):
     quiet(drawn(study), width, paper)
+
+
+@pytest.mark.ci
+def test_printed_page_keeps_texts_of_figures_readable(drawn):
+    """In the PDF of a browser: figures that shrink to a fraction of their size have texts of 2 points."""
+    sizes = print_page(drawn("motor") / "report.html", drawn("motor"))
+    assert len(sizes) > 300
+    assert min(sizes) > 5.5
 
 
 @pytest.mark.nightly

@@ -5,10 +5,12 @@ import json
 import re
 import shutil
 import subprocess
+import zlib
 
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )
+TOKEN = re.compile(r"\((?:\\.|[^\\)])*\)|<[^>]*>|[^\s\[\]()<>]+")  # of a PDF's page: a string, a number, an operator
 NEAR = 1.5  # pixels by which boxes of text may touch: they have room above and below their letters
 PROBE = """
 <script>
@@ -39,11 +41,12 @@ function pictures(out) {
 
 function texts(out, wide) {
   const boxes = [];
-  for (const leaf of document.querySelectorAll("h1, h2, h3, h4, p, td, th, dt, dd, figcaption, a")) {
+  for (const leaf of document.querySelectorAll("h1, h2, h3, h4, p, td, th, dt, dd, summary, a")) {
     const range = document.createRange();
     range.selectNodeContents(leaf);
     const box = range.getBoundingClientRect();
     if (!shown(box) || leaf.closest(".wide, .picture, .matrix")) continue;
+    if (leaf.closest("details:not([open]) > :not(summary)")) continue;
     if (box.right > wide + NEAR) out.push("cut off: " + words(leaf));
     if (leaf.matches("a") || leaf.querySelector("table")) continue;
     for (const [other, said] of boxes) if (!apart(box, other)) out.push("overlap: " + words(leaf) + " / " + said);
@@ -88,6 +91,46 @@ def looked_at(page, folder, width, paper=False):
     told = json.loads(html.unescape(found.group(1)))
     told["console"] = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     return told
+
+
+def print_page(page, folder):
+    """Print a page to PDF, and return the size in points of each text on paper."""
+    out = folder / "printed.pdf"
+    words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer", f"--print-to-pdf={out}"]
+    subprocess.run([*words, page.as_uri()], capture_output=True, timeout=900, check=True)
+    return [size for text in _streams(out.read_bytes()) for size in _text_sizes(text)]
+
+
+def _streams(pdf):
+    """Yield the content streams of a PDF that have text."""
+    for found in re.finditer(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.S):
+        try:
+            text = zlib.decompress(found[1]).decode("latin-1")
+        except zlib.error:  # of an image
+            continue
+        if " Tf" in text:
+            yield text
+
+
+def _text_sizes(text):
+    """Yield the size of each text of a content stream: the font's, times the scales of the matrices in force."""
+    scale, line, kept, size, numbers = 1.0, 1.0, [], 0.0, []
+    for token in TOKEN.findall(text):
+        if token == "q":
+            kept.append(scale)
+        elif token == "Q":
+            scale = kept.pop()
+        elif token in ("cm", "Tm"):
+            a, b, c, d = map(float, numbers[-6:-2])
+            by = abs(a * d - b * c) ** 0.5
+            scale, line = (scale * by, line) if token == "cm" else (scale, by)
+        elif token == "BT":
+            line = 1.0
+        elif token == "Tf":
+            size = float(numbers[-1])
+        elif token in ("Tj", "TJ"):
+            yield size * scale * line
+        numbers = [*numbers, token] if re.match(r"[-+.\d]", token) else []
 
 
 if __name__ == "__main__":  # python tests/support/browser.py report.html
