@@ -5,14 +5,17 @@ study are considered; `pcbench find-limit` finds values between them.
 """
 
 from math import isfinite
+from typing import cast
 
 import numpy as np
 import pandas as pd
 
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.layout import number as exact
+from pcbench.plots.ratios import Ratios, verdict
 from pcbench.plots.time_series import BANDS, over
 from pcbench.statistics import limit_verdicts
+from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import Answer
 from pcbench.statistics.ranking import most_often
 
@@ -33,6 +36,38 @@ WORDS = {"published": "published", "design": "designed", "tuned": "tuned"}
 def number(value: float) -> str:
     """Return a number with three digits."""
     return exact(float(f"{value:.3g}")) if np.isfinite(value) else "-"
+
+
+def ratios(found: Ratios) -> str:
+    """Return the ratio of each observer to the best, with its interval and p-value."""
+    said = []
+    for row in cast(list[Row], found.rows.to_dict("records")):
+        ends = "" if found.exact else f" ({number(row['ci_low'])} to {number(row['ci_high'])})"
+        ratio = f" {number(row['ratio'])}{ends}" if np.isfinite(row["ratio"]) and row["observer"] != found.best else ""
+        said.append(f"{row['observer']}{ratio}, {verdict(row, found)}")
+    return f"Ratios to {found.best}: {'; '.join(said)}."
+
+
+def best(found: Ratios) -> str:
+    """Return which observer is the best, and which are significantly worse, in a sentence with runs and method."""
+    others, runs = found.rows[found.rows.observer != found.best], int(found.rows.n.max())
+    worse = others.observer[others.worse].to_list()
+    beaten = (
+        "every other observer is"
+        if len(worse) == len(others)
+        else f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}"
+    )
+    beaten = beaten if worse else "no other observer is"
+    method = f"{runs:,} runs, 95 % paired intervals, paired t-test with Holm's correction at 5 %"
+    if found.exact:
+        method = "exact values"
+    elif runs < 2:
+        return f"{found.best} has the least error; one run shows no significance."
+    return f"{found.best} has the least error, and {beaten} significantly worse ({method})."
+
+
+def _joined(names: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def medians(part: pd.DataFrame, unit: str) -> str:

@@ -15,6 +15,7 @@ from pcbench.plants import signals_of
 from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
 from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
 from pcbench.plots.layout import PAPER, Paper
+from pcbench.plots.ratios import ratios_of
 from pcbench.report import captions
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
@@ -93,6 +94,9 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     at, units = frames.values_at(every, cell), frames.units(result, every)
     words, unit = describe_metric(shown.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
+    if found := ratios_of(result, scenario, signal, shown.metric, cell):
+        figure, text, note = plots.ratios(result, cell=cell, **here), captions.ratios(found), captions.best(found)
+        yield Picture(f"{name}-ratios", f"{title} relative to the best", figure, text, note)
     if run is not None:
         seed = result.study.first_seed if shown.seed is None else shown.seed
         figure = time_series.draw_run(result, run, scenario, signal, cell, seed, shown.paper)

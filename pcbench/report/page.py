@@ -30,6 +30,7 @@ WORDS = {
     "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
     "grid point": "one combination of the values of a study's axes",
 }
+HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
@@ -94,6 +95,8 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     for name, anchor in anchors.items():
         sections.append(_section(places[name], anchor))
         progress.step(1)
+    drawn = (part.pictures for section in sections for part in section.parts)
+    head = [next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)]
     meaning = {m: MEANING.get(m, OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
@@ -108,6 +111,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         metric=shown.metric,
         metric_means=meaning[shown.metric],
         sure=_how_sure(result),
+        head=[picture for picture in head if picture],
         tally=won,
         summary=rows,
         several=any(t.of > len(rows) for t in won),

@@ -43,6 +43,20 @@ def positive(values):
     return out
 
 
+def ratio(a, b):
+    """The mean of a over that of b, run by run the same noise: the logarithm's variance from the covariance matrix."""
+    n, over, under = len(a), math.fsum(a) / len(a), math.fsum(b) / len(b)
+    out = {"n": n, "mean": over / under, "ci_low": NAN, "ci_high": NAN}
+    if n > 1:
+        aa, bb, ab = (
+            math.fsum((x - p) * (y - q) for x, y in zip(u, v, strict=True)) / (n - 1) / n / p / q
+            for u, v, p, q in ((a, a, over, over), (b, b, under, under), (a, b, over, under))
+        )
+        half = student(n) * math.sqrt(max(aa + bb - 2 * ab, 0.0))
+        out["ci_low"], out["ci_high"] = (math.exp(math.log(over / under) + sign * half) for sign in (-1, 1))
+    return out
+
+
 def pooled(squares):
     m = positive(squares)
     if m["n"] == 0:

@@ -108,6 +108,7 @@ def test_every_option_that_is_not_a_default_is_in_the_report(folder, text):
 def test_every_picture_has_its_place_a_text_and_a_unit(text):
     names = re.findall(r'<figure id="([^"]+)">', text)
     parts = [
+        "ratios",
         "time",
         "winners",
         "map",

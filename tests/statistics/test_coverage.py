@@ -12,7 +12,7 @@ from scipy import stats
 
 from pcbench import statistics
 from pcbench.statistics import quantile_intervals
-from pcbench.statistics.comparison import pair_stats, paired_t_test
+from pcbench.statistics.comparison import pair_stats, paired_ratio, paired_t_test
 from pcbench.statistics.confidence_intervals import moments, positive, root, student, wilson
 
 REPEATS, BLOCK = 20_000, 2_000
@@ -172,6 +172,18 @@ def test_the_paired_test_raises_at_most_5_percent_false_alarms(draw, n):
     false = (p_values(draw, n, repeats) < 0.05).mean()
     assert 0.04 <= false <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / repeats)
     assert (p_values(draw, n, BLOCK, shift=6 / np.sqrt(n)) < 0.05).mean() > 0.9
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("draw", "n"), [(alike, 16), (alike, 64), (alike, 256), (tied, 256), (unlike, 256)])
+def test_ratio_of_paired_means_is_covered_in_93_5_to_96_5_percent(draw, n):
+    """Also if the true ratio is not 1."""
+    rng, found = np.random.default_rng([n, 7, *draw.__name__.encode()]), []
+    for _ in range(REPEATS // BLOCK):
+        a, b = draw(rng, (BLOCK, n))
+        e = paired_ratio(3.0 * a, b)
+        found.append(inside(e.ci_low, 3.0, e.ci_high))
+    assert 0.935 <= np.mean(found) <= 0.965
 
 
 @pytest.mark.parametrize(("n", "rate"), [(16, 0.065), (64, 0.057)])

@@ -18,7 +18,7 @@ from scipy import stats
 
 from pcbench import statistics
 from pcbench.dataset import close, columns, parquet_io
-from pcbench.statistics import quantile_intervals, ranking
+from pcbench.statistics import comparison, quantile_intervals, ranking
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -113,6 +113,26 @@ def test_paired_test_equals_scipy():
     ci = want.confidence_interval(0.95)
     assert (got["ci_low"], got["ci_high"]) == pytest.approx((ci.low, ci.high))
     assert got["prob_a_better"] == pytest.approx((A < B).mean())
+
+
+@pytest.mark.parametrize("n", [1, 2, 9, 200])
+def test_ratio_of_paired_means_equals_reference(n):
+    """Two observers whose errors are correlated over runs and differ in size and spread."""
+    rng = np.random.default_rng([n, 5])
+    shared = rng.standard_exponential((3, n))
+    a, b = shared + rng.standard_exponential((3, n)), 0.2 + 0.3 * shared + rng.random((3, n)) ** 2
+    e = comparison.paired_ratio(a, b)
+    assert e.n == n
+    for k in range(3):
+        known = reference.ratio(a[k], b[k])
+        for name in ("mean", "ci_low", "ci_high"):
+            assert getattr(e, name)[k] == pytest.approx(known[name], rel=1e-10, nan_ok=True)
+
+
+def test_ratio_to_a_mean_of_zero_is_none():
+    e = comparison.paired_ratio(np.ones((1, 4)), np.zeros((1, 4)))
+    assert np.isnan(e.mean)
+    assert np.isnan(comparison.paired_ratio(np.ones((1, 0)), np.ones((1, 0))).mean)
 
 
 def test_swapping_a_and_b_flips_the_sign_and_the_probability():
