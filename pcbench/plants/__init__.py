@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 from jaxtyping import PyTree
 
-from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, reactor
+from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, ncs_reactor, ncs_two_state, reactor
 from pcbench.plants.factory import PlantSpec, make_plant
 from pcbench.scenarios import Scenario
 
@@ -37,6 +37,8 @@ PLANTS: dict[str, PlantSpec] = {
     "reactor": _of(reactor, "gas-phase batch reactor with measured total pressure, 2 states")._replace(
         heavy=True, model=reactor.model, positive=("k1", "k2"), drifts=False
     ),
+    "ncs-two-state": _of(ncs_two_state, "two-state plant of networked control, 2 states")._replace(drifts=False),
+    "ncs-reactor": _of(ncs_reactor, "unstable batch reactor of networked control, 4 states")._replace(drifts=False),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }
 

@@ -49,10 +49,7 @@ def nominal(p: Numbers) -> Model:
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of one tick of `dt` seconds."""
-    m = nominal(numbers)
-    gain, bias = numbers.input_gain, numbers.input_bias
-    linear = lti.Numbers(A=m.A, B=m.B, C=m.C, D=m.D, discrete=m.discrete, input_gain=gain, input_bias=bias)
-    return lti.prepare(linear, dt, ticks)
+    return lti.prepare_model(nominal(numbers), numbers.input_gain, numbers.input_bias, dt, ticks)
 
 
 PLANT = lti.PLANT

@@ -116,6 +116,12 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     )
 
 
+def prepare_model(model: Model, gain: float, bias: float, dt: float, ticks: int) -> Params:
+    """Return the map of one tick of a plant that differs from its model by input gain and bias only."""
+    numbers = Numbers(A=model.A, B=model.B, C=model.C, D=model.D, discrete=model.discrete)
+    return prepare(numbers._replace(input_gain=gain, input_bias=bias), dt, ticks)
+
+
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Advance x by one tick under the held now.u."""
     moved = params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)

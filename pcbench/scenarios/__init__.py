@@ -4,9 +4,13 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.helicopter import HELICOPTER
+from pcbench.scenarios.ncs_reactor import NCS_REACTOR
+from pcbench.scenarios.ncs_two_state import NCS_TWO_STATE
 from pcbench.scenarios.reactor import REACTOR
 from pcbench.scenarios.scenario import INTERVAL, NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
-SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR)}
+SCENARIOS: dict[str, Scenario] = {
+    s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR, *NCS_TWO_STATE, *NCS_REACTOR)
+}
