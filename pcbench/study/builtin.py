@@ -1,6 +1,6 @@
 """The studies that pcbench brings along, by name."""
 
-from math import inf
+from math import inf, sqrt
 
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.scenario_schema import ScenarioTable
@@ -161,6 +161,13 @@ STUDIES = {
             "sampling_period": [round(0.02 * i, 2) for i in range(1, 21)],
             "delay": [round(0.02 * i, 2) for i in range(20)],
         },
+    ),
+    "growth-model": Study(  # x(0) from N(0, 5), for which the scenario's module has independent numbers
+        name="growth-model",
+        scenarios=["gordon"],
+        tables={"gordon": ScenarioTable.model_validate({"base": "growth-model/gordon", "prior_std": [sqrt(5.0)]})},
+        seeds=400,
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(

@@ -20,7 +20,8 @@ PROGRAMS = {
     "measurement-errors": 5,
     "reactor": 3,  # each expensive observer has one of its own
     "equal-tuning-reactor": 2,
-    "all": 15,
+    "all": 17,
+    "growth-model": 2,
     "variable-sampling": 2,
 }
 
