@@ -4,6 +4,7 @@ Bands contain 95 % of the values if the observer's covariance is true and errors
 """
 
 from collections.abc import Mapping, Sequence
+from math import floor, log10
 
 import numpy as np
 import pandas as pd
@@ -39,7 +40,7 @@ def states(r: Replayed, signal: str, paper: Paper = PAPER) -> Figure:
             set_limits(ax, "x", *((low, high) if ax is part else (0.0, r.end)))
         axes[-1].set_xlabel("t [s]")
         whole.set_title(f"{name} {unit}")
-        part.set_title(f"{name} from {low:.4g} s to {high:.4g} s {unit}")
+        part.set_title(f"{name} from {span(low, high)} {unit}")
         values = [_late(r, every[observer]).estimate for observer in r.scale]
         for kind in ("truth", "smoothed"):
             if signal in getattr(r, kind):
@@ -60,6 +61,12 @@ def excerpt_of(r: Replayed) -> tuple[float, float]:
     """Return the short time [s] in the middle of a recording that is drawn tick by tick."""
     wide = min(max(EXCERPT * r.end / max(r.summary["rows"], 1), 20 * r.summary["dt"]), r.end)
     return 0.5 * (r.end - wide), 0.5 * (r.end + wide)
+
+
+def span(low: float, high: float) -> str:
+    """Return a short time [s] in words, with the digits that its length needs."""
+    digits = max(1 - floor(log10(high - low)), 0)
+    return f"{low:.{digits}f} s to {high:.{digits}f} s"
 
 
 def _late(r: Replayed, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:

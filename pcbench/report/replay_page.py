@@ -156,7 +156,7 @@ def _states(r: Replayed, signal: str, paper: Paper) -> Picture:
     known = "true states" if signal in r.truth else "smoothed states" if signal in r.smoothed else ""
     low, high = replays.excerpt_of(r)
     text = f"{signal.replace('_', ' ')} as estimated by {', '.join(r.observers)}, over all {number(r.end)} s and from "
-    text += f"{number(low)} s to {number(high)} s" + (f", and its difference from the {known}." if known else ".")
+    text += replays.span(low, high) + (f", and its difference from the {known}." if known else ".")
     return Picture(
         f"state-{signal}", signal.replace("_", " "), replays.states(r, signal, paper), text, f"{BANDS} {THINNED}"
     )

@@ -58,7 +58,8 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
     with zipfile.ZipFile(wheel) as files:
         names = set(files.namelist())
     pages = {f"pcbench/guide/{path.relative_to(GUIDE).as_posix()}" for path in GUIDE.rglob("*") if path.is_file()}
-    assert pages | {"pcbench/py.typed", "pcbench/references.bib", "pcbench/report/page.html"} <= names
+    others = ("py.typed", "references.bib", "report/page.html", "report/replay.html", "cli/templates/recording/LICENSE")
+    assert pages | {f"pcbench/{name}" for name in others} <= names
     assert not any(name.startswith("tests/") for name in names)
     place = tmp_path / "place"
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(place), str(wheel)]

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from browser import CHROMIUM, looked_at
 from commands import call
@@ -13,6 +14,7 @@ from reference import logs as reference
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.playback import setup
 from pcbench.plots import replay_frames, replays
 from pcbench.plots.layout import PAPER
 from pcbench.report import page, replay_page
@@ -36,7 +38,9 @@ def folders(tmp_path_factory):
     """Replays of two sensors: with the truth, and without it and without a filter."""
     out = tmp_path_factory.mktemp("replays")
     pcbench.simulate(TWO, "kf", seed=5, log=out / "log")
-    pcbench.replay(out / "log", TWO, OBSERVERS, out=out / "full")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(setup, "LENGTH", 64)  # ticks of a part
+        pcbench.replay(out / "log", TWO, OBSERVERS, out=out / "full")
     (out / "log" / "truth.parquet").unlink()
     pcbench.replay(out / "log", TWO, "model-only", out=out / "bare")
     return out
@@ -44,6 +48,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def full(folders):
+    assert pq.ParquetFile(folders / "full" / "estimates.parquet").num_row_groups > 3
     return replay_frames.open_replay(folders / "full")
 
 
@@ -98,6 +103,14 @@ def test_likelihood_over_time_has_the_mean_of_the_whole(folders, full, monkeypat
     part = np.minimum((every.t / full.end * 7).astype(int), 6)
     np.testing.assert_allclose(found.value, each.groupby(part).mean(), rtol=1e-12)
     assert each.mean() == pytest.approx(full.summary["innovations"][0]["log_likelihood"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [(27.96, 32.11, "28.0 s to 32.1 s"), (499.98, 500.02, "499.980 s to 500.020 s"), (30.0, 900.0, "30 s to 900 s")],
+)
+def test_short_time_has_the_digits_that_it_needs(low, high, words):
+    assert replays.span(low, high) == words
 
 
 def test_extremes_are_the_least_and_largest_of_each_bin():
