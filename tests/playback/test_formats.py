@@ -36,6 +36,8 @@ def same(found, tabled, frame):
     assert many > 380
     for column in found.columns[1:]:
         np.testing.assert_array_equal(found[column][:many], tabled[column][:many], err_msg=column)
+        if column.endswith(".sigma"):  # traces have none without consistency
+            continue
         peak = np.abs(frame[column]).max()
         np.testing.assert_allclose(tabled[column][:many], frame[column][:many], rtol=0, atol=1e-14 * peak)
 

@@ -104,7 +104,7 @@ def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     entry, options = cell.entry("kf"), cell.options["kf"]
 
     def design(point):
-        free = options.model_copy(update={"R": tuple(np.exp(point).tolist())})
+        free = options.model_copy(update={"R": np.exp(point).tolist()})
         return planning.run_design("kf", entry, p.setting, free).gains
 
     found = likelihood.evaluator(p, part, design)(np.log(R))
