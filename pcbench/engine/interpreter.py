@@ -48,7 +48,7 @@ def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[Py
     env = dict(zip(itertools.chain(jaxpr.constvars, jaxpr.invars), itertools.chain(consts, args), strict=True))
 
     def read(v: PyTree) -> PyTree:
-        return np.asarray(v.val, v.aval.dtype) if isinstance(v, Literal) else env[v]  # jax may keep a number of Python
+        return jaxpr_compat.value(v) if isinstance(v, Literal) else env[v]
 
     for eqn in jaxpr.eqns:
         args = [read(v) for v in eqn.invars]

@@ -61,6 +61,11 @@ class While(NamedTuple):
     body_consts: int
 
 
+def value(literal: Any) -> np.ndarray:
+    """Return a literal's number as an array; jax may keep one of Python."""
+    return np.asarray(literal.val, literal.aval.dtype)
+
+
 def callee(params: EqnParams) -> ClosedJaxpr:
     """Return the program that one of CALLS applies, closed."""
     found = params.get("jaxpr") or params["call_jaxpr"]

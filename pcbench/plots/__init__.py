@@ -15,9 +15,10 @@ from pcbench.plots.labels import save
 from pcbench.plots.layout import Paper
 from pcbench.plots.lines import convergence, cost, curves, distributions, quantiles
 from pcbench.plots.maps import divergence, heatmaps, winners
+from pcbench.plots.paired_ratios import ratios
 from pcbench.plots.palette import styles
-from pcbench.plots.ratios import ratios
+from pcbench.plots.regret_matrix import regrets
 from pcbench.plots.time_series import delays, nees, time
 
 __all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps",
-           "nees", "quantiles", "ratios", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
+           "nees", "quantiles", "ratios", "regrets", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip

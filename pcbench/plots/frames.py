@@ -235,6 +235,13 @@ def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:
     return {name: here[name] for name in varying(part)}
 
 
+def named_values(result: Result, part: pd.DataFrame, cell: int) -> dict[str, object]:
+    """Return the values of the axes that name a grid point: of axes that vary one at a time, those that are not the first."""
+    here, first = values_at(part, cell), values_at(part, int(part.cell.iloc[0]))
+    alone = result.study.vary == "one-at-a-time"
+    return {axis: value for axis, value in here.items() if not alone or value != first[axis]}
+
+
 def has_spread(part: pd.DataFrame) -> bool:
     """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
     spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()

@@ -40,7 +40,7 @@ def distributions(
     """
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
-    with sheet(paper, about(result, named, frames.values_at(named, cell))) as (figure, (ax,)):
+    with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
         set_range(ax, "x", part.value)
         set_limits(ax, "y", 0.0, 1.0)
         ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
@@ -112,7 +112,7 @@ def convergence(
     named = frames.rows(result, scenario, signal, metric)
     part = frames.convergence(result, scenario, signal, metric, cell)
     look = styles(named.observer)
-    with sheet(paper, about(result, named, frames.values_at(named, cell))) as (figure, (ax,)):
+    with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
         set_values(ax, "x", sorted(set(part.seeds)) or [1, 2])
         set_range(ax, "y", 100 * part.half, log=True)
         ax.set(title=f"half 95 % interval of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="runs")
@@ -184,7 +184,7 @@ def cost(
     both = chosen.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
     look, row = styles(both.observer), chosen.iloc[0]
-    with sheet(paper, about(result, chosen, frames.values_at(whole, cell))) as (figure, (ax,)):
+    with sheet(paper, about(result, chosen, frames.named_values(result, whole, cell))) as (figure, (ax,)):
         set_range(ax, "x", both[by], margin=0.12)
         set_range(ax, "y", both[["mean", "ci_low", "ci_high"]], is_wide(both["mean"]), margin=0.12)
         ax.set(title=title_of(metric, row.signal, row.unit), xlabel=COSTS[by])

@@ -68,7 +68,7 @@ def draw_run(
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
-    at = [frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items()]
+    at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
     title = ", ".join([title_of_scenario(result, scenario), *at, f"seed {seed}"])
     plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
     has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
@@ -220,7 +220,7 @@ def nees(
 def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
     """Draw the NEES of a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
-    at = (frames.format_axis(axis, value) for axis, value in frames.values_at(stats, cell).items())
+    at = (frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items())
     title = ", ".join([title_of_scenario(result, scenario), *at])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))

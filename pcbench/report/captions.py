@@ -11,8 +11,10 @@ import numpy as np
 import pandas as pd
 
 from pcbench.plots import frames, layout, one_run
+from pcbench.plots.labels import times
 from pcbench.plots.layout import number as exact
-from pcbench.plots.ratios import Ratios, verdict
+from pcbench.plots.paired_ratios import Ratios, verdict
+from pcbench.plots.regret_matrix import Regrets
 from pcbench.plots.time_series import BANDS, over
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.aggregate import Row
@@ -30,6 +32,7 @@ HONESTY = (
     f"NEES: the squared error divided by the observer's covariance, as a mean over runs ({one_run.RUNS} if they differ). "
     "Above the band an observer is optimistic, below it pessimistic."
 )
+SAME = 1.0005  # a ratio below it is written as 1
 WORDS = {"published": "published", "design": "designed", "tuned": "tuned"}
 
 
@@ -64,6 +67,22 @@ def best(found: Ratios) -> str:
     elif runs < 2:
         return f"{found.best} has the least error; one run shows no significance."
     return f"{found.best} has the least error, and {beaten} significantly worse ({method})."
+
+
+def regrets(found: Regrets) -> tuple[str, str]:
+    """Return the largest ratio of each observer, and which has the smallest, in a sentence."""
+    largest = found.largest
+    text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
+    first, method = found.observers[0], "exact values" if not found.runs else f"{found.runs:,} runs"
+    if found.runs > 1:
+        method += ", hatched: not significant by the paired t-test with Holm's correction at 5 %"
+    if not np.isfinite(largest[first]):
+        return text, f"Each observer diverges in a situation ({method})."
+    many = f"{len(found.situations)} situations"
+    if largest[first] < SAME:
+        return text, f"{first} has the least error in all {many} ({method})."
+    worst = f"at most {times(largest[first])} the least error in {many}"
+    return text, f"{first} has the smallest worst case: its error is {worst} ({method})."
 
 
 def _joined(names: list[str]) -> str:

@@ -1,6 +1,7 @@
 """The figures of a study with their captions: the page shows them, and `--figures` writes them as SVG, PDF and PNG files."""
 
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,8 @@ from pcbench.plants import signals_of
 from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
 from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
 from pcbench.plots.layout import PAPER, Paper
-from pcbench.plots.ratios import ratios_of
+from pcbench.plots.paired_ratios import ratios_of
+from pcbench.plots.regret_matrix import regrets_of
 from pcbench.report import captions
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
@@ -167,6 +169,13 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
 
 
+def of_study(result: Result, shown: FigureOptions) -> Iterator[Picture]:
+    """Yield the figures of all scenarios and grid points together."""
+    if found := regrets_of(result, shown.metric, shown.signals):
+        figure = plots.regrets(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
+        yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(found))
+
+
 def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
     """Return the unit of a signal."""
     return dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
@@ -182,7 +191,7 @@ def write(
     """Write every figure of the page, and return the names of the files, without their suffix."""
     every = places(result, result.scenarios, shown, progress)
     drawn = (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures)
-    return put_figures(drawn, out, formats, progress)
+    return put_figures(chain(drawn, of_study(result, shown)), out, formats, progress)
 
 
 def put_figures(

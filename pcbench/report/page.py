@@ -96,7 +96,8 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         sections.append(_section(places[name], anchor))
         progress.step(1)
     drawn = (part.pictures for section in sections for part in section.parts)
-    head = [next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)]
+    first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
+    head = [*([first] if first else []), *map(_inline, figures.of_study(result, shown))]
     meaning = {m: MEANING.get(m, OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
@@ -111,7 +112,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         metric=shown.metric,
         metric_means=meaning[shown.metric],
         sure=_how_sure(result),
-        head=[picture for picture in head if picture],
+        head=head,
         tally=won,
         summary=rows,
         several=any(t.of > len(rows) for t in won),
@@ -136,10 +137,7 @@ def render(template: str, **words: object) -> str:
 def _section(place: figures.Place, anchor: str) -> Section:
     result, scenario, shown, parts = place.result, place.scenario, place.shown, []
     for signal, pictures in figures.of_scenario(place):
-        drawn = [
-            {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
-            for p in pictures
-        ]
+        drawn = list(map(_inline, pictures))
         if signal is None:
             parts += [Part("All signals", [], "", drawn)] if drawn else []
             continue
@@ -148,6 +146,10 @@ def _section(place: figures.Place, anchor: str) -> Section:
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(f"Error of {signal.replace('_', ' ')} [{unit}]", tables, at, drawn))
     return Section(anchor, title_of_scenario(result, scenario), of_scenario.experiment(result, scenario), parts)
+
+
+def _inline(p: figures.Picture) -> dict[str, str]:
+    return {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
 
 
 def _what(result: Result) -> str:

@@ -9,7 +9,7 @@ import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.ratios import ratios_of
+from pcbench.plots.paired_ratios import ratios_of
 from pcbench.report import captions
 
 OBSERVERS = ["pccebo", "kfbo", "kf", "kf-twin"]

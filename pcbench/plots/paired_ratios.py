@@ -136,7 +136,7 @@ def ratios(
     rows, look = found.rows, styles(whole.observer)
     words = describe_metric(result.ranks(metric), whole.signal.iloc[0])
     method = "exact values" if found.exact else "95 % paired intervals, p-values of the paired t-test (Holm)"
-    title = f"{words}: {about(result, whole, frames.values_at(whole, cell))}, {method}"
+    title = f"{words}: {about(result, whole, frames.named_values(result, whole, cell))}, {method}"
     hollow = {"marker": "o", "mfc": "white", "linestyle": "none", "markersize": 5}
     keys: list[Artist] = [] if found.exact else [Patch(color=GRID, label="not distinguishable (95 %)")]
     if not rows.worse[1:].all():

@@ -1,0 +1,107 @@
+"""Regret matrix: ratios to the least mean of each situation, hatched where a paired test finds no difference."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.text import Text
+
+import pcbench
+from pcbench import plots
+from pcbench.errors import UserError
+from pcbench.plots import labels, regret_matrix
+from pcbench.report import captions
+
+STUDY = {
+    "name": "situations",
+    "scenarios": ["cart/nominal", "cart/white", "cart/gaussian"],
+    "observers": ["pccebo", "kfbo", "kf", "kf-ignore-delay"],
+    "seeds": 6,
+    "axes": {"delay": [0.0, 0.4]},
+}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return pcbench.run(STUDY)
+
+
+def by_hand(result):
+    """Means by situation and observer, without those whose least mean is 0."""
+    rows = result.runs[result.runs.signal == "position"]
+    names = rows.scenario.astype(str) + ", delay " + np.where(rows.cell == 0, "0 s", "0.4 s")
+    means = rows.groupby([names, rows.observer.astype(str)]).steady_rmse.mean().unstack()
+    return means[means.min(axis=1) > 1e-11]
+
+
+@pytest.mark.ci
+def test_regret_is_error_over_least_error_of_situation(result):
+    found, means = regret_matrix.regrets_of(result), by_hand(result)
+    assert set(found.situations) == set(means.index)
+    assert not [name for name in found.situations if "nominal" in name]
+    ratios = means.div(means.min(axis=1), axis=0)
+    wide = found.rows.pivot(index="situation", columns="observer", values="ratio")
+    pd.testing.assert_frame_equal(wide, ratios.loc[wide.index, wide.columns], rtol=1e-10, check_names=False)
+    assert found.observers == list(ratios.max().sort_values(kind="stable").index)
+    assert found.runs == 6
+
+
+@pytest.mark.ci
+def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
+    found, (ax,) = regret_matrix.regrets_of(result), plots.regrets(result).axes
+    assert [t.get_text() for t in ax.get_yticklabels()] == found.observers
+    assert [t.get_text() for t in ax.get_xticklabels()] == found.situations
+    at = {tuple(map(int, t.get_position())): t for t in ax.texts}
+    hatched = {(round(p.get_x() + 0.5), round(p.get_y() + 0.5)) for p in ax.patches if p.get_hatch()}
+    colours = {p.get_gid().partition(":")[2]: sum(p.get_facecolor()[:3]) for p in ax.patches if p.get_gid()}
+    pairs = result.pairs.query("metric == 'steady_rmse' and signal == 'position'")
+    ties = 0
+    for x, situation in enumerate(found.situations):
+        mine = found.rows[found.rows.situation == situation].set_index("observer")
+        best = mine.ratio.idxmin()
+        scenario, cell = situation.split(", delay ")[0], int(situation.endswith("0.4 s"))
+        tests = pairs[(pairs.scenario == scenario) & (pairs.cell == cell)]
+        for y, observer in enumerate(found.observers):
+            assert at[x, y].get_text() == regret_matrix.number(mine.ratio[observer])
+            assert (at[x, y].get_fontweight() == "bold") == (observer == best)
+            both = tests[tests.observer_a.isin([observer, best]) & tests.observer_b.isin([observer, best])]
+            tie = observer != best and (both.p_holm.iloc[0] > 0.05 or both.prob_a_better.iloc[0] == 0.5)
+            assert ((x, y) in hatched) == tie
+            ties += tie
+    assert 0 < ties < len(at) / 2
+    ordered = found.rows.sort_values("ratio")
+    shades = [
+        colours[next(k for k in colours if k.startswith(f"{r.observer}, {r.situation}:"))] for r in ordered.itertuples()
+    ]
+    assert shades == sorted(shades, reverse=True), "larger is darker"
+    assert shades[0] == 3.0, "white"
+    said = " ".join(t.get_text().replace("\n", " ") for t in plots.regrets(result).findobj(Text))
+    for part in ("6 runs", "not significant (paired t-test, Holm, 5 %)", "position"):
+        assert part in said
+
+
+@pytest.mark.ci
+def test_caption_names_smallest_worst_case(result):
+    found = regret_matrix.regrets_of(result)
+    text, note = captions.regrets(found)
+    assert note.startswith("kf has the least error in all 4 situations (6 runs, hatched: not significant")
+    assert text.startswith("Largest ratios: kf 1×")
+    _, note = captions.regrets(found._replace(observers=found.observers[1:]))
+    worst = labels.times(found.largest[found.observers[1]])
+    assert f"{found.observers[1]} has the smallest worst case: its error is at most {worst} the least" in note
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [(1.0, "1"), (1.004, "1"), (1.04, "1.04"), (1.4, "1.4"), (64.2, "64"), (213.0, "210"), (np.inf, "∞")],
+)
+def test_ratio_has_two_digits(ratio, text):
+    assert regret_matrix.number(ratio) == text
+
+
+def test_one_situation_has_no_matrix():
+    result = pcbench.run(
+        STUDY | {"scenarios": ["cart/nominal", "cart/slow"], "axes": {}, "seeds": 2, "observers": ["kf", "kfbo"]}
+    )
+    assert regret_matrix.regrets_of(result) is None
+    with pytest.raises(UserError, match="expected two"):
+        plots.regrets(result)
