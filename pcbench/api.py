@@ -224,7 +224,7 @@ def simulate(
     every = [name for name, _ in signals_of(p.cell.scenario)]
     signals, own_errors = every[: out.x.shape[1]], every[out.x.shape[1] :]
     if log is not None:
-        tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals, p.cell.times.error)
+        tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
         for name, table in tables.items():
             single_table.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pcbench import toml_text
 from pcbench.cli.options import Json, Late, Observer, Quiet, Scenario, Set, Signal
-from pcbench.cli.shared import console, names, option, out, setup, working
+from pcbench.cli.shared import console, names, option, out, require_effect, setup, working
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 from pcbench.toml_text import TomlTable
@@ -116,19 +116,29 @@ def tune(
         str | None, option("Recording: tune noise intensities by its likelihood, and test them on its last part")
     ] = None,
     delay: Late = None,
+    find_delay: Annotated[
+        bool, option("Find the delay of each channel of the recording too, with a 95 % interval", "--find-delay")
+    ] = False,
+    max_delay: Annotated[
+        float | None, option("Longest delay to search [s] [default: ten sampling intervals of the slowest channel]")
+    ] = None,
     changes: Set = None,
     folder: Annotated[
-        str | None, out("Folder for tuned.toml and the history; the same command continues a stopped tuning")
+        str | None,
+        out(
+            "Folder for tuned.toml, the history and, with --find-delay, recording.toml and delay.png; the same command "
+            "continues a stopped tuning"
+        ),
     ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Tune an observer's free parameters on some seeds, and test them on others.
 
-    With --log, tune its noise intensities on a recording.
+    With --log, tune its noise intensities on a recording. With --find-delay, find the delays of its channels too.
 
     Example: pcbench tune cart/gaussian pccebo --objective steady_rmse --out tuned
-    Example: pcbench tune motor.toml kf --log flight --out tuned
+    Example: pcbench tune motor.toml kf --log flight --find-delay --out tuned
     """
     setup()
     from pcbench.cli.render import gains
@@ -148,15 +158,18 @@ def tune(
             f"{given[0]} has no effect with --log: the objective on a recording is its likelihood; leave "
             f"{' and '.join(given)} out, or --log."
         )
-    if log is None and delay is not None:
-        raise UserError("--delay has no effect without --log; leave it out, or give --log.")
+    if log is None:
+        of_a_log = {"--delay": delay, "--find-delay": find_delay, "--max-delay": max_delay}
+        require_effect(of_a_log, "without --log", "leave it out, or give --log")
     options: TomlTable = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
     with working(quiet or as_json, "designing gains") as options["progress"]:
         if log is not None:
             from pcbench.playback.tuning import tune_log
 
-            on_log = tune_log(log, scenario, observer, delay=delay, **options)
+            on_log = tune_log(
+                log, scenario, observer, delay=delay, find_delay=find_delay, max_delay=max_delay, **options
+            )
         else:
             found = tune.tune(
                 scenario,
@@ -170,8 +183,13 @@ def tune(
                 **options,
             )
     if log is not None:
+        if on_log.delays and folder is not None:
+            from pcbench.plots import delay_profiles, save
+
+            save(delay_profiles(on_log.delays), str(Path(folder) / "delay.png"))
         if as_json:
-            fields = {name: value for name, value in on_log._asdict().items() if name != "study"}
+            fields = {name: value for name, value in on_log._asdict().items() if name not in ("study", "delays")}
+            fields |= {"delay": {d.channel: d._asdict() for d in on_log.delays}} if find_delay else {}
             fields["intensities"] = [i._asdict() for i in on_log.intensities]
             print(readable(fields | {"points": len(on_log.points), "method": "likelihood"}))
         elif not quiet:

@@ -4,11 +4,12 @@
 
 An observer whose model is true has independent innovations, so the sum of l_i is the log-likelihood of the log (by its
 prediction errors). Derivatives go forwards through the replay: there are few parameters, so each sample has its own score, and
-no tick is kept. From the parameters to the gains lead the observer's own designs (`gains.optimizers.directions`).
+no tick is kept. From the parameters to the gains lead the observer's own designs: a few if gains are affine in the intensities
+exp z, as those of all Kalman filters are, else some around every point (`gains.optimizers.directions`).
 Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Information Theory 11 (1965).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -20,9 +21,10 @@ from jaxtyping import PyTree
 
 from pcbench.errors import UserError
 from pcbench.gains import optimizers
-from pcbench.gains.parameters import Vector
+from pcbench.gains.parameters import LEAST, Vector
 from pcbench.playback import step_block, stream
 from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
+from pcbench.protocols import Leaf
 from pcbench.recordings.log import Floats, Ints
 from pcbench.recordings.windows import Window
 from pcbench.runtime import program_cache
@@ -30,6 +32,8 @@ from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import power_of_2
 
 MOST = 1 << 22  # ticks of a log that is held in memory
+BETWEEN = (np.log(LEAST), -np.log(LEAST))  # logarithms of intensities, as `gains.parameters` has them
+AFFINE = 1e-6  # of a gain: what it may differ from one that is affine in the intensities
 
 
 class SampleLikelihood(NamedTuple):
@@ -57,18 +61,62 @@ def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
     return p, part
 
 
+class AffineGains(NamedTuple):
+    """Gains as a function of P noise intensities."""
+
+    tree: jax.tree_util.PyTreeDef
+    real: tuple[bool, ...]  # which leaves are real numbers
+    start: list[Leaf]  # each leaf, without noise
+    slope: list[Floats]  # [P, ...] of each real leaf
+
+
+def moved(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], by: Leaf) -> list[Leaf]:
+    """Return leaves, those that are real numbers moved by by_j slope_j."""
+    left = iter(slope)
+    return [a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
+
+
+def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains | None:
+    """Return gains as they follow from intensities exp z, by designs around a point; None if they are not affine in them."""
+    leaves, tree = jax.tree.flatten(design(z))
+    real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
+
+    def at(point: Vector) -> list[Floats]:
+        return [np.asarray(a) for a in optimizers.numbers(design(point))]
+
+    v, here = np.exp(z), at(z)
+    doubled = [at(z + np.log(2.0) * row) for row in np.eye(len(z))]
+    slope = [np.stack([b[i] - a for b in doubled]) / v.reshape(-1, *[1] * a.ndim) for i, a in enumerate(here)]
+    start = [a - np.tensordot(v, s, 1) for a, s in zip(here, slope, strict=True)]
+    probe = z + np.linspace(-1.0, 1.5, len(z))
+    for a, b, s in zip(at(probe), start, slope, strict=True):
+        if np.abs(b + np.tensordot(np.exp(probe), s, 1) - a).max(initial=0.0) > AFFINE * np.abs(a).max(initial=0.0):
+            return None
+    each = iter(start)
+    return AffineGains(tree, real, [next(each) if r else a for a, r in zip(leaves, real, strict=True)], slope)
+
+
 def evaluator(
     p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]
 ) -> Callable[[Vector], SampleLikelihood]:
     """Return what computes how likely each sample is at a point of the free parameters; errors as of `design`."""
     inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
     bare = p.problem._replace(inputs=inputs, gains={})
+    affine: list[AffineGains | None] = []
 
     def at(point: Vector) -> SampleLikelihood:
-        gains = design(point)
-        along = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
-        leaves, tree = jax.tree.flatten(gains)
-        real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
+        if not affine:
+            affine.append(affine_gains(design, point))
+        if affine[0] is None:
+            leaves, tree = jax.tree.flatten(design(point))
+            real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
+            along = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
+        else:
+            tree, real, start, slope = affine[0]
+            v = np.exp(np.clip(point, *BETWEEN))
+            leaves = moved(real, start, slope, v)
+            v = np.where(v == np.exp(point), v, 0.0)  # what is clipped does not move
+            along = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
         numbers, slopes = map(np.asarray, jit_likelihood()(p.layout, tree, real, leaves, along, bare, part.window))
         judged = numbers[..., 1] > 0
         return SampleLikelihood(numbers[judged], part.first + np.nonzero(judged)[0], slopes[judged])
@@ -91,11 +139,7 @@ def _run(
     truth = jnp.zeros((len(ticks), 0))
 
     def numbers(by: Array) -> tuple[Array, Array]:
-        left = iter(along)
-        moved = [
-            a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(leaves, real, strict=True)
-        ]
-        problem = p._replace(gains={label: jax.tree.unflatten(tree, moved)})
+        problem = p._replace(gains={label: jax.tree.unflatten(tree, moved(real, leaves, along, by))})
         state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
         state = state if w.variance_ratio is None else step_block.with_variances(state)
         surprise = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise

@@ -21,8 +21,10 @@ from pcbench.recordings.windows import Room
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
+from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.load import Described
+from pcbench.toml_text import TomlTable
 
 
 class ReplayResult(NamedTuple):
@@ -64,13 +66,14 @@ def replay(
     Args:
         log: folder or file of tables, or a TOML file that maps a bag's fields to channels (see `pcbench.recordings`);
             or a dict of pandas frames with the columns of these tables: `measurements`, and `inputs` and `truth` if known.
-        plant: a study of one scenario and one grid point. Its outputs are the recording's channels, in the same order.
+        plant: a study of one scenario. Its outputs are the recording's channels, in the same order.
         observers: names of observers, or "all".
         out: folder for estimates and tables. Default: none are written.
         delay: delay of every measurement [s], for a recording without arrival times.
         start: time of tick 0 in the recording [s]. Default: its first time.
         seed: index of the seed, for observers that draw random numbers.
-        overrides: changes of the study as texts.
+        overrides: changes of the study as texts. If an axis has several values, such as
+            "axes.assumed_delay_error=[0.1, 0.2]", the result compares their likelihoods, and has no estimates.
         progress: is called with the progress, in ticks.
 
     Returns:
@@ -81,14 +84,47 @@ def replay(
     """
     names = [observers] if isinstance(observers, str) else list(observers)
     with config.float64(), ending.temporary_folder() as spare:
-        a = open_playback(log, plant, names, delay=delay, start=start, overrides=overrides)
-        a.remarks.extend(stamps_that_go_back(a.survey))
-        room = room_of(a)
-        if parse.ALL in names:
-            a = _capable(a, room, names)
-        p = prepare_observers(a, room)
-        with replay_metrics.draft(Path(spare if out is None else out)) as draft:
-            return _results(a, p, _run(a, p, draft, seed, progress), draft, in_memory=out is None)
+        grid = all_observers.grid_of(plant, {"observers": names}, overrides or [])
+
+        def one(folder: str | Path, cell: Cell | None) -> ReplayResult:
+            a = open_playback(log, plant, names, delay=delay, start=start, overrides=overrides, cell=cell)
+            a.remarks.extend(all_observers.sentences(grid.study.excluded if cell else None))
+            a.remarks.extend(stamps_that_go_back(a.survey))
+            room = room_of(a)
+            if parse.ALL in names:
+                a = _capable(a, room, names)
+            p = prepare_observers(a, room)
+            with replay_metrics.draft(Path(folder)) as draft:
+                return _results(a, p, _run(a, p, draft, seed, progress), draft, in_memory=out is None)
+
+        axes = [name for name, values in grid.study.axes.items() if len(values) > 1]
+        if len(grid.cells) == 1 or len(grid.study.scenarios) > 1:
+            return one(spare if out is None else out, grid.cells[0] if len(grid.cells) == 1 else None)
+        each = [(cell.values, one(spare, cell)) for cell in grid.cells]
+        return _likelihoods(axes, each, None if out is None else Path(out))
+
+
+def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], out: Path | None) -> ReplayResult:
+    """What innovations say at each value of some axes, without estimates; also as a file in a folder."""
+
+    def joined(frames: list[pd.DataFrame]) -> pd.DataFrame:
+        for (values, _), frame in zip(each, frames, strict=True):
+            for i, name in enumerate(axes):
+                frame.insert(i, name, values[name])
+        return pd.concat(frames, ignore_index=True)
+
+    innovations, channels = joined([r.innovations for _, r in each]), joined([r.channels for _, r in each])
+    first = each[0][1].summary
+    summary = {name: first[name] for name in ("log", "plant", "rows", "dt")} | {
+        "axes": axes,
+        "said": list(dict.fromkeys(sentence for _, r in each for sentence in r.summary["said"])),
+        "innovations": innovations.to_dict("records"),
+        "channels": channels.to_dict("records"),
+    }
+    if out is not None:
+        replay_metrics.write_summary(out, summary)
+    none = pd.DataFrame()
+    return ReplayResult(innovations, none, none, None, replay_metrics.plain(summary), channels)
 
 
 def _capable(a: Playback, room: Room, names: list[str]) -> Playback:

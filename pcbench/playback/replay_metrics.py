@@ -158,6 +158,13 @@ def draft(folder: Path) -> Iterator[Draft]:
         clear()
 
 
+def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
+    """Write what is known of a replay without estimates into a folder; raise UserError where it cannot be written."""
+    with draft(folder) as made:
+        storage.put_json(storage.target(folder), made.summary.name, plain(summary))
+        storage.rename_all([(made.summary, folder / SUMMARY)])
+
+
 def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
     """Yield the estimates of a file part by part, with the tick at which each begins."""
     first = 0

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 def tables_of(
-    samples: list[Sample], schedule: Schedule, recording: "Recording", dt: float, signals: list[str], error: int = 0
+    samples: list[Sample], schedule: Schedule, recording: "Recording", dt: float, signals: list[str]
 ) -> dict[str, pa.Table]:
     """Return the tables of a run by name.
 
-    The times of `samples` are the stamps that observers get, which assume a delay that is `error` ticks too long
-    (`Sample.stamp`). One that was lost, or is on its way when the run ends, never arrives. Raises UserError where measuring
-    began before tick 0: such samples have measured nothing that a log holds.
+    The times of `samples` are their stamps. What observers assume wrongly of them (`assumed_delay_error`) is no part of a log:
+    `replay` takes it from the plant file. One that was lost, or is on its way when the run ends, never arrives. Raises
+    UserError where measuring began before tick 0: such samples have measured nothing that a log holds.
     """
     if len(schedule.early):
         raise UserError(
@@ -34,7 +34,7 @@ def tables_of(
     value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.brought[k, slot, channel], strict=True))
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
-        sampled=np.array([s.stamp(error) * dt for s in every]),
+        sampled=np.array([s.stamp(0) * dt for s in every]),
         arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
         value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
         row=np.arange(1, len(every) + 1),

@@ -16,7 +16,7 @@ from pcbench.planning import all_observers
 from pcbench.plants import estimated_of
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
-from pcbench.recordings.log import Floats, Log
+from pcbench.recordings.log import Floats, Log, shift_stamps
 from pcbench.recordings.survey import Survey, survey
 from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import Clock
@@ -65,11 +65,22 @@ def open_playback(
     delay: float | None = None,
     start: float | None = None,
     overrides: list[str] | None = None,
+    clock_offsets: Floats | None = None,
+    cell: Cell | None = None,
 ) -> Playback:
-    """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit."""
-    study, cell = all_observers.one_cell(plant, observers, overrides or [])
+    """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit.
+
+    `clock_offsets` [q] s are added to the stamps of the channels, less the `assumed_delay_error` of the plant file. With a
+    `cell` the log gets this one of the plant file, which may have several.
+    """
+    excluded = None
+    if cell is None:
+        study, cell = all_observers.one_cell(plant, observers, overrides or [])
+        excluded = study.excluded
     opened, s = readers.open_log(log, delay), cell.scenario
-    known, remarks = survey(opened), all_observers.sentences(study.excluded)
+    offsets = np.zeros(len(opened.channels)) if clock_offsets is None else clock_offsets
+    opened = shift_stamps(opened, offsets - s.belief.assumed_delay_error)
+    known, remarks = survey(opened), all_observers.sentences(excluded)
     if len(opened.channels) != len(s.sampling.delay):
         raise UserError(
             f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
@@ -114,11 +125,9 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     """Design the observers of a cell for a log; raise UserError where the log does not fit its plant or horizon."""
     s, cell = a.cell.scenario, a.cell
     where = f"{a.log.name} on {s.name}"
-    if s.sampling.continuous or cell.times.error:
-        wrong = f"assumes delays that are wrong by {cell.times.error * s.dt:g} s"
+    if s.sampling.continuous:
         raise UserError(
-            f"{where}: got a scenario that {'measures continuously' if s.sampling.continuous else wrong}, expected one that "
-            "samples; take another plant file."
+            f"{where}: got a scenario that measures continuously, expected one that samples; take another plant file."
         )
     if room.apart + room.latest > cell.times.ticks:
         raise UserError(

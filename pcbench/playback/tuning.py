@@ -22,10 +22,12 @@ from pcbench.gains.history import FOUND, REFIT, Evaluation, History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.gains.validation import WORSE
 from pcbench.observers import ObserverSpec
-from pcbench.playback import innovation_tests, likelihood
+from pcbench.playback import delay_profile, delay_search, innovation_tests, likelihood
+from pcbench.playback.delay_search import ChannelDelay
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.replay_metrics import plain
 from pcbench.playback.setup import Playback, PlaybackSetup, open_playback
+from pcbench.recordings.corrections import toml_with_offsets
 from pcbench.recordings.log import Floats, Ints
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
@@ -36,6 +38,7 @@ from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design
 
 UNLIKELY = 0.05  # a p-value of whiteness below which intervals are said to be too short
+CORRECTED = "recording.toml"  # the log with the stamps that were found
 NOISE = ("R", "q", "Q")  # options of an observer that are intensities of noise
 FEWEST = 10  # numbers in the part that is tuned on, and in the rest, for each free parameter
 FLAT = 1e-6  # slope of the mean log-likelihood of a number at which a descent has arrived
@@ -65,6 +68,8 @@ class LogTuning(NamedTuple):
     gain_se: float  # and its standard error over samples
     points: list[Evaluation]  # of the fit to the first part, then of that to the whole log
     said: list[str]
+    log_likelihood: float  # mean of a number of the log, as in a replay with the delays and the noise chosen
+    delays: list[ChannelDelay]  # empty: none was looked for
 
 
 def tune_log(
@@ -76,15 +81,21 @@ def tune_log(
     only: list[str] | None = None,
     delay: float | None = None,
     start: float | None = None,
+    find_delay: bool = False,
+    max_delay: float | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
 ) -> LogTuning:
     """Find an observer's noise intensities (`only` some options) on a log; a fit to its first part is judged on the rest.
 
-    `log`, `plant`, `delay` and `start` are as in `replay`; each of the two fits replays the log `budget` times at most. The
-    folder `out` holds the histories and tuned.toml, which `replay` and `run` take. Raises UserError if the user has to act.
+    `log`, `plant`, `delay` and `start` are as in `replay`; each of the two fits replays the log `budget` times at most. With
+    `find_delay` the delay of each channel is found first, with the noise that suits it, up to `max_delay` [s] (default: ten
+    sampling intervals), and stamps are corrected by it. The folder `out` holds the histories and tuned.toml, which `replay` and
+    `run` take, and recording.toml, the log with corrected stamps. Raises UserError if the user has to act.
     """
+    if max_delay is not None and not find_delay:
+        raise UserError("--max-delay has no effect without --find-delay; leave it out, or add --find-delay.")
     label = label_of(observer)
     with config.float64(), ending.temporary_folder() as spare:
         study, _ = parse.one_cell(plant, [observer], overrides or [])
@@ -92,6 +103,14 @@ def tune_log(
         where = f"tune {label} on {a.name}"
         entry, options = a.cell.entry(label), a.cell.options[label]
         _require(entry, budget, where)
+        delays: list[ChannelDelay] = []
+        if find_delay:
+            delays, found = _find_delays(a, only, max_delay, where, progress)
+            offsets = -np.array([each.estimate for each in delays])
+            a = open_playback(
+                log, plant, [observer], delay=delay, start=start, overrides=overrides, clock_offsets=offsets
+            )
+            a.remarks.extend(found)
         p, part = likelihood.load_recording(a)
         context, cut = p.setting, int((1 - innovation_tests.HELD_OUT) * a.last)
         designed = planning.run_design(label, entry, context, options)
@@ -145,6 +164,7 @@ def tune_log(
         more, many = after.each[late] - before.each[late], float(before.numbers[late, 1].sum())
         gain, se = float(more.sum() / many), float(np.std(more, ddof=1) * np.sqrt(len(more)) / many)
         kept = "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
+        chosen = at_start if kept else best
         low, high = innovation_tests.intervals(total, best) if arrived else (np.full(len(best), np.nan),) * 2
         intensities = _intensities(free, at_start, best, low, high)
         held_out = {what: _judgement(each.numbers[late]) for what, each in (("start", before), ("tuned", after))}
@@ -163,9 +183,45 @@ def tune_log(
                 *_factors(a, p, parameters.written(free, best)),
                 *_remarks(arrived, intensities, held_out["tuned"]["ljung_box_p"]),
             ],
+            log_likelihood=total(chosen)[0] / float(before.numbers[:, 1].sum()),
+            delays=delays,
         )
         _write(tuned, target, about)
+        if delays and out is not None:
+            corrected = {d.channel: -d.estimate for d in delays}
+            storage.put(target, CORRECTED, toml_with_offsets(Path(log), corrected, delay, Path(out)).encode())
         return tuned
+
+
+def _find_delays(
+    a: Playback, only: list[str] | None, longest: float | None, where: str, progress: Progress
+) -> tuple[list[ChannelDelay], list[str]]:
+    """The delay of each channel, with the noise that suits it."""
+    ((label, options),) = a.cell.options.items()
+    entry = a.cell.entry(label)
+    if not entry.knows_schedule:
+        raise UserError(
+            f"{where}: --find-delay: got an observer that does not use the time at which a sample was taken, expected one that "
+            "does; use kf, ekf or ukf."
+        )
+
+    def gains_of(p: PlaybackSetup) -> tuple[likelihood.AffineGains, Vector]:
+        designed = planning.run_design(label, entry, p.setting, options)
+        names = _tuned_options(entry, options, designed, only, where)
+        free, z = tune.free_parameters(label, entry, p.setting, options, designed, names, where)
+
+        def design(point: Vector) -> PyTree:
+            return planning.run_design(label, entry, p.setting, parameters.put(options, free, point)).gains
+
+        if (gains := likelihood.affine_gains(design, z)) is None:
+            raise UserError(
+                f"{where}: --find-delay: got an observer whose gains are not affine in the free parameters, expected the noise "
+                "intensities R, q and Q of a Kalman filter; choose them with --only, or use kf."
+            )
+        return gains, z
+
+    low, high = delay_search.search_range(a, longest, where)
+    return delay_search.find(delay_profile.Profile(a, low, high, gains_of, progress))
 
 
 def _judgement(numbers: Floats) -> dict[str, float | str]:
@@ -175,7 +231,7 @@ def _judgement(numbers: Floats) -> dict[str, float | str]:
 
 
 def _require(entry: ObserverSpec, budget: int, where: str) -> None:
-    """Raise UserError where an observer has no likelihood, or none with a slope."""
+    """Raise UserError where an observer has no likelihood."""
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {tune.BUDGET}.")
     if entry.observer.innovation is None:

@@ -18,7 +18,8 @@ from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.paired_ratios import ratios
 from pcbench.plots.palette import styles
 from pcbench.plots.regret_matrix import regrets
-from pcbench.plots.time_series import delays, nees, time
+from pcbench.plots.time_series import delay_profiles, delays, nees, time
 
-__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps",
-           "nees", "quantiles", "ratios", "regrets", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
+__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delay_profiles", "delays", "distributions", "divergence",
+           "fair", "heatmaps", "nees", "quantiles", "ratios", "regrets", "save", "styles", "time", "trade_off",
+           "winners"]  # fmt: skip

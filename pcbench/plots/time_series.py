@@ -1,6 +1,6 @@
 """Figures over time: one run with its estimates and errors, NEES, and the delays of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -9,15 +9,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
+from pcbench.playback.delay_search import ChannelDelay
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.labels import title_of_scenario
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
-from pcbench.plots.palette import GRID, MEASURED, PLANT, SOFT, LineLook, pale
+from pcbench.plots.palette import GRID, LOOKS, MEASURED, PLANT, SOFT, LineLook, pale
 from pcbench.recordings.survey import Survey
 from pcbench.study import scenarios_of
 
@@ -30,6 +32,7 @@ NINE = 1.6448536269514722  # standard deviations on both sides of the mean, with
 TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
 BINS = 40
 DIGITS = 9  # of a second: what is less is rounding
+DROP = 12.0  # of a log-likelihood below its maximum that is shown
 
 
 def time(
@@ -263,6 +266,39 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
             over_time.scatter(t - survey.start, delay, s=2, color=line["color"], linewidths=0, rasterized=True)
             label = name if len(kept) > 1 else None
             often.stairs(shares[name], edges, color=line["color"], linewidth=1.2, label=label)
+    return figure
+
+
+def delay_profiles(found: Sequence[ChannelDelay], *, paper: Paper = PAPER) -> Figure:
+    """Return the profile likelihood of the delay of every channel, from `pcbench.tune` with `find_delay`.
+
+    Each panel shows by how much the log-likelihood is below its maximum, and the 95 % interval. Raises UserError if there is no
+    delay.
+    """
+    if not found:
+        raise UserError(
+            "plots.delay_profiles: got a tuning without delays, expected one with find_delay; tune with find_delay=True."
+        )
+    band = Patch(color=GRID, label="95 % interval")
+    with sheet(paper, "Profile likelihood: log-likelihood below its maximum", len(found), keys=[band]) as (
+        figure,
+        axes,
+    ):
+        for ax, each in zip(axes, found, strict=True):
+            delays, drops = np.array(each.delays), np.array(each.drops)
+            shown = drops <= max(DROP, np.sort(drops)[min(4, len(drops) - 1)])
+            set_range(ax, "x", [*delays[shown], each.low, each.high])
+            set_range(ax, "y", [0.0, *drops[shown]], log=False)
+            ax.axvspan(each.low, each.high, color=GRID, linewidth=0, zorder=1)
+            ax.axvline(each.estimate, color=SOFT, linewidth=0.6, zorder=1.2)
+            colour = LOOKS["kf"].colour
+            if len(delays) > 3:
+                fine = np.linspace(delays[shown][0], delays[shown][-1], 200)
+                ax.plot(fine, CubicSpline(delays, drops)(fine), color=colour, linewidth=1.2)
+            ax.plot(delays[shown], drops[shown], color=colour, marker="o", markersize=3, linestyle="none")
+            ax.invert_yaxis()
+            low, best, high = (layout.number(v) for v in (each.low, each.estimate, each.high))
+            ax.set(title=f"{each.channel}: {best} s, 95 % interval {low} to {high} s", xlabel="delay [s]")
     return figure
 
 

@@ -62,9 +62,7 @@ class Contents(NamedTuple):
 
 def is_log(path: Path) -> bool:
     """Say whether a file or folder says by itself which channels it has."""
-    if path.is_dir():
-        return any((path / f"measurements{kind}").is_file() for kind in tables.KINDS)
-    return path.suffix.lower() == ".toml" or not path.exists() or tables.has_channels(path)
+    return path.suffix.lower() == ".toml" or not path.exists() or readers.has_tables(path)
 
 
 def contents(path: Path) -> list[Contents]:

@@ -55,20 +55,20 @@ class Quantity(NamedTuple):
     evaluator: Callable[[], Callable[[Columns], Floats]]  # what computes it, for one part after the other
 
 
-def quantity(field: str | None, formula: str | None, scale: float, where: str) -> Quantity:
-    """Return `scale` times a field or a formula; raise UserError unless one of them is given, and for what is no formula."""
+def quantity(field: str | None, formula: str | None, scale: float, offset: float, where: str) -> Quantity:
+    """Return `scale` times a field or a formula, plus `offset`; raise UserError for none, both or what is no formula."""
     if (field is None) == (formula is None):
         got = "neither field nor formula" if field is None else "field and formula"
         raise UserError(f'{where}: got {got}, expected one of them; write field = "NAME" or formula = "...".')
     if formula is None:
-        return Quantity([str(field)], lambda: lambda part: scale * part[str(field)])
+        return Quantity([str(field)], lambda: lambda part: scale * part[str(field)] + offset)
     try:
         tree = _expand(expression.parse_formula(formula, ARGUMENTS))
         if not (fields := sorted(expression.names(tree) - {"pi"})):
             raise ValueError("a formula of one field at least")
     except ValueError as error:
         raise UserError(f"{where}: formula: got '{short(formula)}', expected {error}; correct it.") from None
-    return Quantity(fields, lambda: _evaluator(("*", scale, tree)))
+    return Quantity(fields, lambda: _evaluator(("+", ("*", scale, tree), offset)))
 
 
 def _expand(tree: Tree) -> Tree:

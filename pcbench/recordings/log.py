@@ -97,6 +97,15 @@ class Topic(NamedTuple):
     frame: str = ""
 
 
+def shift_stamps(log: Log, offsets: Floats) -> Log:
+    """Return a log with `offsets` [q] s added to the stamps of its channels; arrivals stay as they are."""
+
+    def measurements() -> Iterator[Batch]:
+        return (b._replace(sampled=b.sampled + offsets[b.channel]) for b in log.measurements())
+
+    return log._replace(measurements=measurements)
+
+
 @contextmanager
 def reading(source: Source, expected: str) -> Iterator[None]:
     """Turn whatever a library raises of a damaged file into a UserError that says what was `expected`."""

@@ -6,11 +6,14 @@
     frame = "camera"                    # of /tf: the child frame
     field = "pose.position.x"           # or formula = "yaw(pose.orientation)"
     unit = "m"                          # it must be said: a bag does not
-    scale = 1.0                         # the channel's value is scale times the field
+    scale = 1.0                         # the channel's value is scale times the field,
+    offset = 0.0                        # plus this, such as minus the operating point
     sampled = "header.stamp"            # the field that holds the stamp; left out: as `FORMATS` has it
     period = 0.1                        # [s], instead of stamps: rows come at 0, 0.1, 0.2 ...
     arrived = "received"                # the field that holds the arrival; "received": when the recorder got the message
-    delay = 0.05                        # [s], instead of arrived: every sample is so late
+    delay = 0.05                        # [s], instead of arrived: every sample is so late after its stamp
+    clock_offset = 0.0                  # [s], added to the stamps
+    only_changes = false                # true: a value that equals the one before is not a measurement
     std = "accuracy"                    # the field of each value's standard deviation, or
     variance = "covariance.0"           # of its variance; before `scale`
     [inputs.u1]
@@ -18,13 +21,14 @@
 
 Channels are in the order of the TOML. `time_unit` is of stamps that are plain numbers: "s" where it is left out. A row
 without a value (an empty cell, NaN, null) is no measurement. `period`, `time_unit` and the table `[csv]` are of the whole file.
+A TOML may also correct tables of measurements: see `corrections`.
 """
 
 import heapq
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -32,12 +36,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pcbench import toml_text
 from pcbench.errors import UserError, first_sentence
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
+from pcbench.recordings.corrections import Changes, Samples, TablesToml, correct_tables
 from pcbench.recordings.csv_dialects import FOUND, CsvOptions
 from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import Times, merge, table_of
 from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table
 from pcbench.recordings.messages import RECEIVED
 from pcbench.signal_names import unit
+from pcbench.toml_text import TomlTable
+
+M = TypeVar("M", bound=BaseModel)
 
 
 class Column(BaseModel):
@@ -50,11 +58,14 @@ class Column(BaseModel):
     topic: str = ""
     frame: str = Field("", description="of a topic of transforms such as /tf: the child frame")
     scale: float = 1.0
+    offset: float = 0.0
     sampled: str | None = None
     t: str | None = None
     period: float | None = Field(None, gt=0, description="[s] from one row to the next, where there is no time")
     arrived: str | None = None
     delay: float | None = Field(None, ge=0)
+    clock_offset: float = 0.0
+    only_changes: bool = False
     std: str | None = None
     variance: str | None = None
 
@@ -116,10 +127,16 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
 
 def open_toml(path: Path, delay: float | None = None) -> Log:
     """Return the log that a TOML describes; raise UserError naming the key that is wrong."""
-    toml = _read(path)
+    raw = _parse(path)
+    if isinstance(named := raw.get("log"), str) and not (path.parent / named).exists():
+        raise UserError(f"{path.name}: log: got {named}, expected a file or folder next to it; correct the name.")
+    if isinstance(named, str) and has_tables(path.parent / named) and not _maps_fields(raw):
+        return _open_corrected(path, _validated(TablesToml, raw, path), delay)
+    toml = _validated(Mapping, raw, path)
+    for what in ("channels", "inputs", "truth"):
+        for name, column in getattr(toml, what).items():
+            unit(column.unit, f"{path.name}: {what}.{name}.unit")
     file = path.parent / toml.log
-    if not file.exists():
-        raise UserError(f"{path.name}: log: got {toml.log}, expected a file or folder next to it; correct the name.")
     kind = format_of(file, f"{path.name}: log")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
     if kind not in MESSAGES and (named := next((c.frame for c in every if c.frame), None)):
@@ -147,15 +164,18 @@ def format_of(file: Path, where: str) -> Format:
     return kind
 
 
-def _read(path: Path) -> Mapping:
+def _parse(path: Path) -> TomlTable:
     try:
-        table = toml_text.parse(path.read_bytes())
+        return toml_text.parse(path.read_bytes())
     except (OSError, ValueError) as error:
         raise UserError(
             f"{path}: {first_sentence(error)}; expected TOML such as pcbench guide recordings shows; correct it."
         ) from None
+
+
+def _validated(model: type[M], raw: TomlTable, path: Path) -> M:
     try:
-        toml = Mapping.model_validate(table)
+        return model.model_validate(raw)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
@@ -166,10 +186,31 @@ def _read(path: Path) -> Mapping:
             ) from None
         what = first["msg"][0].lower() + first["msg"][1:]
         raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
-    for what in ("channels", "inputs", "truth"):
-        for name, column in getattr(toml, what).items():
-            unit(column.unit, f"{path.name}: {what}.{name}.unit")
-    return toml
+
+
+def _maps_fields(raw: TomlTable) -> bool:
+    """Whether channels of a TOML say in which field they are."""
+    channels = raw.get("channels")
+    each = channels.values() if isinstance(channels, dict) else ()
+    return any(isinstance(c, dict) and c.keys() & {"field", "formula"} for c in each)
+
+
+def has_tables(file: Path) -> bool:
+    """Say whether a file or folder has tables, with the names of channels in them."""
+    if file.is_dir():
+        return any((file / f"measurements{kind}").is_file() for kind in tables.KINDS)
+    return tables.has_channels(file)
+
+
+def _open_corrected(path: Path, toml: TablesToml, delay: float | None) -> Log:
+    """Tables with the corrections of a TOML; `delay` [s] is that of channels without one."""
+    file, late = path.parent / toml.log, not tables.has_arrivals(path.parent / toml.log)
+    log = tables.open_tables(file, 0.0 if late else delay)
+    if late and delay is not None:
+        each = {name: toml.channels.get(name, Samples()) for name in log.channels}
+        each = {name: c if c.delay is not None else c.model_copy(update={"delay": delay}) for name, c in each.items()}
+        toml = toml.model_copy(update={"channels": toml.channels | each})
+    return correct_tables(log, toml, path.name, late)._replace(name=path.name)
 
 
 def _channel(
@@ -190,24 +231,26 @@ def _channel(
         raise UserError(f"{where}: got std and variance, expected one of them; leave one out.")
     if c.t:
         raise UserError(f"{where}: got t, expected sampled: a channel has that in its place; write sampled.")
-    spread, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, where)
+    spread, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
     named = [each for each in (stamp, arrived) if each]
     fields = [*value.fields, *named, *([spread] if spread else [])]
     source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(named))
 
     def read() -> Iterator[Batch]:
-        row, evaluate = 1, value.evaluator()
+        row, evaluate, changes = 1, value.evaluator(), Changes()
         for part in kind.columns(source):
             values = evaluate(part)
             many, std = len(values), np.zeros(0)
             rows = np.arange(row, row + many, dtype=np.int64)
             row += many
-            sampled = times(part, rows)
+            sampled = times(part, rows) + c.clock_offset
             came = part[arrived] if arrived else sampled + (late or 0.0)
             if spread:  # what is empty or below 0 becomes 0, which `require_sound` refuses
                 std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
                 std = abs(c.scale) * (std if c.std else np.sqrt(std))
             exists = ~np.isnan(values)  # where there is no value, nothing was measured
+            if c.only_changes:
+                exists[exists] = changes(values[exists])
             if exists.any():
                 yield Batch(np.full(many, index), sampled, came, values, rows, std).select(exists)
 
@@ -230,8 +273,8 @@ def _table(given: dict[str, Column], kind: Format, source: Source, what: str) ->
         return None
     groups: dict[tuple[object, ...], dict[str, Column]] = {}
     for name, c in given.items():
-        for key in ("std", "variance", "sampled", "arrived", "delay"):
-            if getattr(c, key) is not None:
+        for key in ("std", "variance", "sampled", "arrived", "delay", "clock_offset", "only_changes"):
+            if key in c.model_fields_set:
                 remedy = "name the column of the times by t instead" if key == "sampled" else "leave it out"
                 raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; {remedy}.")
         groups.setdefault((c.topic, c.frame, c.t, c.period), {})[name] = c
@@ -240,7 +283,8 @@ def _table(given: dict[str, Column], kind: Format, source: Source, what: str) ->
         c = next(iter(group.values()))
         stamp, times = _stamps(c, c.t, kind, f"{source.where}: {what}")
         values = {
-            name: quantity(c.field, c.formula, c.scale, f"{source.where}: {what}.{name}") for name, c in group.items()
+            name: quantity(c.field, c.formula, c.scale, c.offset, f"{source.where}: {what}.{name}")
+            for name, c in group.items()
         }
         fields = list(
             dict.fromkeys([*(field for each in values.values() for field in each.fields), *filter(None, [stamp])])

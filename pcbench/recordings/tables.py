@@ -157,7 +157,7 @@ def _table(path: Path | Frame | None, what: str) -> Table | None:
         raise UserError(
             f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
         )
-    quantities = {name: quantity(head, None, 1.0, path.name) for name, head in named.items()}
+    quantities = {name: quantity(head, None, 1.0, 0.0, path.name) for name, head in named.items()}
     table = table_of(lambda: columns(source), lambda part, _: part[t], quantities, path.name)
     return merge([table], table.names, hold=what == "inputs")
 
@@ -195,6 +195,12 @@ def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
 def has_channels(path: Path) -> bool:
     """Say whether a file is a table with a column of channels."""
     return path.suffix.lower() in KINDS and any(name_and_unit(head)[0] == "channel" for head in heads(path))
+
+
+def has_arrivals(path: Path) -> bool:
+    """Say whether the measurements of a folder or file have the column arrived."""
+    file = _file(path, "measurements")
+    return file is not None and any(name_and_unit(head)[0] == "arrived" for head in heads(file))
 
 
 def name_and_unit(head: str) -> tuple[str, str | None]:

@@ -15,7 +15,7 @@ T = np.arange(200) * 0.05
 
 def computed(formula, parts=1, **fields):
     """A formula of fields that come in some parts."""
-    evaluate = quantity(None, formula, 1.0, "log").evaluator()
+    evaluate = quantity(None, formula, 1.0, 0.0, "log").evaluator()
     split = {name: np.array_split(np.asarray(values, float), parts) for name, values in fields.items()}
     return np.concatenate([evaluate({name: each[i] for name, each in split.items()}) for i in range(parts)])
 

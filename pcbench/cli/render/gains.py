@@ -84,7 +84,15 @@ def _option(value: object) -> str:
 
 
 def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None, screen: Screen) -> None:
-    """Print the tuned intensities, and compare start and tuned on the held-out part."""
+    """Print the delays, the tuned intensities, and compare start and tuned on the held-out part."""
+    if found.delays:
+        columns = [
+            Column("channel", [d.channel for d in found.delays], left=True),
+            Column("delay [s]", [f"{d.estimate:.4g}" for d in found.delays]),
+            Column("95 % interval", [f"{d.low:.4g} to {d.high:.4g}" for d in found.delays]),
+            Column("searched", [f"{d.searched[0]:.4g} to {d.searched[1]:.4g}" for d in found.delays], spare=1),
+        ]
+        screen.fit("time from the physical instant to the stamp of a sample, added to what the recording says", columns)
     rows, held = found.intensities, found.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
     roots = [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
@@ -109,7 +117,7 @@ def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None
     if found.kept_start:
         screen.say(f"The start is kept: {found.kept_start}.")
     if folder is not None:
-        plant = f"{folder}/tuned.toml"
+        plant, log = f"{folder}/tuned.toml", f"{folder}/recording.toml" if found.delays else log
         screen.say(f"Replay it: pcbench replay {log} --plant {plant} --observers {observer} --out replayed")
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from pcbench import fields
 from pcbench.cli.render.tables import Column, Screen
 from pcbench.cli.render.tables import plain as number
 from pcbench.statistics import Z95
@@ -98,14 +99,20 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
     about = found.summary
     if len(found.innovations):
         rows = found.innovations.to_dict("records")
+        axes = [Column(_with_unit(name), [f"{row[name]}" for row in rows]) for name in about.get("axes", [])]
+        tests = _innovation_columns(rows)
         columns = [
+            *axes,
             Column("observer", [row["observer"] for row in rows], left=True),
             _count("samples", rows),
-            *_innovation_columns(rows),
+            *(tests[:1] if axes else tests),
             Column("log-likelihood\nper value", [_plain(row["log_likelihood"]) for row in rows]),
             Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
         ]
         screen.fit(f"{about['log']}: measurements compared with their predictions", columns)
+        if axes:
+            screen.say(f"Also per channel: {folder}/replay.json")
+            return
     if len(found.channels) and (found.channels.channel.nunique() > 1 or found.channels.not_judged.any()):
         rows = found.channels.to_dict("records")
         columns = [Column(name, [row[name] for row in rows], left=True) for name in ("observer", "channel")]
@@ -126,6 +133,12 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
         f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {off:.3g} s.",
         f"Estimates tick by tick: {folder}/estimates.parquet. Draw them: pcbench report {folder}",
     )
+
+
+def _with_unit(axis: str) -> str:
+    """The name of an axis with its unit, in two lines."""
+    unit = next((field.unit for field in fields.FIELDS if field.name == axis), "")
+    return f"{axis}\n[{unit}]" if unit not in ("", "1") else axis
 
 
 def _innovation_columns(rows: Rows) -> list[Column]:

@@ -1,0 +1,215 @@
+"""How likely a recording is for delays of its channels, each with the noise that makes it most likely: a profile likelihood.
+
+    l_p(j) = max over z of l(j, z),   j: ticks by which the samples of each channel are older,   z: logarithms of intensities
+
+l is that of `likelihood`, but every sample is used at the tick at which it was taken, in that order. The joint density of all
+samples does not depend on the order in which they arrived, so for `kf` it is the likelihood of the replay; an observer that
+linearises reaches a slightly different point. Nothing is then on its way, and nothing is used again, which is much faster.
+Gains are affine in the intensities v = exp z, so a design is asked for once per intensity; score and information of all
+samples follow by forward differentiation. All intensities are first multiplied by the NIS; then z moves by damped steps that
+begin as Fisher's scoring and learn the curvature (BFGS), with s the variance and nu the innovation of a number:
+
+    z <- z + (B + D)^-1 dl/dz,   B = sum dlog s dlog s' / 2 + dnu dnu' / s at first
+
+One program computes LANES delays side by side. All delays see the same samples: those that some delay takes out of the
+recording are left out.
+Source: Harvey, Forecasting, structural time series models and the Kalman filter, 1989, (3.4.69), of the information.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pcbench.gains.parameters import Vector
+from pcbench.playback import likelihood, step_block, stream
+from pcbench.playback.likelihood import AffineGains
+from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers
+from pcbench.recordings.log import Batch, Floats, Ints, Log
+from pcbench.recordings.windows import Room, Window, stretches, window
+from pcbench.runtime import program_cache
+from pcbench.runtime.progress import Progress
+from pcbench.simulation.types import GridPointParams, Layout
+from pcbench.synthesis.certificate import power_of_2
+
+LANES = 16  # delays side by side
+NUMBERS = 1 << 22  # ticks times lanes, at most
+STEPS = 30  # of z for one delay, at most
+LONGEST = 2.0  # of a step, in z
+SETTLED = 0.01  # what the next step may add to the log-likelihood,
+PART = 0.003  # or the part of how far it is below the best;
+HOPE, FAR = 10.0, 30.0  # a delay is given up if so many times as much leaves it so far below the best
+SHORTEST = 1e-3  # part of a step
+Delays = tuple[int, ...]  # ticks by channel
+
+
+class Best(NamedTuple):
+    """A delay with its noise."""
+
+    value: float  # l_p
+    z: Vector
+
+
+class Profile:
+    """The profile likelihood of one recording; what was computed once is kept."""
+
+    def __init__(
+        self,
+        a: Playback,
+        low: Ints,
+        high: Ints,
+        gains_of: Callable[[PlaybackSetup], tuple[AffineGains, Vector]],
+        progress: Progress,
+    ) -> None:
+        """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` a prepared observer are its gains and z."""
+        length = max(power_of_2(a.last + 1), 2)
+        if a.last >= likelihood.MOST:
+            likelihood.load_recording(a)  # refuses it
+        self.a, self.low, self.high, self.progress = a._replace(length=length), low, high, progress
+        self.batches = list(a.log.measurements())
+        self.lanes = max(min(LANES, NUMBERS // length), 1)
+        bare = (0,) * len(low)
+        log = self._log(bare)
+        longest = max(c.intervals.most if c.intervals.many else 0.0 for c in a.survey.channels.values())
+        apart = int(max(longest / a.clock.dt, high.max() - low.min())) + 2
+        p = prepare_observers(self.a._replace(log=log), Room(apart=apart))
+        (part,) = stream.parts(self.a._replace(log=log), p, [])
+        self.gains, self.start = gains_of(p)
+        inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
+        self.p, self.problem = p, p.problem._replace(inputs=inputs, gains={})
+        self.samples = int(part.window.mask.sum())
+        self.known: dict[Delays, Best] = {}
+
+    def _log(self, delays: Delays) -> Log:
+        """The samples that no delay takes out of the recording, each as it would arrive when it was taken."""
+        dt, clock = self.a.clock.dt, self.a.clock
+        first, last = max(self.high.max(), 0), self.a.last + min(self.low.min(), 0)
+        later = np.array(delays) * dt
+
+        def measurements() -> Iterator[Batch]:
+            for b in self.batches:
+                ticks, sampled = clock.ticks(b.sampled), b.sampled - later[b.channel]
+                exists = np.isfinite(b.arrived) & (ticks >= first) & (ticks <= last)
+                if exists.any():
+                    yield b._replace(sampled=sampled, arrived=sampled).select(exists)
+
+        return self.a.log._replace(measurements=measurements)
+
+    def _window(self, delays: Delays) -> Window:
+        a = self.a
+        (stretch,) = stretches(self._log(delays), a.survey, a.clock, a.length, a.last)
+        return window(stretch, len(self.low), 1, 0, self.p.variances)[0]
+
+    @property
+    def best(self) -> Delays:
+        """The most likely delays so far."""
+        return max(self.known, key=lambda each: self.known[each].value)
+
+    def ask(self, wanted: list[Delays]) -> list[float]:
+        """Return l_p at some delays."""
+        new = [each for each in dict.fromkeys(wanted) if each not in self.known]
+        for i in range(0, len(new), self.lanes):
+            some = new[i : i + self.lanes]
+            self.progress.begin("delays", len(some))
+            z = self.known[self.best].z if self.known else self.start
+            for delays, best in zip(some, self._maximise(some, z), strict=False):
+                self.known[delays] = best
+            self.progress.step(len(some))
+        return [self.known[each].value for each in wanted]
+
+    def _maximise(self, some: list[Delays], start: Vector) -> list[Best]:
+        """The most likely z of each of some delays, one lane each, by scoring steps that are halved until they go up."""
+        windows = [self._window(each) for each in some]
+        windows += windows[:1] * (self.lanes - len(windows))
+        stacked = jax.tree.map(lambda *a: np.stack(a), *windows)
+
+        def look(z: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+            g, p = self.gains, self.p
+            out = jit_lanes()(p.layout, g.tree, g.real, g.start, g.slope, self.problem, z, stacked)
+            value, score, information, nis = map(np.array, out)
+            return np.where(np.isfinite(value), value, -np.inf), score, information, nis
+
+        nis = look(np.tile(start, (self.lanes, 1)))[3]
+        z = np.clip(
+            start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.BETWEEN
+        )  # as large as innovations say
+        value, score, B, _ = look(z)  # B: curvature of -l
+        part = np.ones(self.lanes)  # of a step, that is taken
+        for _ in range(STEPS):
+            sizes, ways = np.linalg.eigh(B)
+            along = np.einsum("lij,li->lj", ways, score) / np.maximum(sizes, 1e-9 * sizes[:, -1:] + 1e-300)
+            step = np.einsum("lij,lj->li", ways, np.clip(along, -LONGEST, LONGEST))  # uphill, whatever is cut
+            step = np.clip(z + step, *likelihood.BETWEEN) - z
+            promised = (0.5 * score * step).sum(1)
+            below = max([each.value for each in self.known.values()] + [value.max()]) - value
+            if np.all((promised < SETTLED + PART * below) | (HOPE * promised < below - FAR) | (part < SHORTEST)):
+                break
+            step *= part[:, None]
+            there = look(z + step)
+            up = (there[0] > value)[:, None]
+            B = _bfgs(B, step, score - there[1], np.where(up[..., None], there[2], B))
+            part = np.where(up[:, 0], np.minimum(4 * part, 1.0), part / 4)
+            z, score, value = np.where(up, z + step, z), np.where(up, there[1], score), np.maximum(value, there[0])
+            self.progress.step(0)
+        return [Best(float(v), point) for v, point in zip(value, z, strict=True)]
+
+
+def _bfgs(B: Floats, s: Floats, y: Floats, otherwise: Floats) -> Floats:
+    """Curvatures [L, P, P] that know of steps s [L, P] by which slopes changed by y; `otherwise` where they are not convex."""
+    sy, Bs = (s * y).sum(1), np.einsum("lij,lj->li", B, s)
+    sBs = (s * Bs).sum(1)
+    convex = (sy > 1e-3 * sBs) & (sBs > 0)
+    sy, sBs = np.where(convex, sy, 1.0), np.where(convex, sBs, 1.0)
+    new = B + np.einsum("li,lj->lij", y, y) / sy[:, None, None] - np.einsum("li,lj->lij", Bs, Bs) / sBs[:, None, None]
+    return np.where(convex[:, None, None], new, otherwise)
+
+
+def _lanes(
+    layout: Layout,
+    tree: jax.tree_util.PyTreeDef,
+    real: tuple[bool, ...],
+    start: list[Array],
+    slope: list[Array],
+    p: GridPointParams,
+    z: Array,
+    windows: Window,
+) -> tuple[Array, Array, Array, Array]:
+    """Log-likelihood [L], score [L, P], information [L, P, P] and NIS [L] at z [L, P]."""
+    ((label, _),) = layout.observers
+
+    def lane(z: Array, w: Window) -> tuple[Array, Array, Array, Array]:
+        ticks, ends = jnp.arange(w.event.shape[0]), jnp.zeros(2, int)
+
+        def samples(z: Array) -> tuple[Array, Array]:
+            problem = p._replace(
+                gains={label: jax.tree.unflatten(tree, likelihood.moved(real, start, slope, jnp.exp(z)))}
+            )
+            state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
+            state = state if w.variance_ratio is None else step_block.with_variances(state)
+            truth = jnp.zeros((len(ticks), 0))
+            seen = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise
+            seen = jnp.where((seen[..., 1:2] > 0) & ~jnp.isnan(seen), seen, 0.0).reshape(-1, seen.shape[-1])
+            return seen, seen
+
+        J, seen = jax.jacfwd(samples, has_aux=True)(z)
+        square, degrees, log_det, each = seen[:, 0], seen[:, 1], seen[:, 2], seen[:, step_block.JUDGED :]
+        by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # of log s, by z
+        moves = (J[:, step_block.JUDGED :] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
+        return (
+            -0.5 * (np.log(2 * np.pi) * degrees.sum() + log_det.sum() + square.sum()),
+            -0.5 * (J[:, 2] + J[:, 0]).sum(0),
+            0.5 * by_number.T @ J[:, 2] + moves.T @ moves,
+            square.sum() / degrees.sum(),
+        )
+
+    return jax.vmap(lane)(z, windows)  # type: ignore[no-any-return]
+
+
+@cache
+def jit_lanes() -> Callable[..., tuple[Array, Array, Array, Array]]:
+    """Return `_lanes` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(_lanes, (0, 1, 2))

@@ -1,0 +1,254 @@
+"""The delay of each channel that makes a recording most likely, with a 95 % interval from its profile likelihood.
+
+d_c is the time from the physical instant of a sample of channel c to its stamp, added to what the recording says: positive if
+samples are older than their stamps. The search moves along one channel after the other, and all together, on a grid that is
+made finer until it is one tick. Then the point between ticks:
+
+    s(j) = exp(-2 l_p(j) / N)   by a cubic spline through ticks,   d_c = j_c h + mean of (stamp - its tick) - the same of inputs
+
+s is the variance of an innovation that the fitted noise would have, nearly quadratic in j where l_p is not (N samples). Of one
+channel, the interval is where 2 (max l_p - l_p) < 3.84 (chi-square, one degree of freedom). Of several, l_p along one channel
+is that with the other delays at their best: to second order the slice through the best point, wider by sqrt((H^-1)_cc H_cc),
+H the second differences of -l_p.
+Ends at the end of the range that was searched are marked. Rounding of stamps to ticks is corrected in the mean; what varies
+about it acts as noise.
+Not claimed: intervals if the model is wrong, or of a few dozen samples; that delays do not vary.
+Source: Venzon, Moolgavkar, Applied Statistics 37 (1988), 87-94.
+"""
+
+from collections.abc import Iterable
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import UserError
+from pcbench.playback.delay_profile import Delays, Profile
+from pcbench.playback.setup import Playback
+from pcbench.recordings.log import Floats, Ints
+
+INTERVALS = 10  # between samples of the slowest channel, that are searched by default
+SHARE = 0.25  # of a recording, that a delay may have at most
+FINER = 6  # how much finer a grid is than the one before
+SWEEPS = 6  # over all channels
+LEVEL = 1.920729410347062  # half the 95 % quantile of chi-square with one degree of freedom
+SIDE = 6  # points of a profile on each side of its peak
+APART = 10.0  # how much wider intervals are than slices, from where on only the differences of delays are known
+
+
+class ChannelDelay(NamedTuple):
+    """The delay of one channel [s]."""
+
+    channel: str
+    estimate: float
+    low: float  # 95 % interval
+    high: float
+    at_end: str  # "low" or "high" if the estimate is at that end of the range that was searched, else ""
+    searched: tuple[float, float]
+    delays: list[float]  # of the profile,
+    drops: list[float]  # and how far it is below its peak
+
+
+def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
+    """Return the least and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
+    every, dt = a.survey.channels.values(), a.clock.dt
+    most = SHARE * a.last * dt
+    if longest is None:
+        longest = min(INTERVALS * max(c.intervals.median for c in every if c.intervals.many), most)
+    if not dt <= longest <= most:
+        raise UserError(
+            f"{where}: --max-delay: got {longest:g} s, expected one tick of {dt:g} s to a quarter of the recording, "
+            f"{most:.4g} s; write a number between them."
+        )
+    high = round(longest / dt)
+    least = [int(np.floor(c.delays.least / dt + 1e-6)) if c.delays.many else 0 for c in every]
+    return np.array([-min(max(each, 0), high) for each in least]), np.full(len(least), high)
+
+
+class Slice(NamedTuple):
+    """l_p along one channel, the others at the best point; in ticks."""
+
+    ticks: Ints
+    drops: Floats  # of l_p below its peak
+    peak: float  # between ticks
+    low: float  # 95 % interval; NaN: the range that was searched ends before
+    high: float
+    least: float = 1.0  # s at the peak, over that at the best point
+
+
+def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
+    """Return the delay of each channel, and sentences on what is not known of them."""
+    channels, dt = profile.a.survey.channels.values(), profile.a.clock.dt
+    steps = [max(int(c.intervals.median / dt) // 2, 1) if c.intervals.many else 1 for c in channels]
+    ways = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (len(steps) > 1)  # the last: all together
+    best: Delays = (0,) * len(steps)
+    for sweep in range(SWEEPS):
+        for way, step in zip(ways, [*steps, max(steps)], strict=False):
+            best = _search(profile, best, way, step, whole=sweep == 0)
+        slices = [_slice(profile, best, way) for way in ways[: len(steps)]]
+        H, inner = _curvature(profile, best, slices)
+        peak, wider = np.array([s.peak for s in slices]), np.ones(len(steps))
+        if inner.any() and np.linalg.eigvalsh(some := H[np.ix_(inner, inner)])[0] > 0:
+            inverse = np.linalg.inv(some)
+            wider[inner] = np.sqrt(np.diag(inverse) * np.diag(some))
+            peak[inner] = np.array(best)[inner] + inverse @ (np.diag(some) * (peak - best)[inner])
+        else:
+            wider[inner] = np.inf
+        profile.ask([_inside(profile, corner) for corner in product(*zip(np.floor(peak), np.ceil(peak), strict=True))])
+        if profile.best == best:
+            break
+        best = profile.best
+    return _results(profile, best, slices, peak, wider)
+
+
+def _inside(profile: Profile, delays: Iterable[float]) -> Delays:
+    return tuple(np.clip(np.asarray(tuple(delays)), profile.low, profile.high).astype(int).tolist())
+
+
+def _ask(profile: Profile, best: Delays, way: Ints, by: Ints) -> tuple[Ints, Floats]:
+    """Return those moves along a way that stay in the range, in order, 0 among them, and l_p there."""
+    moves = np.unique(np.append(by, 0))
+    there = np.array(best) + moves[:, None] * way
+    inside = ((there >= profile.low) & (there <= profile.high)).all(1)
+    return moves[inside], np.array(profile.ask([tuple(each) for each in there[inside].tolist()]))
+
+
+def _search(profile: Profile, best: Delays, way: Ints, step: int, whole: bool) -> Delays:
+    """The best point along a way, on a grid of the range or near the best point, which is made finer to one tick."""
+    span = int((profile.high - profile.low).max())
+    by = np.arange(-(span // step) * step, span + 1, step) if whole else step * np.arange(-2, 3)
+    while True:
+        by, values = _ask(profile, best, way, by)
+        best = tuple((np.array(best) + by[np.argmax(values)] * way).tolist())
+        if step == 1:
+            return best
+        finer = max(step // FINER, 1)
+        by, step = finer * np.arange(-(step // finer), step // finer + 1), finer
+
+
+def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
+    """The profile along one channel as far as its interval goes, and between ticks."""
+    from scipy.interpolate import CubicSpline
+
+    (c,) = np.flatnonzero(way)
+    reach = 2 ** np.arange(int(profile.high[c] - profile.low[c]).bit_length() + 1)
+    ends = np.array([profile.low[c], profile.high[c]]) - best[c]
+    by, values = _ask(profile, best, way, np.concatenate([-reach, reach, ends]))
+    beyond = by[values < values.max() - LEVEL]
+    far = max(-beyond[beyond < 0].max(initial=ends[0]), beyond[beyond > 0].min(initial=ends[1]))
+    step = max(-(-int(far) // SIDE), 1)
+    by, values = _ask(profile, best, way, step * np.arange(-min(SIDE, far) - 1, min(SIDE, far) + 2))
+    i, N = int(np.argmax(values)), profile.samples
+    if len(by) < 3:
+        return Slice(by + best[c], values[i] - values, float(by[i] + best[c]), np.nan, np.nan)
+    spline = CubicSpline(by, np.exp(2 * (values[i] - values) / N))
+    turns = spline.derivative().roots(extrapolate=False)
+    near = (turns > by[max(i - 1, 0)]) & (turns < by[min(i + 1, len(by) - 1)])
+    peak = float(min([*turns[near], by[i]], key=spline))
+    level = spline.solve(float(spline(peak)) * np.exp(2 * LEVEL / N), extrapolate=False)
+    low, high = level[level < peak].max(initial=-np.inf), level[level > peak].min(initial=np.inf)
+    low, high = (best[c] + float(end) if np.isfinite(end) else np.nan for end in (low, high))
+    least = float(spline(peak))
+    return Slice(by + best[c], values[i] - 0.5 * N * np.log(least) - values, peak + best[c], low, high, least)
+
+
+def _curvature(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Second differences of -l_p [q, q] per tick^2, and which channels they are of: those whose peak is inside their range."""
+    N, H = profile.samples, np.full((len(best), len(best)), np.nan)
+    h = {}  # ticks that make a difference, of channels whose peak is inside
+    for c, s in enumerate(slices):
+        sides = np.array([s.peak - s.low, s.high - s.peak])
+        if np.isfinite(sides).any() and profile.low[c] < s.peak < profile.high[c]:
+            half = float(np.nanmean(sides))
+            H[c, c] = N * s.least * np.expm1(2 * LEVEL / N) / half**2
+            h[c] = max(round(half), 1) * (1 if best[c] + max(round(half), 1) <= profile.high[c] else -1)
+
+    def s_at(*moved: int) -> float:
+        delays = np.clip([b + h[c] * (c in moved) for c, b in enumerate(best)], profile.low, profile.high)
+        (value,) = profile.ask([tuple(delays.tolist())])
+        return float(np.exp(2 * (profile.known[best].value - value) / N))
+
+    for i in h:
+        for j in h:
+            if i < j:
+                H[i, j] = H[j, i] = 0.5 * N * (s_at(i, j) - s_at(i) - s_at(j) + 1.0) / (h[i] * h[j])
+    return H, np.isfinite(np.diag(H))
+
+
+def _results(
+    profile: Profile, best: Delays, slices: list[Slice], peak: Floats, wider: Floats
+) -> tuple[list[ChannelDelay], list[str]]:
+    """Delays in seconds with their intervals, and sentences."""
+    dt, out, said, rounding = profile.a.clock.dt, [], [], _rounding(profile)
+    for c, (name, known) in enumerate(profile.a.survey.channels.items()):
+        s, first, last = slices[c], int(profile.low[c]), int(profile.high[c])
+        scale = wider[c] if np.isfinite(wider[c]) else 1.0
+
+        low, high = (peak[c] + wider[c] * (end - s.peak) for end in (s.low, s.high))
+        low = max(low, first) if np.isfinite(low) else first
+        high = min(high, last) if np.isfinite(high) else last
+        ends = np.array([low, np.clip(peak[c], first, last), high, first, last]) * dt + rounding[c]
+        arrived = -known.delays.least  # with a shorter delay a sample would be taken after it arrived
+        if first * dt - dt < arrived:
+            ends[[0, 3]] = np.where(ends[[0, 3]] <= first * dt + rounding[c], arrived, ends[[0, 3]])
+        ends = (np.maximum(ends, arrived) + 0.0).tolist()
+        found = ChannelDelay(
+            channel=name,
+            estimate=ends[1],
+            low=ends[0],
+            high=ends[2],
+            at_end="low" if best[c] == first else "high" if best[c] == last else "",
+            searched=(ends[3], ends[4]),
+            delays=(ends[1] + scale * dt * (s.ticks - s.peak)).tolist(),
+            drops=s.drops.tolist(),
+        )
+        out.append(found)
+        said += _remarks(found, dt)
+    apart = [each.channel for each, factor in zip(out, wider, strict=True) if factor > APART]
+    if apart:
+        said.append(
+            f"{' and '.join(apart)}: the recording tells the differences between these delays, hardly each of them; record an "
+            "input that moves the plant."
+        )
+    return out, said
+
+
+def _remarks(found: ChannelDelay, dt: float) -> list[str]:
+    """Sentences on one delay."""
+    name, out, (first, last) = found.channel, [], found.searched
+    if found.low <= first and found.high >= last:
+        out.append(
+            f"{name}: the recording does not tell the delay: the interval is the whole range that was searched; record more, "
+            "or with inputs that move the plant."
+        )
+    elif found.at_end == "high":
+        out.append(
+            f"{name}: the most likely delay is the longest that was searched, {last:.4g} s; give a larger --max-delay."
+        )
+    elif found.at_end == "low":
+        out.append(
+            f"{name}: the most likely delay is the shortest that is possible, {first:.4g} s: with a shorter one a sample "
+            "would be taken after it arrived, or be farther from its stamp than --max-delay."
+        )
+    if found.high - found.low < dt:
+        out.append(
+            f"{name}: the interval of the delay is narrower than a tick of {dt:g} s: it is interpolated between ticks."
+        )
+    return out
+
+
+def _rounding(profile: Profile) -> Floats:
+    """By how much the stamps of each channel are later than their ticks in the mean, less the same of the inputs [q] s."""
+    a, q = profile.a, len(profile.low)
+
+    def beyond(times: Floats) -> Floats:
+        return times - a.clock.start - a.clock.dt * a.clock.ticks(times)
+
+    sums, many = np.zeros(q), np.zeros(q)
+    for b in profile.batches:
+        came = np.isfinite(b.arrived)
+        sums += np.bincount(b.channel[came], beyond(b.sampled[came]), q)
+        many += np.bincount(b.channel[came], minlength=q)
+    inputs = [beyond(rows.t) for rows in a.log.inputs.read()] if a.log.inputs else []
+    return sums / np.maximum(many, 1) - (float(np.concatenate(inputs).mean()) if inputs else 0.0)
