@@ -42,6 +42,7 @@ from pcbench.statistics.distributions import chi_square_share
 Bools = NDArray[np.bool_]
 LAGS = 20
 HELD_OUT = 0.3  # of the ticks of a log
+FEW, BIASED = 10, 2.0  # samples, and the mean of z from where on a channel is said to be biased
 
 
 class Sums(NamedTuple):
@@ -49,6 +50,7 @@ class Sums(NamedTuple):
 
     totals: Floats = np.zeros((3, 2))  # of square, degrees, log_det
     samples: int = 0
+    signed: float = 0.0  # sum of z
     products: Floats = np.zeros(LAGS + 1)  # sums of z_i z_(i-h), h = 0 .. LAGS
     newest: Floats = np.zeros(0)  # the last LAGS of z
 
@@ -63,6 +65,7 @@ def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
     return Sums(
         totals=sums.totals + [np.bincount(part, numbers[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
+        signed=sums.signed + float(z.sum()),
         products=sums.products + np.array(more),
         newest=every[-LAGS:],
     )
@@ -90,7 +93,7 @@ def by_channel(
 
     It says how many samples arrived [q], how many were judged, and what they say.
     """
-    keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "ljung_box_p")
+    keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "mean", "ljung_box_p")
     rows: list[dict[str, Any]] = []
     for observer, (total, each) in judged.items():
         if any(sums.samples for sums in each) or not total.samples:
@@ -99,6 +102,20 @@ def by_channel(
                 row = {"observer": observer, "channel": name, "not_judged": came - sums.samples}
                 rows.append(row | {key: says[key] for key in keys})
     return rows
+
+
+def describe_biased(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each channel whose samples are far on one side of what an observer expects, from `by_channel`."""
+    out = {}
+    for row in rows:
+        if row["samples"] >= FEW and abs(row["mean"]) > BIASED and row["channel"] not in out:
+            side = "above" if row["mean"] > 0 else "below"
+            out[row["channel"]] = (
+                f"{row['channel']} is {abs(row['mean']):.3g} predicted standard deviations {side} the predictions of "
+                f"{row['observer']} in the mean: if it has absolute values and the plant counts from an operating point, write "
+                "an offset in a TOML."
+            )
+    return [*out.values()]
 
 
 def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
@@ -132,6 +149,7 @@ def judgement(sums: Sums) -> dict[str, float | str]:
         "nis_low": within.low if within else np.nan,
         "nis_high": within.high if within else np.nan,
         "verdict": verdict(nis, within) if within else "unknown",
+        "mean": sums.signed / T if T else np.nan,
         "lags": lags,
         "ljung_box": Q,
         "ljung_box_p": chi_square_share(lags, Q) if np.isfinite(Q) else np.nan,

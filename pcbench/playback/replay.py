@@ -229,7 +229,7 @@ def _results(
         [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.judged.items()]
     )
     channels = innovation_tests.by_channel(passage.judged, a.log.channels, passage.arrived)
-    a.remarks.extend(innovation_tests.describe_skipped(channels))
+    a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
     distances = replay_metrics.distances(
         draft.estimates, passage.smoothed, list(a.cell.options), signals, steady=a.cell.times.tail
     )

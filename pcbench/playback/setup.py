@@ -17,7 +17,7 @@ from pcbench.plants import estimated_of
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
 from pcbench.recordings.log import Floats, Log, shift_stamps
-from pcbench.recordings.survey import Survey, survey
+from pcbench.recordings.survey import Survey, held_values, survey
 from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import Clock
 from pcbench.recordings.windows import Room, stretches, with_stretch
@@ -105,6 +105,7 @@ def open_playback(
         remarks.append(f"{opened.name} has no inputs: they are taken to be 0.")
     if start is not None and known.start < start:
         remarks.append(f"what was sampled before {start:g} s is left out.")
+    remarks.extend(held_values(known))
     if with_std := known.with_std():
         remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {opened.name} states for it.")
     length = min(LENGTH, max(power_of_2(last + 1), 2))

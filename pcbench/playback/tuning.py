@@ -322,6 +322,11 @@ def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | s
         out.append(
             f"{', '.join(limits)}: the log does not exclude 0, so this is a one-sided 95 % limit (profile likelihood)."
         )
+    if floor := [i.name for i in intensities if i.name.startswith("R") and i.found <= 2 * parameters.LEAST]:
+        out.append(
+            f"{', '.join(floor)}: at the least value that is possible, {parameters.LEAST:g}: the channel never changes, or the "
+            "process noise explains all of it; this is no estimate of its noise."
+        )
     if float(ljung_box_p) < UNLIKELY:
         out.append(
             f"innovations of the held-out part are not white (p = {ljung_box_p:.2g}): the model or a delay is wrong, "

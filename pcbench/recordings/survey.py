@@ -4,7 +4,8 @@ Intervals are between successive stamps of a channel. A *gap* is an interval of 
 stamp; it *jumps* where it differs from the one before by more than ten times the middle half of all delays and half an
 interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis clock_skew:
 minus the slope of the line through all delays.
-A sample is *out of order* where one with a later stamp is before it, *doubled* where its stamp is there twice.
+A sample is *out of order* where one with a later stamp is before it, *doubled* where its stamp is there twice. Its value is
+*repeated* if that of the row before is the same.
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
 """
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 GAP = 5.0  # medians of an interval
 JUMP = 10.0  # middle halves of the delays
+HELD = 0.2  # of the values of a channel: if more are repeated, it is said
 
 
 class Channel(NamedTuple):
@@ -41,8 +43,16 @@ class Channel(NamedTuple):
     drift: Floats = np.zeros(6)  # sums for a line
     longest: Floats = np.zeros((0, 3))  # intervals
     steps: Floats = np.zeros((0, 3))  # the largest changes from one delay to the next
+    values: Spread = Spread()  # by row
+    repeated: int = 0
+    last_value: float = np.nan  # that of the row before
     stds: int = 0  # samples with a standard deviation of their own
     without_std: int | None = None  # row of the first one that has none
+
+    @property
+    def constant(self) -> bool:
+        """Whether all its values are one."""
+        return self.values.many > 1 and self.values.least == self.values.most
 
     def gaps(self) -> Floats:
         """Return the gaps, a hundred at most: (length [s], stamp at their end [s], row)."""
@@ -131,7 +141,7 @@ def _more(c: Channel, batch: Batch) -> Channel:
     behind = batch.sampled < np.maximum.accumulate(np.concatenate([[newest], batch.sampled[:-1]]))
     change = np.abs(np.diff(delay, prepend=c.last_delay))
     changed = np.isfinite(change)
-    seen = add(c.stamps, batch.row, batch.sampled)
+    seen, measured = add(c.stamps, batch.row, batch.sampled), batch.value[~np.isnan(batch.value)]
     x = at - seen.kept[0, 1]  # since the first stamp
     stated = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
     without = None if stated.all() else int(batch.row[np.argmin(stated)])
@@ -147,9 +157,26 @@ def _more(c: Channel, batch: Batch) -> Channel:
         drift=c.drift + np.array(sums),
         longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
         steps=largest(c.steps, change[changed], at[changed], batch.row[came][changed]),
+        values=add(c.values, batch.row, batch.value),
+        repeated=c.repeated + int((np.diff(measured, prepend=c.last_value) == 0).sum()),
+        last_value=float(measured[-1]) if len(measured) else c.last_value,
         stds=c.stds + int(stated.sum()),
         without_std=without if c.without_std is None else c.without_std,
     )
+
+
+def held_values(log: Survey) -> list[str]:
+    """Return a sentence for each channel whose value never changes, or often is the one before."""
+    out = []
+    for name, c in log.channels.items():
+        if c.constant:
+            out.append(f"{name} never changes: all of {c.values.many:,} values are {c.values.least:.6g}.")
+        elif c.repeated > HELD * c.values.many:
+            out.append(
+                f"{name}: {c.repeated:,} of {c.values.many:,} values repeat the one before; if these are held, not measured, "
+                "write only_changes = true for the channel in a TOML."
+            )
+    return out
 
 
 def channel_rows(log: Survey) -> list[dict[str, object]]:
@@ -190,6 +217,10 @@ def _row(name: str, c: Channel) -> dict[str, object]:
         "jumps": len(jumps),
         "largest_jump": float(jumps[0, 0]) if len(jumps) else np.nan,
         "largest_jump_row": int(jumps[0, 2]) if len(jumps) else None,
+        "least": c.values.least if c.values.many else np.nan,
+        "most": c.values.most if c.values.many else np.nan,
+        "constant": c.constant,
+        "repeated": c.repeated,
         "drift_ppm": -1e6 * drift,
         "drift_ppm_se": 1e6 * se,
     }

@@ -10,6 +10,7 @@ import pandas as pd
 from pcbench import fields
 from pcbench.cli.render.tables import Column, Screen
 from pcbench.cli.render.tables import plain as number
+from pcbench.recordings.survey import held_values
 from pcbench.statistics import Z95
 from pcbench.statistics.number_format import estimate
 
@@ -44,6 +45,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
             reading = "±: half a 95 % interval, for independent delays"
             screen.say(f"{row['channel']}: clock drift {interval} ppm ({reading}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
+    screen.say(*held_values(table.attrs["survey"]))
 
 
 def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
