@@ -21,6 +21,7 @@ from pcbench.scenarios.sources import Table, Wave
 from pcbench.statistics import RUN_METRICS
 from pcbench.study import STUDIES, Choices, Study, observers_of, parse
 from pcbench.study.axes import AXES, COMMANDS, axes_of
+from pcbench.study.builtin import QUESTIONS
 from pcbench.study.fits import DRAWN
 from pcbench.study.plugins import registry, user_code
 
@@ -146,7 +147,7 @@ def _data(value: object) -> object:
 def study(s: Study) -> Description:
     """Describe a built-in study."""
     return {
-        "summary": ", ".join(s.scenarios) if len(s.scenarios) < 4 else f"{len(s.scenarios)} scenarios",
+        "summary": QUESTIONS[s.name],
         "scenarios": s.scenarios,
         "observers": s.observers or "each scenario's own",
         "seeds": s.seeds,

@@ -33,6 +33,7 @@ def list_(
     Example: pcbench list observers pccebo
     """
     from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, list_catalogue
+    from pcbench.cli.render.tables import Column
 
     kinds = {kind: list_catalogue(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
     if as_json:
@@ -43,8 +44,9 @@ def list_(
         print_in_full(name, kinds[what][name], screen)
         return
     for kind, members in kinds.items():
-        rows = [(each, description["summary"]) for each, description in members.items()]
-        screen.fold(TITLES.get(kind, kind), ("name", "description"), rows, no_wrap=("name",))
+        summaries = [description["summary"] for description in members.values()]
+        columns = [Column("name", list(members), left=True), Column("description", summaries, prose=True)]
+        screen.fit(TITLES.get(kind, kind), columns)
     kind = what or "observers"
     screen.print(f"Show one of them with all details: pcbench list {kind} {next(iter(kinds[kind]))}")
     if what is None:
@@ -99,6 +101,8 @@ def show(
 def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     """Print the operation counts of the observers of a scenario or a study."""
     from pcbench import api
+    from pcbench.cli.render.results import COSTS
+    from pcbench.cli.render.tables import Column
     from pcbench.planning import all_observers
 
     table = api.operation_counts(study, overrides=changes)
@@ -107,10 +111,11 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
         print(table.to_json(orient="records", indent=2))
         return
     screen = console()
-    screen.print(table[["scenario", "cell", "observer", "sample", "tick", "memory"]].to_string(index=False))
-    screen.print(
-        "sample, tick: multiplications per sample and per tick of one run; memory: bytes stored from tick to tick."
-    )
+    columns = [Column(name, table[name].to_list(), left=True) for name in ("scenario", "observer")]
+    cells = [Column("grid point", [str(v) for v in table.cell])] if table.cell.nunique() > 1 else []
+    counts = [Column(name, [f"{v:,}" for v in table[name]]) for name in ("sample", "tick", "memory")]
+    screen.fit(f"operations of {study}", [*columns, *cells, *counts])
+    screen.print(COSTS)
 
 
 def print_in_full(name: str, description: "Description", screen: "Screen") -> None:

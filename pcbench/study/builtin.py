@@ -7,6 +7,22 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
 from pcbench.toml_text import TomlTable
 
+QUESTIONS = {  # that each study answers
+    "quick": "Which observer of the cart has the least error, without and with noise?",
+    "cart": "Which observer is best in each scenario of the cart?",
+    "unequal-delays": "What do observers gain that use the delay of each sensor?",
+    "unknown-input": "How well are unknown inputs estimated over period, delay, noise and drift?",
+    "helicopter": "When does a high-gain observer fail that an extended Kalman filter survives?",
+    "equal-tuning": "Which observer is best if all are tuned with the same effort?",
+    "model-mismatch": "How much error does each wrong assumption cost?",
+    "delayed-measurements": "Which method for delayed measurements is best over the delay?",
+    "measurement-errors": "How much of each measurement error does an observer tolerate?",
+    "reactor": "Which nonlinear filter recovers from a wrong initial state?",
+    "equal-tuning-reactor": "Do tuned filters match an estimator with bounds?",
+    "period-delay-map": "Which sampling period and delay keep the error small?",
+    "all": "Which observer is best in each published scenario?",
+    "variable-sampling": "How much do a variable period, jitter and loss cost?",
+}
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
     "as-assumed": {},
@@ -115,7 +131,7 @@ STUDIES = {
         axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
         options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
-    "measurement-errors": Study(  # how much of each fault does an observer bear before the model alone is better?
+    "measurement-errors": Study(
         name="measurement-errors",
         scenarios=["cart/gaussian"],
         observers=["kf", "kf-gate", "kf-huber", "pccebo", "model-only"],
@@ -140,10 +156,8 @@ STUDIES = {
             "kf-huber": {"huber": 1.5},
         },
     ),
-    "reactor": Study(  # a poor start: who fails, who is told to doubt, who knows what cannot be?
-        name="reactor", scenarios=["reactor/batch"], seeds=256
-    ),
-    "equal-tuning-reactor": Study(  # does tuning, the same for all, do what bounds do?
+    "reactor": Study(name="reactor", scenarios=["reactor/batch"], seeds=256),
+    "equal-tuning-reactor": Study(
         name="equal-tuning-reactor",
         scenarios=["reactor/batch"],
         observers=["ekf", "ukf", "mhe-bounded"],
@@ -152,7 +166,7 @@ STUDIES = {
         tuning=["published", "tuned"],
         tune=Tune(objective="steady_rmse", only=["Q"], budget=40, training=128),
     ),
-    "period-delay-map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
+    "period-delay-map": Study(  # 20 x 20 grid points, without a seed
         name="period-delay-map",
         scenarios=["cart/gaussian"],
         observers=["pccebo", "kfbo", "kf"],

@@ -16,6 +16,12 @@ from pcbench.study import STUDIES, parse
 from pcbench.study.axes import AXES, COMMANDS, axes_of
 
 
+def test_each_study_has_its_own_question():
+    questions = [said["summary"] for said in list_catalogue("studies").values()]
+    assert len(set(questions)) == len(STUDIES)
+    assert all(question.endswith("?") for question in questions)
+
+
 def test_everything_that_there_is_is_listed():
     for kind, known in (
         ("plants", PLANTS),

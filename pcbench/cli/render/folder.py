@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from rich.text import Text
 
-from pcbench.cli.render.tables import Screen
+from pcbench.cli.render.tables import Column, Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.validate_exact import KEY, ExactValidation
 from pcbench.dataset.verify import Status, Verdict
@@ -18,14 +18,20 @@ STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white
 
 def status(found: Status, folder: str, screen: Screen) -> None:
     """Print how far a study is."""
-    numbers = ("grid points", "blocks", "runs", "of", "done")
-    rows = []
-    for s in found.shares:
-        share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
-        name = mark_uncertified(s.observer, [s.certified])
-        rows.append((s.scenario, name, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share))
-    title = f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB"
-    screen.fold(title, ("scenario", "observer", *numbers), rows, right=numbers)
+    shares, done = (
+        found.shares,
+        [f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-" for s in found.shares],
+    )
+    columns = [
+        Column("scenario", [s.scenario for s in shares], left=True),
+        Column("observer", [mark_uncertified(s.observer, [s.certified]) for s in shares], left=True),
+        Column("grid\npoints", [str(s.cells) for s in shares]),
+        Column("blocks", [str(s.blocks) for s in shares]),
+        Column("runs", [f"{s.seeds:,}" for s in shares]),
+        Column("of", [f"{s.wanted:,}" for s in shares]),
+        Column("done", done),
+    ]
+    screen.fit(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB", columns)
     screen.say_unproven(s.certified for s in found.shares)
     screen.say(
         *(f"damaged: {name}" for name in found.damaged), *(f"seeds in two files: {name}" for name in found.doubled)
@@ -103,22 +109,29 @@ def _changes(rows: pd.DataFrame, title: str, screen: Screen) -> None:
             return "-"
         return f"{value:.5g}" + (f" ± {2 * se:.1g}" if se > 0 else "") + (f" {unit}" if unit else "")
 
-    texts = []
-    for r in rows.to_dict("records"):
-        sides = [mean(r[f"mean_{side}"], r[f"se_{side}"], r["unit"]) for side in "ab"]
-        p = "no variance" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}"
-        observer = mark_uncertified(r["observer"], [r["certified_a"], r["certified_b"]])
-        names = (r["scenario"], r["where"], observer, r["signal"], r["metric"])
-        texts.append((*names, *sides, f"{r['difference']:+.3g}", p))
-    numbers = ("there", "here", "difference", "p (Holm)")
-    screen.fold(title, ("scenario", "grid point", "observer", "signal", "metric", *numbers), texts, right=numbers)
+    every = rows.to_dict("records")
+    there, here = ([mean(r[f"mean_{side}"], r[f"se_{side}"], r["unit"]) for r in every] for side in "ab")
+    observers = [mark_uncertified(r["observer"], [r["certified_a"], r["certified_b"]]) for r in every]
+    names = {
+        "scenario": [r["scenario"] for r in every],
+        "grid point": [r["where"] for r in every],
+        "observer": observers,
+    }
+    names |= {name: [r[name] for r in every] for name in ("signal", "metric")}
+    numbers = {"there": there, "here": here, "difference": [f"{r['difference']:+.3g}" for r in every]}
+    numbers["p (Holm)"] = ["no variance" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}" for r in every]
+    columns = [Column(name, cells, left=True) for name, cells in names.items() if any(cells)]
+    screen.fit(title, columns + [Column(name, cells) for name, cells in numbers.items()])
     screen.say_unproven(rows[["certified_a", "certified_b"]].to_numpy().ravel())
 
 
 def claims(title: str, rows: list[Claim], screen: Screen) -> None:
     """Print the claims of a paper with printed and reproduced numbers."""
-    texts = [(row.claim, row.printed, row.reproduced, Text(row.verdict, STYLES[row.verdict])) for row in rows]
-    screen.fold(title, ("claim", "printed", "reproduced", "verdict"), texts)
+    columns = [
+        Column(name, [getattr(row, name) for row in rows], prose=True) for name in ("claim", "printed", "reproduced")
+    ]
+    verdicts = [Text(row.verdict, STYLES[row.verdict]) for row in rows]
+    screen.fit(title, [*columns, Column("verdict", verdicts, left=True)])
     screen.print(summary(rows))
 
 

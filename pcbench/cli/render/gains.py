@@ -32,7 +32,8 @@ def gains(design: Design, screen: Screen) -> None:
     promise = f"{c.rate:.6g} 1/s or faster" if np.isfinite(c.rate) else "not guaranteed"
     screen.print(f"decay rate of the errors: {promise}", highlight=True)
     for name, value in c.numbers.items():
-        body = np.array2string(np.asarray(value), precision=12, separator=", ", suppress_small=False)
+        wide = max(screen.width - len(name) - 3, 20)
+        body = np.array2string(np.asarray(value), wide, precision=12, separator=", ", suppress_small=False)
         screen.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", highlight=True)
 
 
@@ -43,9 +44,9 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
     moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
     heads = [head + (" [1/s]" if head == "rate" else "") for head in (*fixed, *moving)]
     designs = table[table.refused == ""]
-    values = designs[[*fixed, *moving]].to_dict("split")["data"]
-    rows = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in values]
-    screen.fold(mark_uncertified(title, table.certified), heads, rows, right=heads)
+    values = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]] for name in (*fixed, *moving)]
+    columns = [Column(head, cells, left=head == option) for head, cells in zip(heads, values, strict=True)]
+    screen.fit(mark_uncertified(title, table.certified), columns)
     if len(designs) > 1 and not moving and designs.rate.nunique() <= 1:
         screen.print(f"{option} has no effect here: these gains do not depend on it; use another --gain.")
     screen.say_unproven(table.certified)
@@ -140,8 +141,7 @@ def fair(table: pd.DataFrame, screen: Screen) -> None:
     ]
     if table.diverged.any():
         columns.append(Column("diverged", [str(r["diverged"]) for r in rows]))
-    if left_out := screen.fit(title, columns):
-        screen.print(f"Left out for lack of space: {', '.join(left_out)}.")
+    screen.fit(title, columns)
     screen.say_unproven(table.certified)
     for label, note in dict.fromkeys((row["label"], row["note"]) for row in rows if row["note"]):
         screen.print(f"{label}: the start is kept: {note}.")
@@ -150,5 +150,7 @@ def fair(table: pd.DataFrame, screen: Screen) -> None:
 def print_findings(title: str, findings: list[Finding], screen: Screen) -> None:
     """Print every check with its verdict and the reason."""
     colours = {"passes": "green", "fails": "red"}
-    rows = [(f.check, Text(f.verdict, colours.get(f.verdict, "yellow")), f.why) for f in findings]
-    screen.fold(title, ("check", "verdict", "reason"), rows, no_wrap=("check", "verdict"))
+    verdicts = [Text(f.verdict, colours.get(f.verdict, "yellow")) for f in findings]
+    checks, reasons = ([getattr(f, name) for f in findings] for name in ("check", "why"))
+    columns = [Column("check", checks, left=True), Column("verdict", verdicts, left=True)]
+    screen.fit(title, [*columns, Column("reason", reasons, prose=True)])

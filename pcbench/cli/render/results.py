@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pcbench.cli.render.tables import Column, Screen, plain
+from pcbench.cli.render.tables import Column, Screen, left_out, plain
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.limits.search import settles_sentence
@@ -108,15 +108,16 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
             (f"{view.title}, {place}", [cell], _columns(view, [cell], []))
             for place, cell in zip(at, cells, strict=True)
         ]
-    left_out: dict[str, None] = {}
+    missing: dict[str, None] = {}
     for title, group, columns in groups:
-        left_out |= dict.fromkeys(screen.fit(title, columns, [cell.observer.nunique() for cell in group]))
+        many = [cell.observer.nunique() for cell in group]
+        missing |= dict.fromkeys(screen.fit(title, columns, many, named=False))
     methods = set(view.stats.method)
     notes = [EXACT] if "exact" in methods else []
     notes += [HALF] if "exact" not in methods or "runs" in methods else []
     if "exact" not in methods and any(cell.observer.nunique() > 1 for cell in cells):
         notes.append(PAIRED)
-    return notes + ([f"Left out for lack of space: {', '.join(left_out)}."] if left_out else [])
+    return notes + ([left_out(list(missing))] if missing else [])
 
 
 def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:

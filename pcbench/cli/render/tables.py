@@ -9,23 +9,28 @@ from itertools import takewhile
 from typing import Any, Literal, NamedTuple
 
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from pcbench.errors import printable
 from pcbench.statistics.number_format import UNPROVEN, estimate, mark_uncertified
 
+PROSE = 24  # letters of a line of prose, at least
+
 
 class Column(NamedTuple):
     """A column of a table that fits: it goes before those of a lower `spare`; one of 0 stays."""
 
     head: str
-    cells: Sequence[str]
+    cells: Sequence[str | Text]
     spare: int = 0
     left: bool = False  # text, not numbers
     bold: frozenset[int] = frozenset()  # numbers of the rows in which it is
+    prose: bool = False  # sentences, whose lines break between words
 
 
 class Screen(Console):
@@ -51,66 +56,83 @@ class Screen(Console):
         if mark_uncertified("", certified):
             self.print(f"{UNPROVEN} its gains.")
 
-    def fold(
-        self,
-        title: str,
-        heads: Iterable[str],
-        rows: Iterable[Sequence[str | Text]],
-        right: Iterable[str] = (),
-        no_wrap: Iterable[str] = (),
-    ) -> None:
-        """Print a table below its title, whose texts are folded where the terminal is narrow."""
-        table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for head in heads:
-            side: Literal["right", "left"] = "right" if head in right else "left"
-            table.add_column(head, justify=side, overflow="fold", no_wrap=head in no_wrap)
-        for row in rows:
-            table.add_row(*row)
-        self.print(table)
-
-    def fit(self, title: str, columns: list[Column], sections: list[int] | None = None) -> list[str]:
+    def fit(
+        self, title: str, columns: list[Column], sections: list[int] | None = None, named: bool = True
+    ) -> list[str]:
         """Print a table as wide as the terminal at most, below its title; return the heads of the columns left out for it.
 
-        Columns that cannot be left out and have no room follow in further tables, after the same first columns. `sections` are
-        the numbers of rows of each part.
+        Columns that cannot be left out and have no room follow in further tables, after the same first columns. If even these
+        have no room, or if there is prose, each row is a block of lines. `sections` are the numbers of rows of each part.
+        `named`: a line below the table names the columns that are left out.
         """
         shown, out = list(columns), []
-        while self._needs(_table(shown, None)) > self.width:
+        while self._needs(shown) > self.width:
             spare = max(shown, key=lambda c: c.spare)
             if not spare.spare:
                 break
             shown.remove(spare)
             out.append(spare.head.replace("\n", " "))
         self.print(title, style="italic")
-        for part in self._parts(shown):
-            self.print(_table(part, sections))
+        parts = [shown] if any(c.prose for c in shown) else self._parts(shown)
+        if any(self._needs(part) > self.width for part in parts):
+            self._print_blocks(columns)
+            return []
+        for part in parts:
+            self.print(_table(part, sections, self.width - self._needs(part)))
+        if out and named:
+            self.print(left_out(out[::-1]))
         return out[::-1]
 
     def _parts(self, columns: list[Column]) -> list[list[Column]]:
         """Divide columns into tables that have room, each with the columns of text that come first; one is never empty."""
-        first = list(takewhile(lambda c: c.left, columns))
+        first = list(takewhile(lambda c: c.left and not c.prose, columns))
         parts = [first]
         for column in columns[len(first) :]:
-            if len(parts[-1]) > len(first) and self._needs(_table([*parts[-1], column], None)) > self.width:
+            if len(parts[-1]) > len(first) and self._needs([*parts[-1], column]) > self.width:
                 parts.append(first)
             parts[-1] = [*parts[-1], column]
         return parts
 
+    def _print_blocks(self, columns: list[Column]) -> None:
+        """Print each row as lines of a head and its cell, the first of them in bold."""
+        for i in range(len(columns[0].cells)):
+            for j, c in enumerate(columns):
+                head, cell = " ".join(c.head.split()), c.cells[i]
+                text = cell if isinstance(cell, Text) else Text(printable(" ".join(cell.split())))
+                if text.plain:
+                    line = Text.assemble(f"{printable(head)}: " if head else "", text, style="" if j else "bold")
+                    self.print(Padding(line, (0, 0, 0, 2 * bool(j))))
+        self.print()
+
     def fits(self, columns: list[Column]) -> bool:
         """Return whether the columns that stay fit into the terminal."""
-        return self._needs(_table([c for c in columns if not c.spare], None)) <= self.width
+        return self._needs([c for c in columns if not c.spare]) <= self.width
 
-    def _needs(self, table: Table) -> int:
-        """The columns of the terminal that a table needs so that nothing of it is cut."""
-        return Measurement.get(self, self.options.update_width(10_000), table).maximum
+    def _needs(self, columns: list[Column]) -> int:
+        """The columns of the terminal that a table needs so that no number and no word of it is cut."""
+        return Measurement.get(self, self.options.update_width(10_000), _table(columns, None)).maximum
 
 
-def _table(columns: list[Column], sections: list[int] | None) -> Table:
+def left_out(heads: list[str]) -> str:
+    """Return a sentence that names the columns that have no room."""
+    return f"Left out for lack of space: {', '.join(heads)}."
+
+
+def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) -> Table:
+    """Return columns as a table: those of prose as narrow as their words, or by up to `spare` letters wider."""
     table, cells = Table(box=SIMPLE_HEAD, pad_edge=False), []
     for c in columns:
-        table.add_column(c.head, justify="left" if c.left else "right", overflow="fold", no_wrap=True)
-        texts = c.cells if c.left else align_intervals(c.cells)
-        cells.append([Text(printable(text), "bold") if i in c.bold else text for i, text in enumerate(texts)])
+        width = None
+        if c.prose:
+            width, natural = _prose_widths(c)
+            more = min(spare, natural - width)
+            width, spare = width + more, spare - more
+        side: Literal["left", "right"] = "left" if c.left or c.prose else "right"
+        table.add_column(c.head, justify=side, overflow="fold", no_wrap=not c.prose, width=width)
+        texts = c.cells if side == "left" else align_intervals([str(cell) for cell in c.cells])
+        cells.append(
+            [Text(printable(t), "bold") if i in c.bold and isinstance(t, str) else t for i, t in enumerate(texts)]
+        )
     rows = list(zip(*cells, strict=True))
     for many in sections or [len(rows)]:
         for row in rows[:many]:
@@ -118,6 +140,14 @@ def _table(columns: list[Column], sections: list[int] | None) -> Table:
         table.add_section()
         rows = rows[many:]
     return table
+
+
+def _prose_widths(c: Column) -> tuple[int, int]:
+    """Return the least width of a column of prose, in which no word is cut, and the width of its longest text."""
+    texts = [Text(printable(str(text), but="\n")) for text in (c.head, *c.cells)]
+    natural = max(text.cell_len for text in texts)
+    words = max((cell_len(word) for text in texts for word in text.plain.split()), default=1)
+    return max(words, min(natural, PROSE)), natural
 
 
 def align_intervals(cells: Sequence[str], at: str = " ± ") -> list[str]:
