@@ -6,7 +6,19 @@ from types import ModuleType
 import numpy as np
 from jaxtyping import PyTree
 
-from pcbench.plants import arm, cart, csth, growth, helicopter, late_cart, lti, ncs_reactor, ncs_two_state, reactor
+from pcbench.plants import (
+    arm,
+    cart,
+    csth,
+    growth,
+    helicopter,
+    intermittent,
+    late_cart,
+    lti,
+    ncs_reactor,
+    ncs_two_state,
+    reactor,
+)
 from pcbench.plants.factory import PlantSpec, make_plant
 from pcbench.scenarios import Scenario
 
@@ -39,6 +51,7 @@ PLANTS: dict[str, PlantSpec] = {
     ),
     "ncs-two-state": _of(ncs_two_state, "two-state plant of networked control, 2 states")._replace(drifts=False),
     "ncs-reactor": _of(ncs_reactor, "unstable batch reactor of networked control, 4 states")._replace(drifts=False),
+    "intermittent": _of(intermittent, "unstable scalar plant in discrete time, 1 state")._replace(drifts=False),
     "growth-model": _of(growth, "growth model in discrete time with measured square, 1 state")._replace(
         heavy=True, successor=growth.successor, sensor=growth.sensor, drifts=False, tick=growth.TICK
     ),

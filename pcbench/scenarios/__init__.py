@@ -5,6 +5,7 @@ from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.growth import GROWTH
 from pcbench.scenarios.helicopter import HELICOPTER
+from pcbench.scenarios.intermittent import INTERMITTENT
 from pcbench.scenarios.ncs_reactor import NCS_REACTOR
 from pcbench.scenarios.ncs_two_state import NCS_TWO_STATE
 from pcbench.scenarios.reactor import REACTOR
@@ -12,5 +13,5 @@ from pcbench.scenarios.scenario import INTERVAL, NOTHING, Belief, Loop, Sampling
 
 __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
-_EVERY = (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR, *NCS_TWO_STATE, *NCS_REACTOR, *GROWTH)
+_EVERY = (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR, *NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT)
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}
