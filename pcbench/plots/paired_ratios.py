@@ -39,9 +39,7 @@ EQUAL = 1e-9  # a ratio that differs less from 1 is rounding
 class Ratios(NamedTuple):
     """The ratios of a grid point."""
 
-    rows: (
-        pd.DataFrame
-    )  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (fraction); the best first
+    rows: pd.DataFrame  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (share); best first
     best: str
     value: float  # the mean of the best
     bound: pd.Series | None  # the row of stats of the best's rms_efficiency: the Kalman bound divided by its rms error
@@ -75,7 +73,8 @@ def ratios_of(
     rows = pd.DataFrame({"observer": means.observer.to_list()}).join(over, on="observer")
     rows["p"] = rows.observer.map(p)
     rows["worse"] = [o not in stood.leaders and o not in stood.alike and o != stood.best for o in rows.observer]
-    rows["diverged"] = [row.diverged / max(row.n + row.diverged, 1) for row in mine.loc[rows.observer].itertuples()]
+    kept, lost = (mine[name].loc[rows.observer].to_numpy(float) for name in ("n", "diverged"))
+    rows["diverged"] = lost / np.maximum(kept + lost, 1)
     rows["more"] = [diverges_more(mine.loc[stood.best], mine.loc[o]) for o in rows.observer]
     rows["certified"] = mine.certified.loc[rows.observer].to_list()
     rows = rows.sort_values("observer", key=lambda names: names != stood.best, kind="stable", ignore_index=True)
@@ -104,8 +103,8 @@ def _of_runs(result: Result, scenario: str, signal: str, metric: str, cell: int,
 def _of_means(mine: pd.DataFrame, best: str) -> pd.DataFrame:
     """Return the same from rows of stats, some of them exact."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        half = np.log(mine.ci_high / mine["mean"]).fillna(0.0)
-        half = np.hypot(half, half[best]).where(mine.index != best, 0.0)
+        half = pd.Series(np.log((mine.ci_high / mine["mean"]).to_numpy(float)), mine.index).fillna(0.0)
+        half = pd.Series(np.where(mine.index != best, np.hypot(half, half[best]), 0.0), mine.index)
     ratio = mine["mean"] / mine["mean"][best]
     return pd.DataFrame({"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": mine.n})
 
@@ -137,13 +136,15 @@ def ratios(
     words = describe_metric(result.ranks(metric), whole.signal.iloc[0])
     method = "exact values" if found.exact else "95 % paired intervals, p-values of the paired t-test (Holm)"
     title = f"{words}: {about(result, whole, frames.named_values(result, whole, cell))}, {method}"
-    hollow = {"marker": "o", "mfc": "white", "linestyle": "none", "markersize": 5}
     keys: list[Artist] = [] if found.exact else [Patch(color=GRID, label="not distinguishable (95 %)")]
     if not rows.worse[1:].all():
-        keys.append(Line2D([], [], color=SOFT, label="not significant", **hollow))
+        hollow = Line2D(
+            [], [], color=SOFT, marker="o", mfc="white", linestyle="none", markersize=5, label="not significant"
+        )
+        keys.append(hollow)
     if found.bound is not None:
         keys.append(Line2D([], [], color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, label=BOUND))
-    names = [mark_uncertified(row.observer, [row.certified]) for row in rows.itertuples()]
+    names = [mark_uncertified(o, [c]) for o, c in zip(rows.observer.tolist(), rows.certified.tolist(), strict=True)]
     names += [] if found.bound is None else [BOUND]
     least = f"{layout.number(float(f'{found.value:.3g}'))} [{unit_of(whole)}]"
     with sheet(paper, title, height=ROW * len(names) + 0.1, keys=keys) as (figure, (ax,)):
@@ -157,7 +158,7 @@ def ratios(
             _draw_row(ax, place, row, look[row["observer"]], found, paper)
         ax.axvline(1.0, color=SOFT, linewidth=0.8, zorder=1.2)
         if found.bound is not None:
-            low, at, high = found.bound[["ci_low", "mean", "ci_high"]]
+            low, at, high = found.bound[["ci_low", "mean", "ci_high"]].to_numpy(float)
             ax.axvline(at, color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, zorder=1.3)
             ax.hlines(len(rows), low, high, color=INK, linewidth=1.3)
             ax.plot([at], [len(rows)], marker="|", color=INK, markersize=8)
@@ -166,8 +167,8 @@ def ratios(
 
 def _set_ratios(ax: Axes, found: Ratios) -> None:
     """Choose the logarithmic axis of ratios, with even steps where it is short."""
-    ends = found.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
-    ends = [*ends, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]])]
+    drawn = found.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
+    ends = [*drawn, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]].to_numpy(float))]
     set_range(ax, "x", ends, log=True)
     low, high = ax.get_xlim()
     if high < NARROW * low:

@@ -57,27 +57,37 @@ def regrets_of(
     parts, chosen, runs = list[pd.DataFrame](), dict[str, None](), 0
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
-            part, found = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
-            leaders = {row.cell: {*row.leaders, *row.alike} for row in found.itertuples()}
+            part = frames.rows(result, scenario, signal, metric)
+            found = frames.standings(result, scenario, signal, metric)
+            leaders = {c: {*a, *b} for c, a, b in zip(found.cell, found.leaders, found.alike, strict=True)}
             best = dict(zip(found.cell, found.best, strict=True))
-            least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
+            means = part["mean"].to_numpy(float)
+            lowest = part.groupby("cell")["mean"].min().to_dict()
+            least = np.array([lowest[cell] for cell in part.cell])
             names = {cell: _situation(result, part, cell) for cell in best}
-            rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
-            rows["ratio"] = np.where(np.isfinite(part["mean"]), part["mean"] / least.where(least > ROUNDING), inf)
-            rows["best"] = [o == best[c] for o, c in zip(part.observer, part.cell, strict=True)]
-            rows["worse"] = [
-                o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)
-            ]
-            parts.append(rows[(least > ROUNDING).to_numpy()])
+            known = np.isfinite(means) & (least > ROUNDING)
+            ratio = np.divide(means, least, out=np.full(len(part), inf), where=known)
+            columns = {
+                "situation": [names[c] for c in part.cell],
+                "observer": part.observer.astype(str).tolist(),
+                "ratio": ratio.tolist(),
+                "best": [o == best[c] for o, c in zip(part.observer, part.cell, strict=True)],
+                "worse": [o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)],
+            }
+            rows = pd.DataFrame(columns)
+            parts.append(rows[least > ROUNDING])
             chosen[signal] = None
             runs = max(runs, int((part.n + part.diverged).max()))
-    whole = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
-    situations, observers = (list(dict.fromkeys(whole[name])) for name in ("situation", "observer"))
+    if not parts:
+        return None
+    whole = pd.concat(parts, ignore_index=True)
+    situations = list(dict.fromkeys(whole.situation.tolist()))
+    observers = list(dict.fromkeys(whole.observer.tolist()))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
-    found = Regrets(whole, observers, situations, runs, list(chosen))
-    largest = found.largest
-    return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
+    matrix = Regrets(whole, observers, situations, runs, list(chosen))
+    largest = matrix.largest
+    return matrix._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
 
 def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
@@ -107,7 +117,8 @@ def regrets(
             "expected two; give the study an axis with several values or several scenarios."
         )
     finite = found.rows.ratio[np.isfinite(found.rows.ratio)]
-    norm = LogNorm(1.0, max(DARKEST, float(finite.max())))
+    most = max(DARKEST, float(finite.max()))
+    norm = LogNorm(1.0, most)
     panels = ceil(len(found.situations) / COLUMNS)
     columns = ceil(len(found.situations) / panels)
     words = max(paper.width_of(name, 1) for name in found.situations)
@@ -117,7 +128,7 @@ def regrets(
     runs = "one run" if found.runs == 1 else runs
     subject = describe_metric(result.ranks(metric), " or ".join(found.signals))
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
-            for v in KEYS if v <= norm.vmax]  # fmt: skip
+            for v in KEYS if v <= most]  # fmt: skip
     keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label="not significant"))
     with sheet(
         paper,
