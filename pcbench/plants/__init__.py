@@ -17,6 +17,7 @@ from pcbench.plants import (
     lti,
     ncs_reactor,
     ncs_two_state,
+    quadruple_tank,
     reactor,
 )
 from pcbench.plants.factory import PlantSpec, make_plant
@@ -54,6 +55,13 @@ PLANTS: dict[str, PlantSpec] = {
     "intermittent": _of(intermittent, "unstable scalar plant in discrete time, 1 state")._replace(drifts=False),
     "growth-model": _of(growth, "growth model in discrete time with measured square, 1 state")._replace(
         heavy=True, successor=growth.successor, sensor=growth.sensor, drifts=False, tick=growth.TICK
+    ),
+    "quadruple-tank": _of(quadruple_tank, "four tanks with two pumps and two level sensors, 4 states")._replace(
+        heavy=True,
+        model=quadruple_tank.model,
+        residual=quadruple_tank.residual,
+        positive=("A1", "A2", "a1", "a2", "k1", "k2", "kc", "g"),
+        drifts=False,
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -8,10 +8,22 @@ from pcbench.scenarios.helicopter import HELICOPTER
 from pcbench.scenarios.intermittent import INTERMITTENT
 from pcbench.scenarios.ncs_reactor import NCS_REACTOR
 from pcbench.scenarios.ncs_two_state import NCS_TWO_STATE
+from pcbench.scenarios.quadruple_tank import QUADRUPLE_TANK
 from pcbench.scenarios.reactor import REACTOR
 from pcbench.scenarios.scenario import INTERVAL, NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
-_EVERY = (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR, *NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT)
+_EVERY = (
+    *CART,
+    *CSTH,
+    *ARM,
+    *HELICOPTER,
+    *REACTOR,
+    *NCS_TWO_STATE,
+    *NCS_REACTOR,
+    *GROWTH,
+    *INTERMITTENT,
+    *QUADRUPLE_TANK,
+)
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}
