@@ -10,6 +10,7 @@ from pcbench.plants import (
     arm,
     cart,
     csth,
+    flexible_joint,
     growth,
     helicopter,
     intermittent,
@@ -62,6 +63,9 @@ PLANTS: dict[str, PlantSpec] = {
         residual=quadruple_tank.residual,
         positive=("A1", "A2", "a1", "a2", "k1", "k2", "kc", "g"),
         drifts=False,
+    ),
+    "flexible-joint": _of(flexible_joint, "flexible joint with measured motor angle, 4 states")._replace(
+        heavy=True, model=flexible_joint.model, residual=flexible_joint.residual, drifts=False
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -3,6 +3,7 @@
 from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
+from pcbench.scenarios.flexible_joint import FLEXIBLE_JOINT
 from pcbench.scenarios.growth import GROWTH
 from pcbench.scenarios.helicopter import HELICOPTER
 from pcbench.scenarios.intermittent import INTERMITTENT
@@ -15,15 +16,7 @@ from pcbench.scenarios.scenario import INTERVAL, NOTHING, Belief, Loop, Sampling
 __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
 _EVERY = (
-    *CART,
-    *CSTH,
-    *ARM,
-    *HELICOPTER,
-    *REACTOR,
-    *NCS_TWO_STATE,
-    *NCS_REACTOR,
-    *GROWTH,
-    *INTERMITTENT,
-    *QUADRUPLE_TANK,
+    *(*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR),
+    *(*NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT, *QUADRUPLE_TANK, *FLEXIBLE_JOINT),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}
