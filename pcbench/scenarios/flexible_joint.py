@@ -12,7 +12,7 @@ from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring
 FLEXIBLE_JOINT = (
     Scenario(
         name="flexible-joint/sampled",
-        summary="motor angle every 0.1 s, noise of 0.01 rad, link from 1 rad",
+        summary="motor angle every 0.1 s, noise of 0.01 rad",
         source="Raghavan, Hedrick 1994, sampled and with noise",
         plant="flexible-joint",
         observers=("ekf", "ukf", "kf", "model-only"),

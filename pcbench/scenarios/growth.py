@@ -20,7 +20,7 @@ OPTIONS: dict[str, TomlTable] = {
 GROWTH = (
     Scenario(
         name="growth-model/gordon",
-        summary="x^2/20 measured at each of 50 steps, variances 10 (process) and 1 (measurement)",
+        summary="x^2/20 measured at each of 50 steps",
         source="Gordon, Salmond, Smith 1993",
         plant="growth-model",
         observers=("ekf", "ukf", "particle"),

@@ -19,7 +19,7 @@ from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring
 INTERMITTENT = (
     Scenario(
         name="intermittent/scalar",
-        summary="unstable scalar plant, 40 % of the measurements lost; the critical loss is 64 %",
+        summary="40 % of the measurements lost; critical is 64 %",
         source="Sinopoli et al. 2004, with our numbers",
         plant="intermittent",
         observers=("kf",),

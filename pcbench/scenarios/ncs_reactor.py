@@ -19,7 +19,7 @@ PI = {"Kp": [[0.0, 2.0], [-5.0, 0.0]], "Ki": [[0.0, 2.0], [-8.0, 0.0]]}  # of th
 NCS_REACTOR = (
     Scenario(
         name="ncs-reactor/round-robin",
-        summary="closed loop of PI control, two outputs that take turns every 0.01 s, noise of 0.01",
+        summary="PI loop, two outputs in turn every 0.01 s",
         source="Walsh, Ye 2001, with noise and an observer",
         plant="ncs-reactor",
         observers=("kf",),

@@ -13,8 +13,8 @@ PERIOD = 1.5  # s
 
 NCS_TWO_STATE = (
     Scenario(
-        name="ncs-two-state/state-feedback",
-        summary="closed loop of held state feedback, period 1.5 s, noise of 0.01",
+        name="ncs-two-state/held",
+        summary="held state feedback, period 1.5 s, noise of 0.01",
         source="Zhang, Branicky, Phillips 2001, with noise",
         plant="ncs-two-state",
         observers=("kf", "model-only"),

@@ -12,8 +12,8 @@ from pcbench.scenarios.sources import Wave
 
 QUADRUPLE_TANK = (
     Scenario(
-        name="quadruple-tank/delayed-level",
-        summary="two levels every 5 s, the second delayed by 60 s, with noise",
+        name="quadruple-tank/delayed",
+        summary="two levels every 5 s, the second delayed by 60 s",
         source="Johansson 2000, with a delay and noise",
         plant="quadruple-tank",
         observers=("ekf", "kf", "kf-ignore-delay", "model-only"),

@@ -10,7 +10,7 @@ from pcbench.plants import ncs_reactor, ncs_two_state
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import controller_table
 
-TWO_STATE, REACTOR = SCENARIOS["ncs-two-state/state-feedback"], SCENARIOS["ncs-reactor/round-robin"]
+TWO_STATE, REACTOR = SCENARIOS["ncs-two-state/held"], SCENARIOS["ncs-reactor/round-robin"]
 A2, B2, K2 = np.array([[0.0, 1.0], [0.0, -0.1]]), np.array([[0.0], [0.1]]), np.array([[3.75, 11.5]])
 A4 = np.array(
     [[1.38, -0.2077, 6.715, -5.676], [-0.5814, -4.29, 0, 0.675], [1.067, 4.273, -6.654, 5.893], [0.048, 4.273, 1.343, -2.104]]

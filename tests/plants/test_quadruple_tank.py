@@ -48,7 +48,7 @@ def test_linear_model_is_the_slope_of_the_balances_and_has_the_printed_time_cons
 def test_run_is_the_references():
     """Level and voltage by whole values, one Runge-Kutta step a tick, with the draws of the run."""
     seed, ticks = 4, 300
-    study = {"base": "quadruple-tank/delayed-level", "duration": float(ticks), "steady_start": 100.0}
+    study = {"base": "quadruple-tank/delayed", "duration": float(ticks), "steady_start": 100.0}
     frame = pcbench.simulate({"name": "tanks", "scenario": study}, ["ekf"], seed=seed)
     h, want = quadruple_tank.LEVEL + np.array([1.0, -1.0, 0.3, -0.3]), []
     for k in range(ticks + 1):
