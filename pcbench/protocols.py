@@ -219,6 +219,12 @@ class Covariance(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "signals signals"]: ...
 
 
+class DelayEstimate(Protocol):
+    """Return the estimated mean delay of the first channel's samples and its standard deviation [s]."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "2"]: ...
+
+
 class InnovationStats(NamedTuple):
     """Statistics of an innovation nu (measurement minus prediction), relative to its assumed covariance S.
 
@@ -268,3 +274,4 @@ class Observer(NamedTuple):
     on_sample: OnSample | None = None  # called when a sample is taken, before it arrives
     innovation: Innovation | None = None  # statistics of a measurement relative to its prediction
     init_random: InitRandom | None = None  # the memory at the start of a run, for an observer that draws random numbers
+    delay: DelayEstimate | None = None  # of an observer that estimates the delay of samples

@@ -38,7 +38,7 @@ def info(
     toml: Annotated[bool, option("Print a TOML file to start from, which maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording contains: rates, gaps, delays, out-of-order or repeated samples, clock drift.
+    """Show what a recording contains: rates, gaps, delays, lags, out-of-order or repeated samples, clock drift.
 
     Of a file without a TOML file it prints topics, fields, counts, rates and ranges.
 
@@ -74,7 +74,8 @@ def info(
 
         save(delays(table), picture)
     if as_json:
-        print(readable({"log": file, "channels": table.to_dict("records")}))
+        lags = [each._asdict() for each in table.attrs["lags"]]
+        print(readable({"log": file, "channels": table.to_dict("records"), "lags": lags}))
     else:
         recordings.channels(table, console())
         if picture is not None:

@@ -133,7 +133,13 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return vmap_as_unit(present)(memory.z, memory.P, memory.at)
 
 
-OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance)
+def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
+    """Return the mean delay and its standard deviation [s]: the last state, which does not move between samples."""
+    walked = gains.own * (now.tick - memory.at)
+    return jnp.stack([memory.z[-1], jnp.sqrt(memory.P[-1, -1] + walked)])
+
+
+OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, delay=delay)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

@@ -160,7 +160,14 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return vmap_as_unit(mixed)(memory)
 
 
-OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance)
+def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
+    """Return the mean delay and its standard deviation [s], by the weights of the filters."""
+    weight = jnp.exp(reorder_buffer.newest(partial(step, gains, now), memory.buffer).weight)
+    apart = gains.own * gains.dt - memory.delay
+    return jnp.stack([memory.delay, jnp.sqrt(jnp.sum(weight * jnp.square(apart)))])
+
+
+OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance, delay=delay)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

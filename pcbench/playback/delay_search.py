@@ -9,7 +9,7 @@ made finer until it is one tick. Then the point between ticks:
 s is the variance of an innovation that the fitted noise would have, nearly quadratic in j where l_p is not (N samples). Of one
 channel, the interval is where 2 (max l_p - l_p) < 3.84 (chi-square, one degree of freedom). Of several, l_p along one channel
 is that with the other delays at their best: to second order the slice through the best point, wider by sqrt((H^-1)_cc H_cc),
-H the second differences of -l_p.
+H the curvature of s.
 Ends at the end of the range that was searched are marked. Rounding of stamps to ticks is corrected in the mean; what varies
 about it acts as noise.
 Not claimed: intervals if the model is wrong, or of a few dozen samples; that delays do not vary.
@@ -17,11 +17,10 @@ Source: Venzon, Moolgavkar, Applied Statistics 37 (1988), 87-94.
 """
 
 from collections.abc import Iterable
-from itertools import product
+from itertools import combinations, combinations_with_replacement, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.errors import UserError
 from pcbench.playback.delay_profile import Delays, Profile
@@ -74,7 +73,6 @@ class Slice(NamedTuple):
     peak: float  # between ticks
     low: float  # 95 % interval; NaN: the range that was searched ends before
     high: float
-    least: float = 1.0  # s at the peak, over that at the best point
 
 
 def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
@@ -87,14 +85,7 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
         for way, step in zip(ways, [*steps, max(steps)], strict=False):
             best = _search(profile, best, way, step, whole=sweep == 0)
         slices = [_slice(profile, best, way) for way in ways[: len(steps)]]
-        H, inner = _curvature(profile, best, slices)
-        peak, wider = np.array([s.peak for s in slices]), np.ones(len(steps))
-        if inner.any() and np.linalg.eigvalsh(some := H[np.ix_(inner, inner)])[0] > 0:
-            inverse = np.linalg.inv(some)
-            wider[inner] = np.sqrt(np.diag(inverse) * np.diag(some))
-            peak[inner] = np.array(best)[inner] + inverse @ (np.diag(some) * (peak - best)[inner])
-        else:
-            wider[inner] = np.inf
+        peak, wider = _joint(profile, best, slices)
         profile.ask([_inside(profile, corner) for corner in product(*zip(np.floor(peak), np.ceil(peak), strict=True))])
         if profile.best == best:
             break
@@ -149,31 +140,50 @@ def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
     level = spline.solve(float(spline(peak)) * np.exp(2 * LEVEL / N), extrapolate=False)
     low, high = level[level < peak].max(initial=-np.inf), level[level > peak].min(initial=np.inf)
     low, high = (best[c] + float(end) if np.isfinite(end) else np.nan for end in (low, high))
-    least = float(spline(peak))
-    return Slice(by + best[c], values[i] - 0.5 * N * np.log(least) - values, peak + best[c], low, high, least)
+    top = values[i] - 0.5 * N * np.log(float(spline(peak)))
+    return Slice(by + best[c], top - values, peak + best[c], low, high)
 
 
-def _curvature(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Second differences of -l_p [q, q] per tick^2, and which channels they are of: those whose peak is inside their range."""
-    N, H = profile.samples, np.full((len(best), len(best)), np.nan)
-    h = {}  # ticks that make a difference, of channels whose peak is inside
+def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, Floats]:
+    """The peak of all delays together [q] ticks, and how much wider the interval of each is than along its slice.
+
+    s is fitted by a quadratic to the best point, to points beside it along each channel, and to the corners of each two; the
+    lower they are the less they count. A channel whose peak is at the end of its range is left out. Infinite: not known.
+    """
+    peak, wider, N, h = (
+        np.array([s.peak for s in slices]),
+        np.ones(len(best)),
+        profile.samples,
+        np.zeros(len(best), int),
+    )
     for c, s in enumerate(slices):
         sides = np.array([s.peak - s.low, s.high - s.peak])
-        if np.isfinite(sides).any() and profile.low[c] < s.peak < profile.high[c]:
-            half = float(np.nanmean(sides))
-            H[c, c] = N * s.least * np.expm1(2 * LEVEL / N) / half**2
-            h[c] = max(round(half), 1) * (1 if best[c] + max(round(half), 1) <= profile.high[c] else -1)
-
-    def s_at(*moved: int) -> float:
-        delays = np.clip([b + h[c] * (c in moved) for c, b in enumerate(best)], profile.low, profile.high)
-        (value,) = profile.ask([tuple(delays.tolist())])
-        return float(np.exp(2 * (profile.known[best].value - value) / N))
-
-    for i in h:
-        for j in h:
-            if i < j:
-                H[i, j] = H[j, i] = 0.5 * N * (s_at(i, j) - s_at(i) - s_at(j) + 1.0) / (h[i] * h[j])
-    return H, np.isfinite(np.diag(H))
+        if np.isfinite(sides).any():
+            room = min(best[c] - profile.low[c], profile.high[c] - best[c])
+            h[c] = min(max(round(float(np.nanmean(sides))), 1), room)
+    inner = np.flatnonzero(h)
+    if len(inner) < 2:
+        return peak, wider
+    one = np.eye(len(best), dtype=int)[inner]
+    moves = [0 * one[0], *one, *-one]
+    moves += [a * one[i] + b * one[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
+    x = np.array(moves)
+    drop = profile.known[best].value - np.array(profile.ask([tuple((best + h * each).tolist()) for each in x]))
+    x, weight = x[:, inner], 1.0 / (1.0 + np.abs(drop))
+    pairs = list(combinations_with_replacement(range(len(inner)), 2))
+    columns = np.column_stack([np.ones(len(x)), x, *(x[:, i] * x[:, j] for i, j in pairs)])
+    fitted = np.linalg.lstsq(weight[:, None] * columns, weight * np.expm1(2 * drop / N), rcond=None)[0]
+    slope, B = fitted[1 : len(inner) + 1], np.zeros((len(inner), len(inner)))
+    for (i, j), value in zip(pairs, fitted[len(inner) + 1 :], strict=True):
+        B[i, j] += value
+        B[j, i] += value
+    if np.linalg.eigvalsh(B)[0] <= 0:
+        wider[inner] = np.inf
+        return peak, wider
+    inverse = np.linalg.inv(B)
+    peak[inner] = np.array(best)[inner] - h[inner] * (inverse @ slope)
+    wider[inner] = np.sqrt(np.diag(inverse) * np.diag(B))
+    return peak, wider
 
 
 def _results(

@@ -47,6 +47,9 @@ class Passage(NamedTuple):
     arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: none is known
     smoothed: Floats | None  # [ticks, n]
+    delays: dict[
+        str, Floats
+    ]  # [2] estimated delay and its standard deviation [s] at the end, by observer that has them
 
 
 def replay(
@@ -176,7 +179,8 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
             for what in ("estimate", "sigma")
         )
         true = {pair: x for pair, x in zip(signals, part.truth[:kept].T, strict=False) if pair[0] in given}
-        draft.write(replay_metrics.table(ticks[:kept], estimates, sigmas, true, signals, a.clock))
+        delays = {label: np.asarray(read.delay)[:kept, 0] for label, read in reads.items() if read.delay.shape[1]}
+        draft.write(replay_metrics.table(ticks[:kept], estimates, sigmas, true, delays, signals, a.clock))
         progress.step(kept)
         numbers = {label: np.asarray(reads[label].surprise) for label in judged}
         by_channel = {label: each[..., step_block.JUDGED :] for label, each in numbers.items()}
@@ -203,7 +207,17 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
         smoothed = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
         draft.write(replay_metrics.smoothed_table(smoothed, signals, a.clock), replay_metrics.SMOOTHED)
     draft.close()
-    return Passage(judged, arrived, scores, smoothed)
+    return Passage(judged, arrived, scores, smoothed, _delays(runners, ticks[-1] + 1))
+
+
+def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
+    """The delay that observers estimate at the end, with its standard deviation [s]."""
+    out = {}
+    for o in runners:
+        ((label, observer),) = o.layout.observers
+        if observer.delay:
+            out[label] = np.asarray(step_block.jit_delay()(o.layout, o.problem, o.state, np.asarray(tick)))
+    return out
 
 
 def held_out_from(a: Playback) -> int:
@@ -230,6 +244,10 @@ def _results(
     )
     channels = innovation_tests.by_channel(passage.judged, a.log.channels, passage.arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
+    for label, (mean, std) in passage.delays.items():
+        a.remarks.append(
+            f"{label}: estimated delay of {a.log.channels[0]} {mean:.4g} s, standard deviation {std:.2g} s."
+        )
     distances = replay_metrics.distances(
         draft.estimates, passage.smoothed, list(a.cell.options), signals, steady=a.cell.times.tail
     )
@@ -261,6 +279,7 @@ def _results(
         "said": a.remarks,
         "innovations": innovations.to_dict("records"),
         "channels": channels,
+        "delays": [{"observer": o, "estimate": mean, "std": std} for o, (mean, std) in passage.delays.items()],
         "distances": distances.to_dict("records"),
         "metrics": metrics.to_dict("records"),
     }

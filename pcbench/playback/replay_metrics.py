@@ -32,6 +32,7 @@ INNOVATIONS = "innovations.parquet"
 SMOOTHED = "smoothed.parquet"
 SUMMARY = "replay.json"
 TABLES = (ESTIMATES, INNOVATIONS, SMOOTHED)
+DELAY = "delay"
 TIME = ("t", "s", "time since the start of the log")
 
 
@@ -40,13 +41,15 @@ def table(
     estimates: dict[str, Floats],
     sigmas: dict[str, Floats],
     truth: dict[tuple[str, str], Floats],
+    delays: dict[str, Floats],
     signals: Signals,
     clock: Clock,
 ) -> pa.Table:
     """Return some ticks as a table.
 
     It has t, the true states [K] by <signal> if they are given, the estimates [K, n] by <observer>.<signal>, and the standard
-    deviations of their errors [K, n] by <observer>.<signal>.sigma if the observer has them.
+    deviations of their errors [K, n] by <observer>.<signal>.sigma if the observer has them. Delays [K] that some observers
+    estimate are in <observer>.delay, if no signal has that name.
     """
     fields = [(*TIME, ticks * clock.dt)]
     fields += [(signal, unit, "true state", x) for (signal, unit), x in truth.items()]
@@ -55,6 +58,9 @@ def table(
             fields.append((f"{observer}.{signal}", unit, "estimate, after the jump of the tick", column))
         for (signal, unit), column in zip(signals, sigmas[observer].T, strict=False):
             fields.append((f"{observer}.{signal}.sigma", unit, "assumed standard deviation of its error", column))
+    for observer, column in delays.items():
+        if DELAY not in dict(signals):
+            fields.append((f"{observer}.{DELAY}", "s", "estimated mean delay of the first channel", column))
     return with_units(fields, clock)
 
 

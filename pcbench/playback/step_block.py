@@ -43,6 +43,7 @@ class Read(NamedTuple):
     estimate: Array  # [K, n]
     sigma: Array  # [K, n] assumed standard deviations of its errors; [K, 0] if the observer has none or the layout asks none
     surprise: Array  # [K, S, JUDGED + 2 q] how far packets are from what was expected; [K, S, 0] of who does not say it
+    delay: Array  # [K, 1] s, estimated; [K, 0] of who does not estimate it
 
 
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
@@ -89,8 +90,10 @@ def run(
         (run, score), (k, w, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
         run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
-        estimate, sigma = o.estimate(p.gains[label], run.memories[label]), trajectory.sigma(layout, p, k, run)
-        read = Read(estimate, sigma.get(label, jnp.zeros(0)), surprise)
+        memory = run.memories[label]
+        delay = o.delay(p.gains[label], memory, present(p, k, False))[:1] if o.delay else jnp.zeros(0)
+        sigma = trajectory.sigma(layout, p, k, run).get(label, jnp.zeros(0))
+        read = Read(o.estimate(p.gains[label], memory), sigma, surprise, delay)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
             score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
@@ -151,6 +154,18 @@ def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: A
         final=jnp.where(there, e, score.final),
         counts=score.counts + jnp.stack([there & ~late, there & late]),
     )
+
+
+def estimated_delay(layout: Layout, p: GridPointParams, run: Run, k: Array) -> Array:
+    """Return the delay that the observer estimates and its standard deviation [s]; 0 of one that estimates none."""
+    ((label, o),) = layout.observers
+    return o.delay(p.gains[label], run.memories[label], present(p, k, False)) if o.delay else jnp.zeros(2)
+
+
+@cache
+def jit_delay() -> Callable[..., Array]:
+    """Return `estimated_delay` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(estimated_delay, 0)
 
 
 @cache

@@ -72,6 +72,13 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
                 f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
                 "of all that it estimates; return all of it."
             )
+    if (delay := observer.delay) is not None:
+        two = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
+        if two.shape != (2,):
+            raise UserError(
+                f"observer {label}: delay returned shape {two.shape}, expected (2,): the mean delay and its standard deviation "
+                "[s]; return both."
+            )
     if observer.innovation is not None:
         found = ask("innovation", arriving(observer.innovation), memory, value, snapshot)
         if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in (

@@ -46,6 +46,11 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
             screen.say(f"{row['channel']}: clock drift {interval} ppm ({reading}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
     screen.say(*held_values(table.attrs["survey"]))
+    for each in table.attrs["lags"]:
+        screen.say(
+            f"{each.second} is {each.lag:.4g} s later than {each.first} (95 % interval {each.low:.4g} to {each.high:.4g} s, "
+            f"correlation of their rates {each.correlation:.2f})."
+        )
 
 
 def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
