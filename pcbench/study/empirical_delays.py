@@ -2,6 +2,8 @@
 
 Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_values`. They occur as often,
 and as often one after the other, as in the log (`delay_self_transition`); `loss` is the share that never arrived.
+Channels may differ in their least delay and their loss, which then are lists. By what delays vary is one law: others are
+refused.
 In turn: the log's instants become `sampling_pattern` (intervals) and `sampling_period` (their mean), what became of each sample
 `delay_sequence`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
 So the resolved study holds numbers alone, and needs no log. All in whole ticks.
@@ -26,12 +28,14 @@ FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
+UNLIKE, NOISE = 0.1, 2.0  # distributions that differ by more are of two laws: by so much, and what chance may add
 TAKEN = (  # what a log says, which a table may not say too
     *("delay_values", "delay_self_transition", "delay_weights", "delay_gamma_mean", "delay_gamma_shape"),
     *("delay_sequence", "delay_jitter", "loss"),
 )
 INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
 Ticks = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: float) -> TomlTable:
@@ -62,8 +66,45 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
         got = f"{where}.delay: got the recording {name}"
         return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
     order = np.lexsort((sampled, channel))
-    order = order[~np.isnan(late[order])]
-    return {**table, **fit_delay_chain(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
+    return {
+        **table,
+        **law_of(late[order], channel[order], tick, log.channels, f"{where}.delay: got the recording {name}"),
+    }
+
+
+def law_of(late: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
+    """Return the law of delays [ticks] in the order of sampling by channel, NaN: lost.
+
+    Raises UserError, which begins with what was `got`, where they vary by channel in more than their least value.
+    """
+    came = ~np.isnan(late)
+    loss = [float(np.isnan(late[channel == c]).mean()) for c in range(len(names))]
+    each = [late[came & (channel == c)] for c in range(len(names))]
+    if empty := [name for name, mine in zip(names, each, strict=True) if not len(mine)]:
+        raise UserError(f"{got}, in which nothing of {empty[0]} arrived, expected at least one arrival; use another.")
+    least = np.array([mine.min() for mine in each])
+    for mine, name, base in zip(each[1:], names[1:], least[1:], strict=True):
+        apart = kolmogorov(each[0] - least[0], mine - base)
+        if apart > UNLIKE + NOISE * np.sqrt(1 / len(each[0]) + 1 / len(mine)):
+            raise UserError(
+                f"{got}, in which the delays of {names[0]} and {name} vary differently, expected delays that differ between "
+                "channels by a constant; use a recording of one of them, or write delay, delay_values and delay_weights."
+            )
+    least = least if len(set(least)) > 1 else np.zeros(len(names))
+    law = fit_delay_chain((late - least[channel])[came], channel[came], tick)
+    if least.any():
+        law["delay"] = [round(float(law["delay"] + base * tick), DIGITS) for base in least]
+    together = float(np.isnan(late).mean())
+    few = [NOISE * np.sqrt(together * (1 - together) / (channel == c).sum()) for c in range(len(names))]
+    alike = all(abs(mine - together) <= limit for mine, limit in zip(loss, few, strict=True))
+    return {**law, "loss": together if alike else loss}
+
+
+def kolmogorov(a: Ticks, b: Ticks) -> float:
+    """Return the largest difference of two distribution functions."""
+    at = np.union1d(a, b)
+    below = (np.searchsorted(np.sort(each), at, side="right") / len(each) for each in (a, b))
+    return float(np.abs(np.subtract(*below)).max())
 
 
 def names_log(table: TomlTable) -> bool:

@@ -100,3 +100,45 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     with pytest.raises(UserError) as caught:
         parse.grid_of(given | {"lti": given["lti"] | more}, {}, [])
     assert sentence in str(caught.value)
+
+
+def two_channels(folder, first, second, lost=(0.0, 0.0), many=600):
+    """A log of two channels with delays of so many ticks; some are lost."""
+    rng, t = np.random.default_rng(3), np.arange(many) * 0.05
+    columns = {"channel": [], "sampled": [], "arrived": [], "value": []}
+    for name, late, loss in (("y1", first, lost[0]), ("y2", second, lost[1])):
+        ticks = np.where(rng.random(many) < loss, np.nan, late(rng, many))
+        columns["channel"] += [name] * many
+        columns["sampled"] += t.tolist()
+        columns["arrived"] += (t + ticks * TICK).tolist()
+        columns["value"] += t.tolist()
+    rows(folder, columns)
+    outputs = {"C": [[1.0, 0.0], [0.0, 1.0]], "noise_std": [0.1, 0.1]}
+    return MOTOR | {"lti": MOTOR["lti"] | {"delay": f"from:{folder}"} | outputs}
+
+
+def constant(ticks):
+    return lambda rng, many: np.full(many, float(ticks))
+
+
+def varied(least):
+    return lambda rng, many: least + rng.choice([0.0, 2.0, 5.0], many, p=[0.5, 0.3, 0.2])
+
+
+def test_channels_with_constant_delays_have_each_its_own(tmp_path):
+    """One that is never late and one that always is, which were pooled to one that is late by a coin."""
+    found = parse.grid_of(two_channels(tmp_path / "net", constant(0), constant(10)), {}, []).study.lti
+    assert (found.delay, found.loss) == ([0.0, 0.1], 0.0)
+    assert not found.delay_values
+
+
+def test_channels_share_what_varies_and_keep_their_least_delay_and_loss(tmp_path):
+    found = parse.grid_of(two_channels(tmp_path / "net", varied(1), varied(9), (0.0, 0.3)), {}, []).study.lti
+    assert found.delay == [0.01, 0.09]
+    assert found.delay_values == pytest.approx([0.0, 0.02, 0.05])
+    assert found.loss == pytest.approx([0.0, 0.3], abs=0.06)
+
+
+def test_channels_whose_delays_vary_differently_are_refused(tmp_path):
+    with pytest.raises(UserError, match="in which the delays of y1 and y2 vary differently"):
+        parse.grid_of(two_channels(tmp_path / "net", constant(3), varied(3)), {}, [])
