@@ -345,8 +345,9 @@ def tune(
         log: a recording (see `replay`). Default: simulated runs.
         delay: delay of every measurement [s], for a recording without arrival times.
         start: time of tick 0 in the recording [s]. Default: its first time.
-        **how: budget, only, out, overrides and progress; without a recording also objective, signal, optimizer,
-            exact_objective, training_seeds and validation_seeds. See `gains.tune.tune` and `playback.tuning.tune_log`.
+        **how: budget, only, out, overrides and progress; with a recording also find_delay (True: find the delay of each
+            channel first) and max_delay [s]; without one objective, signal, optimizer, exact_objective, training_seeds and
+            validation_seeds. See `gains.tune.tune` and `playback.tuning.tune_log`.
 
     Returns:
         The tuned options, and what they reach on seeds, or on a part of the recording, that were not used for tuning.
