@@ -5,6 +5,7 @@ What is held out is the part that a replay holds out (`innovation_tests.HELD_OUT
 from the first one and is the result, since a rare channel needs all samples; the held-out gain is that of the first.
 """
 
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +42,7 @@ UNLIKELY = 0.05  # a p-value of whiteness below which intervals are said to be t
 CORRECTED = "recording.toml"  # the log with the stamps that were found
 NOISE = ("R", "q", "Q")  # options of an observer that are intensities of noise
 FEWEST = 10  # numbers in the part that is tuned on, and in the rest, for each free parameter
+SHORT, SLOPE = 1e-4, 0.02  # of every parameter, a difference; and by how much of itself a slope may differ from it
 FLAT = 1e-6  # slope of the mean log-likelihood of a number at which a descent has arrived
 
 
@@ -146,6 +148,8 @@ def tune_log(
             raise tune.NoStart(
                 f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
             )
+        if not entry.smooth:
+            _require_slope(look, at_start, before, where)
         if left := int(brought.sum() - before.numbers[:, 1].sum()):
             a.remarks.append(
                 f"{label} does not say what it expects of {left:,} of {int(brought.sum()):,} measured numbers, which are not "
@@ -243,6 +247,17 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
         raise UserError(
             f"{where}: got an observer that draws random numbers, expected one whose likelihood is smooth in its options; "
             "tune ekf or ukf."
+        )
+
+
+def _require_slope(look: Callable[[Vector], SampleLikelihood], at: Vector, here: SampleLikelihood, where: str) -> None:
+    """Raise UserError if the slope of the likelihood is not that of its differences: of steps that are drawn or solved for."""
+    beyond, behind = (look(at + sign * SHORT).each.sum() for sign in (1, -1))
+    by_differences, slope = (beyond - behind) / (2 * SHORT), here.score.sum()
+    if not abs(by_differences - slope) <= SLOPE * (abs(slope) + np.sqrt(len(here.each))):
+        raise UserError(
+            f"{where}: got an observer whose likelihood cannot be differentiated, expected one that goes downhill; tune kf, "
+            "ekf or ukf."
         )
 
 

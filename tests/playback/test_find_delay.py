@@ -12,7 +12,7 @@ from delayed_stamps import DT, PRIOR, A, B, plant, recording, unknown
 from reference import logs as reference
 from scipy.linalg import expm
 from scipy.optimize import minimize
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 
 import pcbench
 from pcbench import plots
@@ -72,6 +72,7 @@ def test_estimate_and_interval_are_those_of_a_quadratic_profile(curvature):
     assert one.estimate == pytest.approx(0.133, abs=1e-9)
     assert [one.low, one.high] == pytest.approx([0.133 - profile.half(0), 0.133 + profile.half(0)], rel=1e-6)
     assert (one.at_end, one.searched) == ("", (-0.4, 0.6))
+    assert chi2(1).ppf(0.95) == pytest.approx(2 * delay_search.LEVEL)
     assert (
         said
         == (["y1: the interval of the delay is narrower than a tick of 0.01 s: it is interpolated between ticks."])[

@@ -245,3 +245,19 @@ def test_intervals_hold_the_truth_of_95_of_100_logs(tmp_path):
 def test_tune_refuses_arguments_of_the_other_kind(given, sentence):
     with pytest.raises(UserError, match=sentence):
         pcbench.tune("cart/white", "kf", **given)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("observer", ["ekf", "ukf"])
+def test_filters_for_nonlinear_plants_are_tuned_as_kf_on_a_linear_one(tmp_path, observer):
+    recording(tmp_path / "log", 1, 120)
+    want, found = (tune_log(tmp_path / "log", PLANT, name) for name in ("kf", observer))
+    for a, b in zip(want.intensities, found.intensities, strict=True):
+        assert [b.found, b.low, b.high] == pytest.approx([a.found, a.low, a.high], rel=1e-4)
+
+
+@pytest.mark.ci
+def test_observer_that_draws_random_numbers_is_refused(tmp_path):
+    recording(tmp_path / "log", 1, 120)
+    with pytest.raises(UserError, match="whose likelihood cannot be differentiated"):
+        tune_log(tmp_path / "log", PLANT, "particle")
