@@ -16,7 +16,7 @@ QUADRUPLE_TANK = (
         summary="two levels every 5 s, the second delayed by 60 s",
         source="Johansson 2000, with a delay and noise",
         plant="quadruple-tank",
-        observers=("ekf", "kf", "kf-ignore-delay", "model-only"),
+        observers=("kf", "kf-ignore-delay", "model-only"),
         truth=Truth(x0=(1.0, -1.0, 0.3, -0.3), process_std=(0.02, 0.02, 0.02, 0.02)),
         loop=Loop(input=(Wave("square", 0.3, 1 / 400, unit="V"), Wave("square", 0.3, 1 / 600, unit="V"))),
         sampling=Sampling(sampling_period=(5.0, 5.0), delay=(0.0, 60.0), noise_std=(0.02, 0.02)),

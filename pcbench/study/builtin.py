@@ -20,6 +20,7 @@ QUESTIONS = {  # that each study answers
     "reactor": "Which nonlinear filter recovers from a wrong initial state?",
     "equal-tuning-reactor": "Do tuned filters match an estimator with bounds?",
     "period-delay-map": "Which sampling period and delay keep the error small?",
+    "growth-model": "How much better is a particle filter than an EKF on the growth model?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }

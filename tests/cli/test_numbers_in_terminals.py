@@ -167,7 +167,7 @@ def channels_table(screen):
     rows[["samples", "lost"]] = [[1_234_567, 89_012], [45, 0], [300, 7]]
     zeros = ["gaps", "out_of_order", "doubled", "jumps"]
     rows = rows.assign(drift_ppm_se=None, **dict.fromkeys(zeros, 0)).astype({"samples": int, "lost": int})
-    rows.attrs["name"] = "flight.mcap"
+    rows.attrs |= {"name": "flight.mcap", "survey": SimpleNamespace(channels={})}
     recordings.channels(rows, screen)
     return [*rows.samples, *rows.lost, *rows.rate, *(1e3 * rows.delay_median), *(1e3 * rows.delay_most)]
 
@@ -192,7 +192,7 @@ def replay_table(screen):
     metrics = pd.DataFrame(list(product(OBSERVERS, "abcdef")), columns=["observer", "signal"])
     metrics = metrics.assign(metric="steady_rmse", unit="rad/s", value=sizes(len(metrics)))
     distances = metrics.rename(columns={"value": "rms"}).assign(rms=sizes(len(metrics)))
-    about = {"log": "flight.mcap", "largest_rounding": 1e-3, "ticks": 12_344, "dt": 0.001}
+    about = {"log": "flight.mcap", "largest_rounding": 1e-3, "ticks": 12_344, "dt": 0.001, "steady_start": 12.5}
     recordings.print_replay(recordings_result(rows, channels, metrics, distances, about), "replayed", screen)
     return [*rows[tests].to_numpy().ravel(), *metrics.value, *distances.rms, 123_456]
 
