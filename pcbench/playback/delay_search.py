@@ -33,6 +33,7 @@ FINER = 6  # how much finer a grid is than the one before
 SWEEPS = 6  # over all channels
 LEVEL = 1.920729410347062  # half the 95 % quantile of chi-square with one degree of freedom
 SIDE = 6  # points of a profile on each side of its peak
+FLAT = 8  # shifts of all delays together, from one end of the range to the other
 APART = 10.0  # how much wider intervals are than slices, from where on only the differences of delays are known
 
 
@@ -90,7 +91,22 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
         if profile.best == best:
             break
         best = profile.best
+    if len(steps) > 1 and (nearest := _if_flat(profile, best)) is not None:
+        best = nearest
+        slices = [_slice(profile, best, way) for way in ways[: len(steps)]]
+        peak, wider = np.array([s.peak for s in slices]), np.full(len(steps), np.inf)
     return _results(profile, best, slices, peak, wider)
+
+
+def _if_flat(profile: Profile, best: Delays) -> Delays | None:
+    """The delays nearest to 0 with the same differences, if the recording tells nothing but these; else None."""
+    first, last = int((profile.low - best).max()), int((profile.high - best).min())
+    by, values = _ask(profile, best, np.ones(len(best), int), np.linspace(first, last, FLAT).astype(int))
+    if len(by) < 2 or values.max() - values.min() > LEVEL:
+        return None
+    every = np.arange(first, last + 1)
+    nearest = every[np.argmin(np.abs(np.array(best) + every[:, None]).sum(1))]
+    return tuple((np.array(best) + nearest).tolist())
 
 
 def _inside(profile: Profile, delays: Iterable[float]) -> Delays:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import tomli_w
 from delayed_stamps import DT, PRIOR, A, B, plant, recording, unknown
+from logged import rows
 from reference import logs as reference
 from scipy.linalg import expm
 from scipy.optimize import minimize
@@ -332,3 +333,21 @@ def test_gains_that_are_not_affine_are_found_out():
 def test_picture_needs_a_delay():
     with pytest.raises(UserError, match="expected one with find_delay"):
         plots.delay_profiles([])
+
+
+@pytest.mark.ci
+def test_channels_without_inputs_have_the_least_delays_of_the_right_difference(tmp_path):
+    """A fast and a slow sensor of a random walk: nothing tells how late both are."""
+    random, many = np.random.default_rng(2), 1501
+    x = np.cumsum(0.05 * random.normal(size=many))
+    k = [np.arange(many), np.arange(0, many, 4)]
+    stamps = np.concatenate([k[0] * DT, k[1] * DT + 0.06])
+    value = np.concatenate([x[k[0]] + 0.05 * random.normal(size=many), x[k[1]] + 0.02 * random.normal(size=len(k[1]))])
+    columns = {"channel": ["y1"] * many + ["y2"] * len(k[1]), "sampled": stamps, "arrived": stamps, "value": value}
+    rows(tmp_path / "log", columns)
+    lti = {"A": [[0.0]], "B": [[0.0]], "C": [[1.0], [1.0]], "states": ["level [m]"], "tick": DT, "input": "zero"}
+    lti |= {"sampling_period": [0.01, 0.04], "delay": 0.0, "noise_std": 0.1, "process_std": 0.1, "duration": 15.0}
+    (one, two), said = found(tmp_path / "log", {"name": "walk", "lti": lti}, longest=0.2)
+    assert [one.estimate, two.estimate] == pytest.approx([0.0, 0.06], abs=0.01)
+    assert [two.low, two.high] == pytest.approx([0.0, 0.2])
+    assert said[-1].startswith("y1 and y2: the recording tells the differences between these delays")
