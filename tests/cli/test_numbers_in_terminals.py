@@ -167,7 +167,7 @@ def channels_table(screen):
     rows[["samples", "lost"]] = [[1_234_567, 89_012], [45, 0], [300, 7]]
     zeros = ["gaps", "out_of_order", "doubled", "jumps"]
     rows = rows.assign(drift_ppm_se=None, **dict.fromkeys(zeros, 0)).astype({"samples": int, "lost": int})
-    rows.attrs |= {"name": "flight.mcap", "survey": SimpleNamespace(channels={})}
+    rows.attrs |= {"name": "flight.mcap", "survey": SimpleNamespace(channels={}), "lags": []}
     recordings.channels(rows, screen)
     return [*rows.samples, *rows.lost, *rows.rate, *(1e3 * rows.delay_median), *(1e3 * rows.delay_most)]
 
