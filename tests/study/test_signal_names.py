@@ -70,6 +70,7 @@ def recording(tmp_path, what, unit):
     path = tmp_path / "log.toml"
     tables = {"channels": "y1", "inputs": "u1", "truth": "position"}
     lines = [f"[{w}.{n}]\nfield = 'a'\nunit = {unit if w == what else 'm'!r}" for w, n in tables.items()]
+    (tmp_path / "x.csv").write_text("t,a\n0,1\n")
     path.write_text("log = 'x.csv'\n" + "\n".join(lines), encoding="utf-8")
     return readers.open_log(path)
 
