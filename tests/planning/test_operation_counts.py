@@ -84,7 +84,7 @@ def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
 def result_of(stats):
     """As much of a result as the picture asks for."""
     of = SimpleNamespace(
-        study=SimpleNamespace(name="costs"),
+        study=SimpleNamespace(name="costs", vary="product"),
         stats=stats.assign(n=8, diverged=0, p50=0.0),
         scenarios=list(dict.fromkeys(stats.scenario)),
     )
