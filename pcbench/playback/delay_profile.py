@@ -196,9 +196,10 @@ def _lanes(
             return seen, seen
 
         J, seen = jax.jacfwd(samples, has_aux=True)(z)
-        square, degrees, log_det, each = seen[:, 0], seen[:, 1], seen[:, 2], seen[:, step_block.JUDGED :]
+        nu = slice(step_block.JUDGED, step_block.JUDGED + len(p.params))
+        square, degrees, log_det, each = seen[:, 0], seen[:, 1], seen[:, 2], seen[:, nu]
         by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # of log s, by z
-        moves = (J[:, step_block.JUDGED :] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
+        moves = (J[:, nu] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
         return (
             -0.5 * (np.log(2 * np.pi) * degrees.sum() + log_det.sum() + square.sum()),
             -0.5 * (J[:, 2] + J[:, 0]).sum(0),

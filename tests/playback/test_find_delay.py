@@ -4,6 +4,7 @@ import json
 import tomllib
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -138,8 +139,8 @@ def test_search_ends_at_the_age_of_the_youngest_sample(tmp_path):
         delay_search.search_range(a, 9.0, "test")
 
 
-def book(columns, u, shift, z, first, last):
-    """Log-likelihood of samples at ticks first .. last, taken `shift` ticks before their stamps, by the book's recursion."""
+def innovations(columns, u, shift, z, first, last):
+    """Innovations and variances of samples at ticks first .. last, taken `shift` ticks before their stamps, by the book."""
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * DT)
     stamps = np.rint(np.array(columns["sampled"]) / DT).astype(int)
     u = np.concatenate([u, np.repeat(u[-1:], 20, 0)])  # held
@@ -149,7 +150,12 @@ def book(columns, u, shift, z, first, last):
             y[k - shift] = value
     R, Q = np.exp(z[0]), np.diag(np.exp(z[1:]))
     C = np.array([[1.0, 0.0]])
-    nu, s = reference.kalman(whole[:2, :2], whole[:2, 2:], Q, C, R, np.zeros(2), np.diag(np.square(PRIOR)), u, y)
+    return reference.kalman(whole[:2, :2], whole[:2, 2:], Q, C, R, np.zeros(2), np.diag(np.square(PRIOR)), u, y)
+
+
+def book(*given):
+    """The log-likelihood of these samples, and how many they are."""
+    nu, s = innovations(*given)
     return -0.5 * np.sum(np.log(2 * np.pi * s) + nu**2 / s), len(nu)
 
 
@@ -180,6 +186,28 @@ def test_likelihood_of_a_delay_is_that_of_the_book(profiled):
         value, many = book(columns, u, shift, z, 30, len(u) + 8)
         assert many == profile.samples
         assert best.value == pytest.approx(value, rel=1e-10)
+
+
+@pytest.mark.ci
+def test_score_and_information_are_those_of_the_books_differences(profiled):
+    columns, u, profile, _ = profiled
+    shift, step = 9, 1e-5
+    z = profile.known[shift,].z
+    each = jax.tree.map(lambda a: np.stack([a] * profile.lanes), profile._window((shift,)))
+    g, p = profile.gains, profile.p
+    found = delay_profile.jit_lanes()(
+        p.layout, g.tree, g.real, g.start, g.slope, profile.problem, np.tile(z, (profile.lanes, 1)), each
+    )
+    there = [
+        innovations(columns, u, shift, z + h, 30, len(u) + 8) for h in step * np.concatenate([np.eye(3), -np.eye(3)])
+    ]
+    dnu, dlog_s = (np.array([np.ravel(a - b) / (2 * step) for a, b in zip(e[:3], e[3:], strict=True)])
+                   for e in ([nu for nu, _ in there], [np.log(s) for _, s in there]))  # fmt: skip
+    nu, s = map(np.ravel, innovations(columns, u, shift, z, 30, len(u) + 8))
+    score = -0.5 * (dlog_s * (1 - nu**2 / s) + 2 * dnu * nu / s).sum(1)
+    np.testing.assert_allclose(found[1][0], score, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(found[2][0], 0.5 * dlog_s @ dlog_s.T + (dnu / s) @ dnu.T, rtol=1e-5, atol=1e-6)
+    assert found[3][0] == pytest.approx(np.mean(nu**2 / s), rel=1e-10)
 
 
 @pytest.mark.ci
