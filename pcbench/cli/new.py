@@ -100,7 +100,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
     ),
     "Concepts": ("timing-model", "glossary", "how-it-works", "exact-evaluation", "limitations"),
     "Reference": (
-        *("results", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
+        *("results", "figures", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
         "versioning",
     ),
     "Findings": ("five-papers",),

@@ -9,6 +9,8 @@ does not show has its first value, or the value in `at`. Intervals are 95 %. Err
 width [inches], the font and its size. `plots.save` writes SVG, PDF and PNG; text stays text in SVG and PDF.
 """
 
+from pcbench.plots.calibration_curves import calibration
+from pcbench.plots.errors_over_time import error_bands
 from pcbench.plots.fault_tolerance import bearing
 from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.labels import save
@@ -17,9 +19,10 @@ from pcbench.plots.lines import convergence, cost, curves, distributions, quanti
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.paired_ratios import ratios
 from pcbench.plots.palette import styles
+from pcbench.plots.performance_profiles import profiles
 from pcbench.plots.regret_matrix import regrets
 from pcbench.plots.time_series import delay_profiles, delays, nees, time
 
-__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delay_profiles", "delays", "distributions", "divergence",
-           "fair", "heatmaps", "nees", "quantiles", "ratios", "regrets", "save", "styles", "time", "trade_off",
-           "winners"]  # fmt: skip
+__all__ = ["Paper", "bearing", "calibration", "convergence", "cost", "curves", "delay_profiles", "delays", "distributions",
+           "divergence", "error_bands", "fair", "heatmaps", "nees", "profiles", "quantiles", "ratios", "regrets", "save",
+           "styles", "time", "trade_off", "winners"]  # fmt: skip

@@ -30,8 +30,10 @@ from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
 
-FORM = 3  # of the file
+FORM = 4  # of the file
 POINTS = 240  # ticks that are kept, or up to twice as many
+SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
+MEDIAN = "abs_p50"
 RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
 
 Floats = NDArray[np.float64]
@@ -52,8 +54,9 @@ def several(
     What does not stand in the folder `out` is made, all together, and put there.
 
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
-    high (between which nine in ten errors of RUNS runs lie at that time) and rms (over them), measured (as it has arrived and
-    is held; of signals that an output shows as they are) or target (of a closed loop). Where the study asks for consistency,
+    high (between which nine in ten errors of RUNS runs lie at that time), rms (over them) and SIZES (quantiles of |e|),
+    measured (as it has arrived and is held; of signals that an output shows as they are), arrival (of no signal: rows in
+    which what is held differs from the row before) or target (of a closed loop). Where the study asks for consistency,
     also sigma (the assumed standard deviation of this run) and, of no signal, nees, nees_low and nees_high
     (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true). Runs that are all alike,
     and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an
@@ -167,6 +170,12 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
             yield frame(signal, "target", "target", made.target[:, i])
         if signal in shown and not closed:
             yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
+    if first and not closed:
+        held = made.held[:, :, 0]
+        with np.errstate(invalid="ignore"):
+            new = (np.diff(held, axis=0, prepend=np.nan) != 0) & np.isfinite(held)
+        rows = np.any(new, axis=1)
+        yield frame("", "measured", "arrival", np.ones(len(t)))[rows]
     for i, (signal, _) in enumerate(entry_of(scenario).errors):
         for label, name in names.items():
             yield frame(signal, label, "error", made.errors[name][:, i, 0])
@@ -179,14 +188,15 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
 
 
 def _spread(errors: jax.Array) -> dict[str, Floats]:
-    """Return between what nine in ten errors [K, L] lie, and their root mean square; nothing of one run."""
+    """Return between what nine in ten errors [K, L] lie, their root mean square and quantiles of |e|; nothing of one run."""
     if errors.shape[1] < 2:
         return {}
     with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)
         quantile = np.nanquantile if np.isnan(errors).any() else np.quantile  # which takes a tenth of the time
         low, high = quantile(errors, [0.05, 0.95], axis=1)
-        return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}
+        sizes = dict(zip(SIZES, quantile(np.abs(errors), [*SIZES.values()], axis=1), strict=True))
+        return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))} | sizes
 
 
 def _mean_nees(squares: jax.Array, states: jax.Array) -> dict[str, Floats]:

@@ -34,7 +34,9 @@ COLOURS = LinearSegmentedColormap.from_list("regrets", ["#FFFFFF", "#A9C1DA", "#
 class Regrets(NamedTuple):
     """The regrets of observers in situations."""
 
-    rows: pd.DataFrame  # situation, observer, ratio (inf: all runs diverged), best, worse (significantly)
+    rows: (
+        pd.DataFrame
+    )  # situation, scenario, signal, cell, observer, ratio (inf: diverged), best, worse (significantly)
     observers: list[str]  # in order of their largest ratio
     situations: list[str]
     runs: int  # 0: exact
@@ -69,6 +71,9 @@ def regrets_of(
             ratio = np.divide(means, least, out=np.full(len(part), inf), where=known)
             columns = {
                 "situation": [names[c] for c in part.cell],
+                "scenario": scenario,
+                "signal": signal,
+                "cell": part.cell.tolist(),
                 "observer": part.observer.astype(str).tolist(),
                 "ratio": ratio.tolist(),
                 "best": [o == best[c] for o, c in zip(part.observer, part.cell, strict=True)],

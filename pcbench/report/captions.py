@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.plots import frames, layout, one_run
+from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.labels import times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
@@ -28,10 +29,24 @@ WINNERS = (
 CONVERGENCE = "Half the 95 % interval divided by the mean. Four times as many runs halve it."
 COSTS = "Lower left is better. Operations are counted in the observers' functions. An observer without samples is not shown."
 BEARING = "Above 1, model-only is better. One axis varies at a time, and the others have their first value."
+BANDS_OF_RUNS = (
+    f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs, and the assumed standard deviation (dashed), which a "
+    "consistent filter has at about its 68 % point."
+)
+CALIBRATION = (
+    "Below the diagonal, or with a peak of the PIT at 1, a filter is optimistic; the band contains 95 % of the results of a "
+    "true covariance."
+)
+PROFILES = (
+    "Higher is better above; long dark bars below are ranks that new runs would not change (paired bootstrap over runs, mean "
+    "over situations)."
+)
 HONESTY = (
     f"NEES: the squared error divided by the observer's covariance, as a mean over runs ({one_run.RUNS} if they differ). "
     "Above the band an observer is optimistic, below it pessimistic."
 )
+NINETY_FIVE = 0.95
+TIMES = 2.0  # the default limit divided by the least mean of the axis
 SAME = 1.0005  # a ratio below it is written as 1
 WORDS = {"published": "published", "design": "designed", "tuned": "tuned"}
 
@@ -146,6 +161,28 @@ def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> t
     return text, f"Values outside the range are cut off.{band}{thin if (run.kind == 'sigma').any() else ''}"
 
 
+def bands(part: pd.DataFrame, unit: str) -> str:
+    """Return the median size of each observer's error at the end of a run."""
+    ends = part[part.kind == one_run.MEDIAN].groupby("series", sort=False).value.last()
+    return f"Median of |e| at the end: {', '.join(f'{o} {_format_value(v, unit)}' for o, v in ends.items())}."
+
+
+def calibration(found: dict[str, Floats]) -> str:
+    """Return the actual coverage of each filter's region of nominal coverage 95 %."""
+    each = [f"{o} {100 * float((u <= NINETY_FIVE).mean()):.3g} %" for o, u in found.items()]
+    return f"Actual coverage at nominal 95 %: {', '.join(each)} of {max(map(len, found.values())):,} runs."
+
+
+def profiles(found: Regrets) -> str:
+    """Return the share of situations in which each observer's error is within twice the least."""
+    shares = {
+        o: (found.rows.ratio[found.rows.observer == o] <= TIMES).sum() / len(found.situations) for o in found.observers
+    }
+    return (
+        f"Within twice the least error: {', '.join(f'{o} {100 * v:.3g} %' for o, v in shares.items())} of situations."
+    )
+
+
 def honesty(run: pd.DataFrame) -> str:
     """Return each observer's mean NEES over the second half of a run."""
     late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
@@ -188,9 +225,6 @@ def where(part: pd.DataFrame, cell: int) -> str:
 
 def _format_value(value: float, unit: str) -> str:
     return f"{number(value)} {unit}" if np.isfinite(value) else "(diverged in every run)"
-
-
-TIMES = 2.0  # the default limit divided by the least mean of the axis
 
 
 def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:

@@ -13,7 +13,15 @@ from pcbench.dataset import storage
 from pcbench.dataset.result import Result
 from pcbench.errors import unknown
 from pcbench.plants import signals_of
-from pcbench.plots import fault_tolerance, frames, observer_costs, one_run, time_series
+from pcbench.plots import (
+    calibration_curves,
+    errors_over_time,
+    fault_tolerance,
+    frames,
+    observer_costs,
+    one_run,
+    time_series,
+)
 from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
 from pcbench.plots.layout import PAPER, Paper
 from pcbench.plots.paired_ratios import ratios_of
@@ -105,6 +113,10 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         exact = time_series.exactly(result, scenario, cell)
         text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
         yield Picture(f"{name}-time", "One run over time", figure, text, note)
+    if run is not None and errors_over_time.has_bands(run, signal):
+        figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, shown.paper)
+        text = captions.bands(run[run.signal == signal], unit_of_signal(result, scenario, signal))
+        yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.BANDS_OF_RUNS)
     if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
         alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
         text = captions.borne(fault_tolerance.borne(alone))
@@ -164,6 +176,12 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
     if run is not None and one_run.has_nees(run):
         figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), captions.HONESTY)
+    if found := calibration_curves.transforms_of(result, scenario, cell):
+        figure, text = (
+            plots.calibration(result, scenario=scenario, cell=cell, paper=shown.paper),
+            captions.calibration(found),
+        )
+        yield Picture(f"{name}-calibration", "Calibration of the filters", figure, text, captions.CALIBRATION)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
@@ -174,6 +192,8 @@ def of_study(result: Result, shown: FigureOptions) -> Iterator[Picture]:
     if found := regrets_of(result, shown.metric, shown.signals):
         figure = plots.regrets(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
         yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(found))
+        figure = plots.profiles(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
+        yield Picture("profiles", "Performance profile and ranks", figure, captions.profiles(found), captions.PROFILES)
 
 
 def unit_of_signal(result: Result, scenario: str, signal: str) -> str:

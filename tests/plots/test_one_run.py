@@ -25,7 +25,7 @@ def shown():
 @pytest.mark.ci
 def test_it_is_thinned_evenly_from_the_start_to_the_end(shown):
     frame, (trace, *_) = shown
-    for _, mine in frame.groupby(["signal", "series", "kind"]):
+    for _, mine in frame[frame.kind != "arrival"].groupby(["signal", "series", "kind"]):
         assert len(mine) <= 2 * one_run.POINTS
         t = mine.t.to_numpy()
         assert t[0] == 0
@@ -44,8 +44,9 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
         ("position", "measured", "measured"): "y1",
     }
     found = dict(list(frame.groupby(["signal", "series", "kind"])))
-    of_errors = {(s, "pccebo", kind) for s in ("position", "velocity") for kind in ("error", "low", "high", "rms")}
-    assert set(found) == set(columns) | of_errors
+    kinds = ("error", "low", "high", "rms", *one_run.SIZES)
+    of_errors = {(s, "pccebo", kind) for s in ("position", "velocity") for kind in kinds}
+    assert set(found) == set(columns) | of_errors | {("", "measured", "arrival")}
     at = np.round(found["position", "plant", "truth"].t.to_numpy() / 1e-3).astype(int)
     for key, column in columns.items():
         np.testing.assert_allclose(found[key].value, traces[0][column].to_numpy()[at], rtol=1e-12, atol=1e-12)
@@ -55,14 +56,22 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
         ("low", np.quantile(errors, 0.05, axis=0)),
         ("high", np.quantile(errors, 0.95, axis=0)),
         ("rms", np.sqrt((errors**2).mean(axis=0))),
+        *(
+            (f"abs_p{100 * share:02.0f}", np.quantile(abs(errors), share, axis=0))
+            for share in (0.05, 0.25, 0.5, 0.75, 0.95)
+        ),
     ):
         np.testing.assert_allclose(found["position", "pccebo", kind].value, values, rtol=1e-9, atol=1e-12)
+    held = found["position", "measured", "measured"].set_index("t").value
+    new = held.index[held.notna() & (held != held.shift())]
+    np.testing.assert_array_equal(found["", "measured", "arrival"].t, new)
+    assert len(new) > 20, "an arrival every 0.2 s"
 
 
 @pytest.mark.ci
 def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
     study = parse.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
-    assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
+    assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "arrival", "estimate", "error", "measured"}
     with pytest.raises(UserError, match="--grid-point: got 7, expected one of 0"):
         one_run.of(study, "cart/nominal", None, cell=7)
 

@@ -110,6 +110,7 @@ def test_every_picture_has_its_place_a_text_and_a_unit(text):
     parts = [
         "ratios",
         "time",
+        "bands",
         "winners",
         "map",
         "over-sampling_period",
@@ -122,6 +123,7 @@ def test_every_picture_has_its_place_a_text_and_a_unit(text):
     assert names == [
         f"cart-white-position-{parts[0]}",
         "regrets",
+        "profiles",
         *(f"cart-white-position-{part}" for part in parts[1:]),
     ]
     for name in names:
