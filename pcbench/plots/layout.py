@@ -25,6 +25,7 @@ from pcbench.errors import UserError
 from pcbench.plots.palette import GRID, INK, SOFT
 
 WIDE = 30.0  # values whose largest is so many times the least are drawn on a logarithmic axis
+NARROW = 3.0  # a ratio of the ends of a logarithmic axis, below which ticks are at even steps
 DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower edge
 MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
@@ -186,6 +187,13 @@ def is_wide(values: ArrayLike) -> bool:
     return bool(len(finite) and finite.min() > 0 and finite.max() > WIDE * finite.min())
 
 
+def is_positive(values: ArrayLike) -> bool:
+    """Say whether values, some of which may not be finite, can be drawn on a logarithmic axis."""
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    return bool(len(finite) and finite.min() > 0)
+
+
 def set_range(ax: Axes, side: str, values: ArrayLike, log: bool | None = None, margin: float = MARGIN) -> None:
     """Let an axis, x or y, show all finite `values` and some room beyond; `log` None: logarithmic where they are wide."""
     finite = np.asarray(values, float).ravel()
@@ -207,7 +215,8 @@ def set_limits(ax: Axes, side: str, low: float, high: float, log: bool = False) 
     axis = getattr(ax, f"{side}axis")
     if log:
         steps = (1.0,) if log10(high / low) >= 3 else (1.0, 2.0, 5.0)
-        axis.set_major_locator(LogLocator(subs=steps, numticks=TICKS))
+        even = MaxNLocator(TICKS - 1, steps=[1, 2, 2.5, 5, 10])
+        axis.set_major_locator(even if high < NARROW * low else LogLocator(subs=steps, numticks=TICKS))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
     else:
         axis.set_major_locator(MaxNLocator(TICKS - 1, steps=[1, 2, 2.5, 5, 10]))

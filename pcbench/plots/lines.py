@@ -17,10 +17,10 @@ from pcbench.dataset.validate_exact import ExactValidation
 from pcbench.errors import UserError, unknown
 from pcbench.plots import frames
 from pcbench.plots.labels import about, title_of, unit_of
-from pcbench.plots.layout import PAPER, Paper, is_wide, set_limits, set_range, set_values, sheet
+from pcbench.plots.layout import PAPER, Paper, is_positive, is_wide, set_limits, set_range, set_values, sheet
 from pcbench.plots.palette import SOFT, LineLook, styles
 
-APART = 2.2  # points of the page, between points of observers at one value
+APART = 2.2  # points of the page, between points of observers at one value that is a word
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed
 
 
@@ -41,7 +41,7 @@ def distributions(
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
     with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
-        set_range(ax, "x", part.value)
+        set_range(ax, "x", part.value, is_positive(part.value))
         set_limits(ax, "y", 0.0, 1.0)
         ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
         ax.set(title="share of runs", xlabel=title_of(metric, named.signal.iloc[0], unit_of(named)))
@@ -64,7 +64,8 @@ def curves(
 ) -> Figure:
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.
 
-    The other axes have their first value, or that in `at`. Points of one value are drawn side by side. Raises UserError if no
+    The other axes have their first value, or that in `at`. The axis of positive values is logarithmic. Points of one value are
+    drawn side by side if it is a word. Raises UserError if no
     axis varies, or for an unknown name.
     """
     whole = frames.rows(result, scenario, signal, metric)
@@ -80,7 +81,8 @@ def curves(
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
         place = set_values(ax, "x", every)
-        set_range(ax, "y", ends)
+        set_range(ax, "y", ends, is_positive(ends))
+        numeric = all(isinstance(v, int | float) and np.isfinite(v) for v in every)
         ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
         ax.set_xlabel(frames.label(axis, frames.units(result, whole)))
         look = styles(whole.observer)
@@ -88,7 +90,8 @@ def curves(
             mine = part[part.observer == observer]
             where = np.array([place(value) for value in mine[axis]])
             mine, where = mine.iloc[np.argsort(where)], np.sort(where)
-            beside = offset_copy(ax.transData, figure, APART * (i - (len(look) - 1) / 2), units="points")
+            by = 0.0 if numeric else APART * (i - (len(look) - 1) / 2)
+            beside = offset_copy(ax.transData, figure, by, units="points")
             ax.vlines(where, mine.ci_low, mine.ci_high, color=style.colour, linewidth=1.3, transform=beside)
             faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
             ax.plot(where, mine["mean"], label=observer, color=faint, linestyle=style.line, linewidth=1.1, transform=beside,

@@ -14,13 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, describe_metric, unit_of
-from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
+from pcbench.plots.layout import NARROW, PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.palette import GRID, INK, SOFT, Style, styles
 from pcbench.statistics import COMPARED, POOLED
 from pcbench.statistics.aggregate import Row
@@ -31,7 +30,6 @@ from pcbench.statistics.ranking import by_cell, diverges_more
 BOUNDED = ("steady_rmse", "steady_pooled_rmse")  # metrics with a Kalman bound
 BOUND = "Kalman bound"
 ROW, THICK = 0.2, 0.34  # inches of a row; half the height of its zone, in rows
-NARROW = 3.0  # a ratio of the ends of the axis, below which ticks are at even steps
 LEAST = 1e-3  # p-values below it are not written out
 EQUAL = 1e-9  # a ratio that differs less from 1 is rounding
 
@@ -166,16 +164,14 @@ def ratios(
 
 
 def _set_ratios(ax: Axes, found: Ratios) -> None:
-    """Choose the logarithmic axis of ratios, with even steps where it is short."""
+    """Choose the logarithmic axis of ratios, with room on both sides of 1."""
     drawn = found.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
     ends = [*drawn, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]].to_numpy(float))]
     set_range(ax, "x", ends, log=True)
     low, high = ax.get_xlim()
     if high < NARROW * low:
-        room = max(high / 1.0, 1.0 / low, 1.02)
+        room = max(high, 1.0 / low, 1.02)
         set_limits(ax, "x", min(low, 1 / room**0.3), max(high, room), log=True)
-        ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: layout.number(value)))
 
 
 def _draw_row(ax: Axes, place: int, row: Row, style: Style, found: Ratios, paper: Paper) -> None:
