@@ -304,6 +304,15 @@ def test_no_word_of_any_table_is_cut(data, rows, many, width):
     require_whole(screen)
 
 
+@pytest.mark.parametrize("width", [60, 66, 80])
+def test_word_of_prose_is_not_cut_where_room_is_scarce(width):
+    """The words of a row need 67 columns; in a narrower terminal it is a block."""
+    screen = Recorder(width, False)
+    screen.fit("a title", [Column("observer", ["n" * 30], left=True), Column("reason", ["at " + "w" * 34], prose=True)])
+    require_whole(screen)
+    assert ("observer: n" in screen.text) == (width < 67)
+
+
 def test_cut_number_is_found():
     """The measure itself: a table without its last digit does not pass."""
     screen = Recorder(80, False)
