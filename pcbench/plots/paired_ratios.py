@@ -37,7 +37,9 @@ EQUAL = 1e-9  # a ratio that differs less from 1 is rounding
 class Ratios(NamedTuple):
     """The ratios of a grid point."""
 
-    rows: pd.DataFrame  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (share); best first
+    rows: (
+        pd.DataFrame
+    )  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (fraction); the best first
     best: str
     value: float  # the mean of the best
     bound: pd.Series | None  # the row of stats of the best's rms_efficiency: the Kalman bound divided by its rms error
@@ -71,8 +73,8 @@ def ratios_of(
     rows = pd.DataFrame({"observer": means.observer.to_list()}).join(over, on="observer")
     rows["p"] = rows.observer.map(p)
     rows["worse"] = [o not in stood.leaders and o not in stood.alike and o != stood.best for o in rows.observer]
-    kept, lost = (mine[name].loc[rows.observer].to_numpy(float) for name in ("n", "diverged"))
-    rows["diverged"] = lost / np.maximum(kept + lost, 1)
+    runs = mine.loc[rows.observer, ["n", "diverged"]].to_numpy(float)
+    rows["diverged"] = runs[:, 1] / np.maximum(runs.sum(1), 1)
     rows["more"] = [diverges_more(mine.loc[stood.best], mine.loc[o]) for o in rows.observer]
     rows["certified"] = mine.certified.loc[rows.observer].to_list()
     rows = rows.sort_values("observer", key=lambda names: names != stood.best, kind="stable", ignore_index=True)
@@ -100,11 +102,14 @@ def _of_runs(result: Result, scenario: str, signal: str, metric: str, cell: int,
 
 def _of_means(mine: pd.DataFrame, best: str) -> pd.DataFrame:
     """Return the same from rows of stats, some of them exact."""
+    mean, high = mine["mean"].to_numpy(float), mine.ci_high.to_numpy(float)
+    here = mine.observer.to_numpy(str) == best
     with np.errstate(divide="ignore", invalid="ignore"):
-        half = pd.Series(np.log((mine.ci_high / mine["mean"]).to_numpy(float)), mine.index).fillna(0.0)
-        half = pd.Series(np.where(mine.index != best, np.hypot(half, half[best]), 0.0), mine.index)
-    ratio = mine["mean"] / mine["mean"][best]
-    return pd.DataFrame({"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": mine.n})
+        half = np.nan_to_num(np.log(high / mean))
+    half = np.where(here, 0.0, np.hypot(half, half[here]))
+    ratio = mean / mean[here]
+    rows = {"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": mine.n.to_numpy()}
+    return pd.DataFrame(rows, index=mine.index)
 
 
 def ratios(
@@ -136,13 +141,12 @@ def ratios(
     title = f"{words}: {about(result, whole, frames.named_values(result, whole, cell))}, {method}"
     keys: list[Artist] = [] if found.exact else [Patch(color=GRID, label="not distinguishable (95 %)")]
     if not rows.worse[1:].all():
-        hollow = Line2D(
-            [], [], color=SOFT, marker="o", mfc="white", linestyle="none", markersize=5, label="not significant"
-        )
+        hollow = Line2D([], [], color=SOFT, marker="o", markerfacecolor="white", linestyle="none", markersize=5)
+        hollow.set_label("not significant")
         keys.append(hollow)
     if found.bound is not None:
         keys.append(Line2D([], [], color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, label=BOUND))
-    names = [mark_uncertified(o, [c]) for o, c in zip(rows.observer.tolist(), rows.certified.tolist(), strict=True)]
+    names = [mark_uncertified(str(o), [c]) for o, c in zip(rows.observer, rows.certified, strict=True)]
     names += [] if found.bound is None else [BOUND]
     least = f"{layout.number(float(f'{found.value:.3g}'))} [{unit_of(whole)}]"
     with sheet(paper, title, height=ROW * len(names) + 0.1, keys=keys) as (figure, (ax,)):
@@ -156,7 +160,7 @@ def ratios(
             _draw_row(ax, place, row, look[row["observer"]], found, paper)
         ax.axvline(1.0, color=SOFT, linewidth=0.8, zorder=1.2)
         if found.bound is not None:
-            low, at, high = found.bound[["ci_low", "mean", "ci_high"]].to_numpy(float)
+            low, at, high = found.bound[["ci_low", "mean", "ci_high"]]
             ax.axvline(at, color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, zorder=1.3)
             ax.hlines(len(rows), low, high, color=INK, linewidth=1.3)
             ax.plot([at], [len(rows)], marker="|", color=INK, markersize=8)
@@ -166,7 +170,7 @@ def ratios(
 def _set_ratios(ax: Axes, found: Ratios) -> None:
     """Choose the logarithmic axis of ratios, with room on both sides of 1."""
     drawn = found.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
-    ends = [*drawn, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]].to_numpy(float))]
+    ends = [*drawn, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]])]
     set_range(ax, "x", ends, log=True)
     low, high = ax.get_xlim()
     if high < NARROW * low:

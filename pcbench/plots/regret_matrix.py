@@ -59,40 +59,29 @@ def regrets_of(
     parts, chosen, runs = list[pd.DataFrame](), dict[str, None](), 0
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
-            part = frames.rows(result, scenario, signal, metric)
-            found = frames.standings(result, scenario, signal, metric)
-            leaders = {c: {*a, *b} for c, a, b in zip(found.cell, found.leaders, found.alike, strict=True)}
-            best = dict(zip(found.cell, found.best, strict=True))
-            means = part["mean"].to_numpy(float)
-            lowest = part.groupby("cell")["mean"].min().to_dict()
-            least = np.array([lowest[cell] for cell in part.cell])
+            part, stood = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
+            equal = zip(stood.cell, stood.leaders, stood.alike, strict=True)
+            leaders = {cell: {*leading, *alike} for cell, leading, alike in equal}
+            best = dict(zip(stood.cell, stood.best, strict=True))
+            least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
             names = {cell: _situation(result, part, cell) for cell in best}
-            known = np.isfinite(means) & (least > ROUNDING)
-            ratio = np.divide(means, least, out=np.full(len(part), inf), where=known)
-            columns = {
-                "situation": [names[c] for c in part.cell],
-                "scenario": scenario,
-                "signal": signal,
-                "cell": part.cell.tolist(),
-                "observer": part.observer.astype(str).tolist(),
-                "ratio": ratio.tolist(),
-                "best": [o == best[c] for o, c in zip(part.observer, part.cell, strict=True)],
-                "worse": [o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)],
-            }
-            rows = pd.DataFrame(columns)
-            parts.append(rows[least > ROUNDING])
+            rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
+            rows = rows.assign(scenario=scenario, signal=signal, cell=part.cell)
+            rows["ratio"] = np.where(np.isfinite(part["mean"]), part["mean"] / least.where(least > ROUNDING), inf)
+            rows["best"] = [o == best[c] for o, c in zip(part.observer, part.cell, strict=True)]
+            rows["worse"] = [
+                o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)
+            ]
+            parts.append(rows[(least > ROUNDING).to_numpy()])
             chosen[signal] = None
             runs = max(runs, int((part.n + part.diverged).max()))
-    if not parts:
-        return None
-    whole = pd.concat(parts, ignore_index=True)
-    situations = list(dict.fromkeys(whole.situation.tolist()))
-    observers = list(dict.fromkeys(whole.observer.tolist()))
+    whole = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
+    situations, observers = (list(dict.fromkeys(whole[name])) for name in ("situation", "observer"))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
-    matrix = Regrets(whole, observers, situations, runs, list(chosen))
-    largest = matrix.largest
-    return matrix._replace(observers=sorted(observers, key=lambda o: largest[o]))
+    found = Regrets(whole, observers, situations, runs, list(chosen))
+    largest = found.largest
+    return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
 
 def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
@@ -122,8 +111,8 @@ def regrets(
             "expected two; give the study an axis with several values or several scenarios."
         )
     finite = found.rows.ratio[np.isfinite(found.rows.ratio)]
-    most = max(DARKEST, float(finite.max()))
-    norm = LogNorm(1.0, most)
+    darkest = max(DARKEST, float(finite.max()))
+    norm = LogNorm(1.0, darkest)
     panels = ceil(len(found.situations) / COLUMNS)
     columns = ceil(len(found.situations) / panels)
     words = max(paper.width_of(name, 1) for name in found.situations)
@@ -133,7 +122,7 @@ def regrets(
     runs = "one run" if found.runs == 1 else runs
     subject = describe_metric(result.ranks(metric), " or ".join(found.signals))
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
-            for v in KEYS if v <= most]  # fmt: skip
+            for v in KEYS if v <= darkest]  # fmt: skip
     keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label="not significant"))
     with sheet(
         paper,
