@@ -163,15 +163,11 @@ def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
 def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, Floats]:
     """The peak of all delays together [q] ticks, and how much wider the interval of each is than along its slice.
 
-    s is fitted by a quadratic to the best point, to points beside it along each channel, and to the corners of each two; the
+    s is fitted by a quadratic to the best point, to points next to it along each channel, and to the corners of each two; the
     lower they are the less they count. A channel whose peak is at the end of its range is left out. Infinite: not known.
     """
-    peak, wider, N, h = (
-        np.array([s.peak for s in slices]),
-        np.ones(len(best)),
-        profile.samples,
-        np.zeros(len(best), int),
-    )
+    peak, wider = np.array([s.peak for s in slices]), np.ones(len(best))
+    N, h = profile.samples, np.zeros(len(best), int)
     for c, s in enumerate(slices):
         sides = np.array([s.peak - s.low, s.high - s.peak])
         if np.isfinite(sides).any():

@@ -130,7 +130,7 @@ class Draft:
         self._files.close()
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write what else is known beside the tables, NaN as null, and give the files their names."""
+        """Write all other results next to the tables, NaN as null, and give the files their names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
         written = [name for name in TABLES if name in self._writers]
         storage.rename_all([(self.part(name), self.folder / name) for name in (*written, SUMMARY)])

@@ -22,9 +22,7 @@ from pcbench.simulation.metrics import ErrorSums, SettlingState
 from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
-JUDGED = (
-    4  # numbers of an InnovationStats, which are followed by two for each channel: nu / sigma of all, then sigma of all
-)
+JUDGED = 4  # numbers of an InnovationStats; two for each channel follow: nu / sigma of all, then sigma of all
 
 
 class Score(NamedTuple):

@@ -37,9 +37,7 @@ EQUAL = 1e-9  # a ratio that differs less from 1 is rounding
 class Ratios(NamedTuple):
     """The ratios of a grid point."""
 
-    rows: (
-        pd.DataFrame
-    )  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (fraction); the best first
+    rows: pd.DataFrame  # observer, ratio, ci_low, ci_high, n, p, worse (significantly), diverged (share); best first
     best: str
     value: float  # the mean of the best
     bound: pd.Series | None  # the row of stats of the best's rms_efficiency: the Kalman bound divided by its rms error

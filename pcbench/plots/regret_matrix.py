@@ -22,7 +22,7 @@ from pcbench.plots.palette import GRID, SOFT, on
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import ROUNDING
 
-COLUMNS = 16  # situations beside one another
+COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
 ROW, CELL = 0.21, 0.36  # inches
 DARKEST = 10.0  # at least the ratio with the darkest colour
@@ -34,9 +34,8 @@ COLOURS = LinearSegmentedColormap.from_list("regrets", ["#FFFFFF", "#A9C1DA", "#
 class Regrets(NamedTuple):
     """The regrets of observers in situations."""
 
-    rows: (
-        pd.DataFrame
-    )  # situation, scenario, signal, cell, observer, ratio (inf: diverged), best, worse (significantly)
+    # situation, scenario, signal, cell, observer, ratio (inf: diverged), best, worse (significantly)
+    rows: pd.DataFrame
     observers: list[str]  # in order of their largest ratio
     situations: list[str]
     runs: int  # 0: exact

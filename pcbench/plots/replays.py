@@ -21,7 +21,7 @@ from pcbench.statistics import Z95
 
 WIDE = 1.45  # columns of the paper
 SHADE = 0.18  # of a band
-FEW = 3  # observers, up to which bands are told apart
+FEW = 3  # observers at most, whose bands can be distinguished
 EXCERPT = 40  # measurements in it
 DOT = 6.0  # points^2
 BAND = Patch(color=GRID, label="95 % band")

@@ -296,7 +296,7 @@ def test_noise_of_each_measurement_is_used(tmp_path):
 
 
 @pytest.mark.ci
-def test_without_inputs_a_delay_is_not_told(tmp_path):
+def test_without_inputs_a_delay_is_not_known(tmp_path):
     recording(tmp_path / "log", 7, [LATE], inputs=False)
     study = plant(B=[[0.0], [0.0]], prior_std=[3.0, 3.0])
     ((one,), said) = found(tmp_path / "log", study)

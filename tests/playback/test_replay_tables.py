@@ -36,7 +36,7 @@ TWO = {
 
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory):
-    """A recording with measurements that overtake others, and the folder of its replay."""
+    """A recording with out-of-sequence measurements, and the folder of its replay."""
     folder = tmp_path_factory.mktemp("two")
     pcbench.simulate(TWO, "kf", seed=5, log=folder / "log")
     found = pcbench.replay(folder / "log", TWO, ["kf", "model-only"], out=folder / "out")

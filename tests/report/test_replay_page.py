@@ -203,7 +203,7 @@ def test_names_of_channels_are_escaped(folders, full):
 @pytest.mark.parametrize("name", ["full", "bare"])
 def test_page_is_drawn_without_complaints(folders, tmp_path, name, width, paper):
     page.put(replay_page.page(replay_frames.open_replay(folders / name)), tmp_path / "report.html")
-    told = looked_at(tmp_path / "report.html", tmp_path, width, paper)
-    assert told["pictures"] == (7 if name == "full" else 2)
-    assert not told["complaints"]
-    assert not told["console"]
+    seen = looked_at(tmp_path / "report.html", tmp_path, width, paper)
+    assert seen["pictures"] == (7 if name == "full" else 2)
+    assert not seen["complaints"]
+    assert not seen["console"]

@@ -18,10 +18,8 @@ STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white
 
 def status(found: Status, folder: str, screen: Screen) -> None:
     """Print how far a study is."""
-    shares, done = (
-        found.shares,
-        [f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-" for s in found.shares],
-    )
+    shares = found.shares
+    done = [f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-" for s in shares]
     columns = [
         Column("scenario", [s.scenario for s in shares], left=True),
         Column("observer", [mark_uncertified(s.observer, [s.certified]) for s in shares], left=True),
