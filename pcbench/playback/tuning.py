@@ -240,8 +240,8 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {tune.BUDGET}.")
     if entry.observer.innovation is None:
         raise UserError(
-            f"{where}: got an observer that does not say what it expects of a sample, expected one that does, for else a log "
-            "has no likelihood; tune kf, or another that `pcbench list observers` shows to know its covariance."
+            f"{where}: got an observer without an innovation covariance, expected one with it, because a likelihood needs it; "
+            "tune kf, or another for which `pcbench list observers NAME` shows innovations."
         )
     if entry.observer.init_random is not None:
         raise UserError(

@@ -25,16 +25,16 @@ A TOML may also correct tables of measurements: see `corrections`.
 """
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pcbench import toml_text
-from pcbench.errors import UserError, first_sentence
+from pcbench.errors import UserError, first_sentence, unknown
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
 from pcbench.recordings.corrections import Changes, Samples, TablesToml, correct_tables
 from pcbench.recordings.csv_dialects import FOUND, CsvOptions
@@ -184,8 +184,21 @@ def _validated(model: type[M], raw: TomlTable, path: Path) -> M:
             raise UserError(
                 f'{path.name}: {place}: got no unit, expected what its values are in; write unit = "m".'
             ) from None
+        if first["type"] == "extra_forbidden":
+            *above, key = first["loc"]
+            where = f"{path.name}: {'.'.join(map(str, above))}" if above else path.name
+            raise unknown(where, "key", str(key), _keys(model, above)) from None
         what = first["msg"][0].lower() + first["msg"][1:]
         raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
+
+
+def _keys(model: type[BaseModel], above: list[int | str]) -> Iterable[str]:
+    """Return the keys of a table of a TOML."""
+    if not above:
+        return model.model_fields
+    kind = model.model_fields[str(above[0])].annotation
+    (inner,) = [each for each in (kind, *get_args(kind)) if isinstance(each, type) and issubclass(each, BaseModel)]
+    return inner.model_fields
 
 
 def _maps_fields(raw: TomlTable) -> bool:

@@ -1,7 +1,6 @@
 """The figures of a study with their captions: the page shows them, and `--figures` writes them as SVG, PDF and PNG files."""
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -209,9 +208,15 @@ def write(
     formats: tuple[str, ...] = KINDS,
 ) -> list[str]:
     """Write every figure of the page, and return the names of the files, without their suffix."""
-    every = places(result, result.scenarios, shown, progress)
-    drawn = (p for place in every.values() for _, pictures in of_scenario(place) for p in pictures)
-    return put_figures(chain(drawn, of_study(result, shown)), out, formats, progress)
+    return put_figures(_all(result, shown, progress), out, formats, progress)
+
+
+def _all(result: Result, shown: FigureOptions, progress: Progress) -> Iterator[Picture]:
+    """Draw every figure, the runs that they show simulated when the first is asked for."""
+    for place in places(result, result.scenarios, shown, progress).values():
+        for _, pictures in of_scenario(place):
+            yield from pictures
+    yield from of_study(result, shown)
 
 
 def put_figures(

@@ -200,8 +200,9 @@ def test_a_mark_of_the_byte_order_is_no_mistake(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["run quick", "merge {} {}", "report {}", "report {} --figures"])
-def test_an_empty_name_is_no_folder(command, whole, tmp_path):
-    words = command.format(whole, whole).split()
+def test_an_empty_name_is_no_folder_and_leaves_nothing(command, whole, tmp_path):
+    words, before = command.format(whole, whole).split(), set(whole.rglob("*"))
     words += ["", "--quiet"] if "--figures" in words else ["--out", ""]
     assert "got an empty name" in told(call(*words, cwd=tmp_path))
     assert list(tmp_path.iterdir()) == []
+    assert set(whole.rglob("*")) == before

@@ -121,7 +121,7 @@ def test_keys_of_toml_decide_what_is_ambiguous(tmp_path):
         ('separator = ";;"', "csv.separator: string should have at most 1 character"),
         ('decimal = "1"', "run.csv: "),
         ("head = 99", "'y' is no column here"),
-        ("skip = 1", "csv.skip: extra inputs are not permitted"),
+        ("skip = 1", "csv: 'skip' is no key; valid: decimal, encoding, head, separator"),
     ],
 )
 def test_what_a_table_csv_gives_wrong_is_one_sentence(tmp_path, keys, sentence):
