@@ -37,6 +37,7 @@ class Field(NamedTuple):
     ticks: bool = False  # whole ticks
     signed: bool = False  # may be below 0
     listed: bool = False  # one value may be a list
+    rows: bool = False  # a scenario may have a list for each channel
     always: bool = False  # a column of every table; of others only where they are axes
     random: bool = False  # of times: drawn again in each run
     loop: bool = False  # of loops that a study closes
@@ -174,6 +175,7 @@ FIELDS = (
         form="times",
         listed=True,
         random=True,
+        rows=True,
     ),
     Field(
         "delay_self_transition",
@@ -184,6 +186,7 @@ FIELDS = (
         per="value",
         limit=Limit(lambda n: n < 1, "a probability below 1, so that the delay changes."),
         search=(0.0, 0.95),
+        rows=True,
     ),
     Field(
         "delay_sequence",
@@ -201,6 +204,7 @@ FIELDS = (
         title="their relative frequencies (independent)",
         listed=True,
         limit=Limit(lambda n: n > 0, "weights greater than 0; leave that value out."),
+        rows=True,
     ),
     Field(
         "delay_gamma_mean",

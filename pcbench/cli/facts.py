@@ -78,6 +78,7 @@ def axis_facts(name: str) -> Description:
     (field,) = (f for f in FIELDS if f.name == name)
     tables: dict[str, type[BaseModel]] = {"lti": Lti, "scenario": ScenarioTable, "controller": Network}
     form = ["a list of numbers" if field.listed else "a number", PER.get(field.per, ""), WORDS.get(field.word, "")]
+    form += ["or a list for each output channel (no axis)"] if field.rows else []
     least = "any number" if field.signed else "at least 0" if field.word != "*" else ""
     return {
         "value": ", ".join(filter(None, form)) + ("; whole ticks" if field.ticks else ""),

@@ -16,7 +16,7 @@ from pcbench.plots import frames
 from pcbench.plots.labels import LTI
 from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.scenarios.scenario import RECORD_OF
+from pcbench.scenarios.scenario import RECORD_OF, has_rows
 from pcbench.scenarios.sources import Source, Sources, Table, Wave
 from pcbench.study import Study, axes, dashes, merge_options, observers_of, scenarios_of
 from pcbench.study.grid import Cell, cells
@@ -129,7 +129,14 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row("xhat0", "initial estimate xhat(0)", states, always=True),
         Row("prior_std", "prior std of x(0)", states, always=True),
     ]
-    varied = [Row(f.name, f.title, forms.get(f.form) or by_text(f.form)) for f in FIELDS]
+
+    def each_row(say: Callable[[Any], str]) -> Callable[[Any], str]:
+        return lambda values: " | ".join(map(say, values)) if has_rows(values) else say(values)
+
+    varied = [
+        Row(f.name, f.title, (each_row if f.rows else lambda say: say)(forms.get(f.form) or by_text(f.form)))
+        for f in FIELDS
+    ]
     last = [
         Row("delay_sine", "variation of the delays", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
         Row("continuous", "measurements", lambda v: "continuous, without noise"),

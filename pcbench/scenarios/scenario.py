@@ -8,7 +8,7 @@ an axis means, and its unit, is in `pcbench.fields`.
 from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from pcbench.scenarios.sources import Sources
 from pcbench.toml_text import TomlTable
@@ -16,6 +16,7 @@ from pcbench.toml_text import TomlTable
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 ProcessNoise = tuple[float, ...] | tuple[tuple[float, ...], ...]
 PerChannel = float | tuple[float, ...]
+Rows = tuple[Any, ...]  # numbers, or tuples of numbers where channels differ
 LOST = "lost"  # among delays in turn: this sample never arrives
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
@@ -47,10 +48,16 @@ def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) * channels
 
 
+def has_rows(value: object) -> TypeGuard[tuple[Any, ...]]:
+    """Return whether a list has a list for each output channel."""
+    return isinstance(value, list | tuple) and any(isinstance(row, list | tuple) for row in value)
+
+
 class Sampling(NamedTuple):
     """How the plant is measured: when samples are taken, when they arrive, how noisy they are.
 
-    A `PerChannel` is one number for all, or [q] where the channels differ; m delay_values.
+    A `PerChannel` is one number for all, or [q] where the channels differ; m delay_values. What is [m] may have a tuple for
+    each of q channels; a channel whose tuples are empty has no additional delay.
     """
 
     sampling_period: tuple[float, ...]  # [q]
@@ -67,9 +74,9 @@ class Sampling(NamedTuple):
     outlier_scale: PerChannel = 10.0
     student_t_dof: float = inf
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
-    delay_values: tuple[float, ...] = ()  # [m]
-    delay_self_transition: tuple[float, ...] = ()  # [m] or [1]; empty: 1 / m
-    delay_weights: tuple[float, ...] = ()  # [m]; empty: a chain
+    delay_values: Rows = ()  # [m]
+    delay_self_transition: Rows = ()  # [m] or [1]; empty: 1 / m
+    delay_weights: Rows = ()  # [m]; empty: a chain
     delay_gamma_mean: PerChannel = 0.0
     delay_gamma_shape: PerChannel = 1.0  # 1: the distribution is exponential
     quantization_step: tuple[float, ...] = ()  # [q]; empty, 0: samples are not rounded

@@ -5,12 +5,13 @@ A mistake ends in one sentence: where, what was found, what was expected, and wh
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from pcbench import fields
 from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import LOST
+from pcbench.scenarios.scenario import LOST, has_rows
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -22,10 +23,11 @@ OUTPUTS = fields.names(per="output")  # likewise for each output channel, where 
 TIMES = fields.names(ticks=True)
 SIGNED = fields.names(signed=True)
 LISTS = fields.names(listed=True)  # a value may be a list
+ROWS = fields.names(rows=True)  # a scenario may have a list for each output channel
 AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
 ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
-Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
+Value = str | float | tuple[Any, ...]  # of an axis, as a scenario holds it: with numbers, texts or rows in a tuple
 Plain = str | float | None | list[float | str | None]  # the same as the tables hold it
 LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
@@ -37,6 +39,11 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
         raise unknown(where, f"axis of {base.name}", name, known)
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
+    if name in ROWS and any(map(has_rows, values)):
+        raise UserError(
+            f"{where}: got a list for each channel, expected one list for all in an axis; write {name} in a table "
+            "[scenarios.NAME], one for each value."
+        )
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
     if name == "parameter_drift" and any(out) and not drifts(base):
         raise UserError(
@@ -57,6 +64,8 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
 
 def point(name: str, value: object, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
+    if name in ROWS and has_rows(value):
+        return _of_each_channel(name, value, base, where)
     if name in LISTS or name == "delay_self_transition":
         return _list(name, value, base, where)
     several = isinstance(value, list | tuple)
@@ -86,6 +95,15 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
     for v in numbers if name in TIMES else ():
         _require_whole_ticks(name, v, base, where)
     return numbers
+
+
+def _of_each_channel(name: str, value: Sequence[object], base: Scenario, where: str) -> Value:
+    """A list for each output channel; one where they are the same."""
+    many = len(base.sampling.delay)
+    if len(value) != many or not all(isinstance(row, list | tuple) for row in value):
+        raise UserError(f"{where}: got {brief_repr(value)}, expected one list of numbers, or {many} (one per channel).")
+    rows = tuple(_list(name, row, base, f"{where}[{j}]") for j, row in enumerate(value))
+    return rows if len(set(rows)) > 1 else rows[0]
 
 
 def _single(name: str, value: object, base: Scenario, where: str) -> float:
@@ -168,6 +186,8 @@ def plain(name: str, value: Value, apart: bool = False) -> Plain:
     """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
     if not isinstance(value, tuple):
         return value
+    if has_rows(value):
+        return " and ".join(str(plain(name, row)) or "none" for row in value)
     if name in LISTS:
         return ", ".join(v if isinstance(v, str) else f"{v:g}" for v in value)
     each = [None if v == INTERVAL else v for v in value]

@@ -2,8 +2,8 @@
 
 Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_values`. They occur as often,
 and as often one after the other, as in the log (`delay_self_transition`); `loss` is the share that never arrived.
-Channels may differ in their least delay and their loss, which then are lists. By what delays vary is one law: others are
-refused.
+Channels may differ in their least delay, in their loss, and in how delays vary, which then are lists: there is one law if the
+delays of all channels vary alike, else one for each channel.
 In turn: the log's instants become `sampling_pattern` (intervals) and `sampling_period` (their mean), what became of each sample
 `delay_sequence`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
 So the resolved study holds numbers alone, and needs no log. All in whole ticks.
@@ -75,7 +75,7 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
 def law_of(late: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
     """Return the law of delays [ticks] in the order of sampling by channel, NaN: lost.
 
-    Raises UserError, which begins with what was `got`, where they vary by channel in more than their least value.
+    Raises UserError, which begins with what was `got`, where nothing of a channel arrived.
     """
     came = ~np.isnan(late)
     loss = [float(np.isnan(late[channel == c]).mean()) for c in range(len(names))]
@@ -83,17 +83,16 @@ def law_of(late: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got:
     if empty := [name for name, mine in zip(names, each, strict=True) if not len(mine)]:
         raise UserError(f"{got}, in which nothing of {empty[0]} arrived, expected at least one arrival; use another.")
     least = np.array([mine.min() for mine in each])
-    for mine, name, base in zip(each[1:], names[1:], least[1:], strict=True):
-        apart = kolmogorov(each[0] - least[0], mine - base)
-        if apart > UNLIKE + NOISE * np.sqrt(1 / len(each[0]) + 1 / len(mine)):
-            raise UserError(
-                f"{got}, in which the delays of {names[0]} and {name} vary differently, expected delays that differ between "
-                "channels by a constant; use a recording of one of them, or write delay, delay_values and delay_weights."
-            )
-    least = least if len(set(least)) > 1 else np.zeros(len(names))
-    law = fit_delay_chain((late - least[channel])[came], channel[came], tick)
-    if least.any():
-        law["delay"] = [round(float(law["delay"] + base * tick), DIGITS) for base in least]
+    apart = [kolmogorov(each[0] - least[0], mine - base) for mine, base in zip(each, least, strict=True)]
+    chance = [UNLIKE + NOISE * np.sqrt(1 / len(each[0]) + 1 / len(mine)) for mine in each]
+    if any(distance > limit for distance, limit in zip(apart, chance, strict=True)):
+        own = [fit_delay_chain(mine, np.zeros(len(mine)), tick) for mine in each]
+        law: TomlTable = {key: [fitted.get(key, []) for fitted in own] for key in max(own, key=len)}
+    else:
+        least = least if len(set(least)) > 1 else np.zeros(len(names))
+        law = fit_delay_chain((late - least[channel])[came], channel[came], tick)
+        if least.any():
+            law["delay"] = [round(law["delay"] + float(base) * tick, DIGITS) for base in least]
     together = float(np.isnan(late).mean())
     few = [NOISE * np.sqrt(together * (1 - together) / (channel == c).sum()) for c in range(len(names))]
     alike = all(abs(mine - together) <= limit for mine, limit in zip(loss, few, strict=True))

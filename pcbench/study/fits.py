@@ -211,21 +211,24 @@ def _of_delays(s: Scenario) -> Iterator[str]:
                 f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, so it has no effect, "
                 "expected both or neither; leave it out."
             )
-    values, stay, turns = s.sampling.delay_values, s.sampling.delay_self_transition, s.sampling.delay_sequence
-    if stay and not values:
-        yield (
-            f"got delay_self_transition in {s.name} without delay_values, so it has no effect, expected both or neither; "
-            "write delay_values = [0.0, ...], or leave it out."
-        )
-    if len(values) == 1 or len(set(values)) < len(values):
-        yield (
-            f"got delay_values of {', '.join(f'{v:g}' for v in values)} s, expected two or more different values; write "
-            "a constant delay as delay."
-        )
-    if len(stay) not in (0, 1, len(values)):
-        yield (
-            f"got {len(stay)} values of delay_self_transition for {len(values)} delay_values, expected one, or one for each."
-        )
+    for one in sensors(s):
+        values, stay = one.sampling.delay_values, one.sampling.delay_self_transition
+        if stay and not values:
+            yield (
+                f"got delay_self_transition in {s.name} without delay_values, so it has no effect, expected both or neither; "
+                "write delay_values = [0.0, ...], or leave it out."
+            )
+        if len(values) == 1 or len(set(values)) < len(values):
+            yield (
+                f"got delay_values of {plain('delay_values', values)} s, expected two or more different values; write "
+                "a constant delay as delay."
+            )
+        if len(stay) not in (0, 1, len(values)):
+            yield (
+                f"got {len(stay)} values of delay_self_transition for {len(values)} delay_values, expected one, or one for "
+                "each."
+            )
+    turns = s.sampling.delay_sequence
     if turns and set(turns) == {LOST}:
         yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them; write one."
     drawn = [name for name in DRAWN if s.value(name)]

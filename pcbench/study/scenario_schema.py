@@ -53,10 +53,13 @@ def kind(field: fields.Field) -> Any:
     if field.word == "lost":
         return list[Number | Literal["lost"]]
     if field.listed:
-        return str | list[Number] if field.word else list[Number]
+        numbers = list[Number] | list[list[Number]] if field.rows else list[Number]
+        return str | numbers if field.word else numbers
     if field.per == "state":
         return Size | list[Size]
     one_or_each = Number | list[Number] if field.per else Number
+    if field.rows:
+        return one_or_each | list[list[Number]]
     return one_or_each | str if field.word else one_or_each
 
 

@@ -17,7 +17,7 @@ from pcbench import fields
 from pcbench.errors import UserError
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
-from pcbench.scenarios.scenario import LOST, PerChannel, per_channel
+from pcbench.scenarios.scenario import LOST, PerChannel, has_rows, per_channel
 from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
@@ -62,6 +62,7 @@ def clocks(s: Scenario) -> list[Clock]:
     for j in range(many):
         alone: dict[str, object] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
         alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
+        alone |= {name: s.value(name)[j] for name in fields.names(rows=True) if has_rows(s.value(name))}
         groups.setdefault(s.having(**alone).sampling, []).append(j)
     return [_clock(measured, tuple(channels), s) for measured, channels in groups.items()]
 
@@ -100,6 +101,7 @@ def _clock(measured: Sampling, channels: tuple[int, ...], s: Scenario) -> Clock:
 def sensors(s: Scenario) -> Iterator[Scenario]:
     """Yield the scenario once for each way in which its channels are measured, with the numbers of such a channel."""
     several = {name: s.value(name) for name in fields.names(per="sensor") if isinstance(s.value(name), tuple)}
+    several |= {name: s.value(name) for name in fields.names(rows=True) if has_rows(s.value(name))}
     for each in dict.fromkeys(zip(*several.values(), strict=True)) if several else [()]:
         yield s.having(**dict(zip(several, each, strict=True)))
 

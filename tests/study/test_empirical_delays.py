@@ -139,6 +139,24 @@ def test_channels_share_what_varies_and_keep_their_least_delay_and_loss(tmp_path
     assert found.loss == pytest.approx([0.0, 0.3], abs=0.06)
 
 
-def test_channels_whose_delays_vary_differently_are_refused(tmp_path):
-    with pytest.raises(UserError, match="in which the delays of y1 and y2 vary differently"):
-        parse.grid_of(two_channels(tmp_path / "net", constant(3), varied(3)), {}, [])
+def test_channels_whose_delays_vary_differently_have_a_law_each(tmp_path):
+    found = parse.grid_of(two_channels(tmp_path / "net", constant(4), varied(3)), {}, []).study.lti
+    assert found.delay == [0.04, 0.03]
+    assert found.delay_values == [[], pytest.approx([0.0, 0.02, 0.05])]
+    assert [len(row) for row in found.delay_self_transition] == [0, 3]
+
+
+@pytest.mark.ci
+def test_delays_of_each_channel_are_drawn_as_in_its_own_recording(tmp_path):
+    one = lambda rng, many: 1 + rng.choice([0.0, 7.0], many, p=[0.8, 0.2])  # noqa: E731
+    _, cell = parse.one_cell(two_channels(tmp_path / "net", one, varied(3), many=2000), ["kf"], [])
+    drawn = [
+        s for seed in range(40) for s in random_times.draw_samples(cell.times.clocks, cell.times.ticks, 2, 0, seed)
+    ]
+    recorded = pd.read_csv(tmp_path / "net" / "measurements.csv")
+    for channel, mine in recorded.groupby("channel"):
+        ages = np.array([s.arrives - s.taken for s in drawn if s.channel == int(channel[1]) - 1])
+        there = np.rint((mine.arrived - mine.sampled) / TICK)
+        assert set(ages) == set(there)
+        for each in set(there):
+            assert np.mean(ages == each) == pytest.approx(np.mean(there == each), abs=0.04)

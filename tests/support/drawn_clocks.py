@@ -153,12 +153,13 @@ def any_clock(draw, channels):
 @st.composite
 def any_clocks(draw):
     steps = {"steps": (4, 25, 1)}
-    spread = draw(st.sampled_from([{}, {}, steps | {"stay": (0.0, 0.5, 0.9)}, steps | {"share": (0.2, 0.3, 0.5)}]))
-    clocks = [
-        draw(any_clock(channels))._replace(**spread)
-        for channels in draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
-    ]
-    return with_faults(draw, clocks) if "share" in spread else clocks
+    chained, shared = steps | {"stay": (0.0, 0.5, 0.9)}, steps | {"share": (0.2, 0.3, 0.5)}
+    pair, one_of_two = {"steps": (0, 9), "stay": (0.3, 0.8)}, {"steps": (3, 7), "share": (0.4, 0.6)}
+    laws = [[{}], [{}], [chained], [shared], [chained, pair], [pair, {}], [chained, one_of_two], [one_of_two, chained]]
+    channels = draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
+    law = draw(st.sampled_from(laws))
+    clocks = [draw(any_clock(each))._replace(**law[j % len(law)]) for j, each in enumerate(channels)]
+    return with_faults(draw, clocks) if any("share" in each for each in law) else clocks
 
 
 def with_faults(draw, clocks):

@@ -10,13 +10,15 @@ Everything is whole ticks. `ClockParams` is traced, so one compiled program serv
 """
 
 import math
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import rng
@@ -35,8 +37,9 @@ class ClockParams(NamedTuple):
     jitter: Leaf  # [C]
     spread: Leaf  # [C] jitter of the delay
     steps: Leaf  # [C, m] a sample arrives later by one of them; m = 0: by none
-    stay: Leaf  # [C, m] probability that the next sample has the same one
-    share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; m = 0: they are a chain
+    many: Leaf  # [C] how many of the m steps a clock has
+    stay: Leaf  # [C, m] probability that the next sample has the same one; m = 0: no clock is a chain
+    share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; 0: a chain; m = 0: all are chains
     loss: Leaf  # [C] probability
     bursts: Leaf  # [C, 2] probability after a sample that was not lost, and after one that was; [C, 0]: the same
     outages: Leaf  # [C, 2] a sample taken from the first tick on, but before the second, is lost; [C, 0]: none
@@ -50,16 +53,12 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
     """Return the numbers of clocks over a horizon."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
+    drawn, chains, shares = (any(map(attrgetter(name), clocks)) for name in ("steps", "stay", "share"))
     limits = [sampling.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
     for row, clock in zip(due, clocks, strict=True):
         instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
-    clocks, most = [*clocks], max(len(c.steps) for c in clocks)
-    for i, c in enumerate(clocks):  # of gamma distributions that differ, or that some have
-        if c.share or (most > len(c.steps) and not c.stay):
-            steps, share = c.steps or (0,), c.share or (1.0,)
-            more = most - len(steps)
-            clocks[i] = c._replace(steps=(*steps, *steps[-1:] * more), share=(*share, *(0.0,) * more))
+    many = [len(c.steps) or int(drawn) for c in clocks]
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return ClockParams(
         due=due,
@@ -68,9 +67,10 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
         delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
         jitter=np.array([c.jitter for c in clocks]),
         spread=np.array([c.spread for c in clocks]),
-        steps=np.array([c.steps for c in clocks], int),
-        stay=np.array([c.stay for c in clocks], float),
-        share=np.array([np.cumsum(c.share) for c in clocks], float),
+        steps=_rows([c.steps or (0,) * drawn for c in clocks], max(many), "edge").astype(int),
+        many=np.array(many),
+        stay=_rows([c.stay or (0.0,) for c in clocks], max(many) * chains),
+        share=np.cumsum(_rows([c.share or (float(not c.stay),) for c in clocks], max(many) * shares), 1),
         loss=np.array([c.loss for c in clocks], float),
         bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
         outages=np.array([c.outage if any(any(c.outage) for c in clocks) else () for c in clocks], int),
@@ -79,6 +79,13 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
         error=np.asarray(error),
         stamp=jax.tree.map(np.asarray, clocks[0].stamp) if any(clocks[0].stamp) else (),
     )
+
+
+def _rows(
+    rows: list[tuple[float, ...]], wide: int, mode: Literal["constant", "edge"] = "constant"
+) -> NDArray[np.float64]:
+    """Return rows of `wide` numbers, filled up with 0 or the last of each."""
+    return np.array([np.pad(row, (0, wide - len(row)), mode) if wide else () for row in rows], float)
 
 
 def _most(clock: Clock, ticks: int) -> int:
@@ -95,7 +102,8 @@ def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
     if not (many := t.share.shape[1]):
         return t
     wide = [(0, 0), (0, max(steps - many, 0))]
-    return t._replace(steps=np.pad(t.steps, wide, "edge"), share=np.pad(t.share, wide, "edge"))
+    stay = np.pad(t.stay, wide) if t.stay.shape[1] else t.stay
+    return t._replace(steps=np.pad(t.steps, wide, "edge"), stay=stay, share=np.pad(t.share, wide, "edge"))
 
 
 def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
@@ -135,19 +143,22 @@ def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
 def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
     """Return which of its steps every sample of clock c has, [M+1, L]."""
     uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
-    return jnp.searchsorted(t.share[c][:-1], uniform, side="right") if t.share.shape[1] else _chain(t, c, uniform)
+    if not t.share.shape[1]:
+        return _chain(t, c, uniform)
+    alone = jnp.searchsorted(t.share[c][:-1], uniform, side="right")
+    return jnp.where(t.share[c][-1] > 0, alone, _chain(t, c, uniform)) if t.stay.shape[1] else alone
 
 
 def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return the steps that a Markov chain comes to by uniform numbers, [M+1, L]."""
-    many, stay = t.steps.shape[1], t.stay[c]
-    weights = 1 / (1 - stay)
+    many, stay = t.many[c], t.stay[c]
+    weights = jnp.where(jnp.arange(len(stay)) < many, 1 / (1 - stay), 0.0)
     ends = jnp.cumsum(weights / jnp.sum(weights))
     first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
 
     def following(now: Array, u: Array) -> tuple[Array, Array]:
         left = (u - stay[now]) / (1 - stay[now])  # uniform again where it is left
-        other = (now + 1 + jnp.clip(_integers_below(left, many - 1), 0, max(many - 2, 0))) % many
+        other = (now + 1 + jnp.clip(_integers_below(left, many - 1), 0, jnp.maximum(many - 2, 0))) % many
         after = jnp.where(u < stay[now], now, other)
         return after, after
 
