@@ -66,6 +66,10 @@ TEXTS = {
         "dkf_note(&m); a.fresh[0] = 1; a.since = 3; dkf_jump(&m, &a);",
         "kf_snapshot(&m); a.mask[0] = 1; a.ticks_since_arrival = 3; kf_jump(&m, &a);",
     ),
+    "a bank of filters": (
+        "[options.bank]\npcbench replay log --observers kf,bank --out bank",
+        "[options.mmae-delay]\npcbench replay log --observers kf,mmae-delay --out bank",
+    ),
     "a mean of a gamma distribution, twice": ("delay_gamma = 0.2", "delay_gamma_mean = 0.2"),
     "plain English": ("The drift of a clock, the tail of it; a bank.", "The drift of a clock, the tail of it; a bank."),
 }

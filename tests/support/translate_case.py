@@ -180,8 +180,10 @@ def translate(text: str) -> str:
             rf"(?<=[(,\s]){old}(?==[^=\s])",  # a keyword, KEY=VALUE on a command line
             rf"(?:^|(?<=\\n)){old}(?= = )",  # a key of TOML
             rf"(?<=\"){old}(?= = )",
+            rf"(?<=^\[options\.){old}(?=\])",
         ):
             text = re.sub(where, new, text, flags=re.MULTILINE)
+        text = re.sub(rf"(--observers? (?:[\w-]+,)*){old}(?![\w-])", rf"\g<1>{new}", text)
         text = re.sub(rf"(?<![\w.])({RECORDS}\.){old}(?=[=\s\"'`\[])", rf"\g<1>{new}", text)
     for observer, options in OF_OBSERVERS.items():
         for old, new in options.items():
