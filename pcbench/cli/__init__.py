@@ -27,6 +27,7 @@ def main() -> None:
     interrupts.watch()
     sys.unraisablehook = unraisable
     thread_pools.one()
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # no lines of XLA about slow compiling through the progress bar
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would read the metadata of all packages
     try:
         from pcbench.cli.commands import app

@@ -27,7 +27,7 @@ from pcbench.errors import UserError
 from pcbench.planning import memo, padding
 from pcbench.planning.padding import Plan
 from pcbench.runtime import provenance
-from pcbench.runtime.progress import SILENT, Progress, Stopwatch
+from pcbench.runtime.progress import COMPILING, SILENT, Progress, Stopwatch
 from pcbench.study.grid import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
@@ -137,15 +137,19 @@ class RunPlan(NamedTuple):
         many = lambda cell: self.wanted(cell).many  # noqa: E731
         return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, apart=True)
 
-    def tasks(self) -> Iterator[task.Task]:
+    def programs(self) -> dict[Hashable, list[Plan]]:
+        """Return the drafts that are kept, by what decides their compiled program."""
+        out: dict[Hashable, list[Plan]] = {}
+        for p in self.kept:
+            out.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.ask)), []).append(p)
+        return out
+
+    def tasks(self, programs: dict[Hashable, list[Plan]]) -> Iterator[task.Task]:
         """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
 
         Of the drafts that are kept those of a program come together, so that it is made once. The first task of a program comes
         after one that makes it and estimates how long a call takes (see `interleave`).
         """
-        programs: dict[Hashable, list[Plan]] = {}
-        for p in self.kept:
-            programs.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.ask)), []).append(p)
         cells = {cell.key: cell for cell in self.owned.cells}
         begun: set[Hashable] = set()
         for expensive in sorted(
@@ -234,22 +238,30 @@ def run_blocks(
     cost, took = Cost(), Stopwatch()
     with took("planning"):
         plan = plan_runs(owned, todo, wanted)
+        programs = plan.programs()
     manifest.begin(target, owned)
     progress.begin("runs", runs_in(todo))
-    progress.note("compiling")
+    progress.note(_activity(0, len(programs)))
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
-    for report in execute(work, took.each("planning", plan.tasks())):
+    compiled = 0
+    for report in execute(work, took.each("planning", plan.tasks(programs))):
         _require_versions(report)
         cost = add_costs(cost, report.cost)
+        compiled += report.call is not None
+        progress.note(_activity(compiled, len(programs)))
         if report.call:
             if report.call.seconds > LONG:
                 say(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.cost.runs)
-        progress.note("simulating")
     storage.sync(target, {str(Path(b.name).parent) for b in new})
     return cost._replace(planning_seconds=took.seconds["planning"])
+
+
+def _activity(compiled: int, programs: int) -> str:
+    """Return what is being done, after so many programs of so many."""
+    return f"{COMPILING} program {compiled + 1} of {programs}" if compiled < programs else "simulating"
 
 
 def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:

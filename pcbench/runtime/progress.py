@@ -1,7 +1,4 @@
-"""How long work says how far it is: what has begun, how many steps of it are done, what is being done now. No jax.
-
-Where the time of one thread goes. No jax.
-"""
+"""Progress of long work: what has begun, how many steps are done, what is being done now. Where time goes. No jax."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -27,6 +24,7 @@ class Progress(NamedTuple):
 
 
 SILENT = Progress()
+COMPILING = "compiling"  # in a note: how long the rest takes cannot be estimated yet
 
 
 T = TypeVar("T")

@@ -68,7 +68,7 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
         made.clear()
         with config.float64():
             plan = planned(study, storage.target(tmp_path / "out"))
-            tasks = [t for t in plan.tasks() if not t.timed]
+            tasks = [t for t in plan.tasks(plan.programs()) if not t.timed]
         many = len(study["axes"]["noise_std"]) * (len(study["observers"]) if study is CLOSED else 1)
         assert len(tasks) == many
         assert len(made) == 2 * many - len(plan.kept)
@@ -88,7 +88,7 @@ def test_schedules_of_cells_that_differ_in_period_are_fitted_each(tmp_path):
     study = OPEN | {"axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 0.2]}}
     with config.float64():
         plan = planned(study, storage.target(tmp_path / "out"))
-        a, b, c, d = (t.parcel.problem.schedule for t in plan.tasks() if not t.timed)
+        a, b, c, d = (t.parcel.problem.schedule for t in plan.tasks(plan.programs()) if not t.timed)
     assert a is b
     assert c is d
     assert a.event.sum() * 2 - 1 <= c.event.sum() <= a.event.sum() * 2 + 1

@@ -8,7 +8,8 @@ from rich.console import Console
 
 import pcbench
 from pcbench.cli.interrupts import stoppable
-from pcbench.cli.render.progress import Rate, bar, draw_progress
+from pcbench.cli.render.progress import Rate, Remaining, bar, draw_progress
+from pcbench.dataset import run_missing
 from pcbench.gains import tune
 from pcbench.runtime.progress import SILENT, Progress
 
@@ -26,7 +27,7 @@ def listener():
 def test_a_study_says_how_many_runs_there_are_and_steps_over_all_of_them():
     progress, heard = listener()
     pcbench.run(SMALL, progress=progress)
-    assert heard[:2] == [("begin", "runs", 3), ("note", "compiling")]
+    assert heard[:2] == [("begin", "runs", 3), ("note", "compiling program 1 of 1")]
     assert sum(said[1] for said in heard if said[0] == "step") == 3
     assert heard[-1] == ("note", "statistics")
 
@@ -77,6 +78,28 @@ def test_a_rate_is_shown_of_runs_only():
     rates = [Rate().render(task).plain for task in bars.tasks]
     assert rates[0].endswith(" runs/s")
     assert rates[1] == ""
+
+
+def test_the_remaining_time_is_not_estimated_while_programs_compile():
+    seconds = iter(range(1000))
+    bars = lines(lambda: float(next(seconds)))
+    progress = draw_progress(bars)
+    progress.begin("runs", 100)
+    shown = []
+    for note in ("compiling program 1 of 2", "compiling program 2 of 2", "simulating"):
+        progress.note(note)
+        for _ in range(3):
+            progress.step(5)
+        shown.append(Remaining().render(bars.tasks[0]).plain)
+    assert shown[:2] == ["", ""]
+    assert shown[2].count(":") == 2
+
+
+def test_notes_count_the_programs_of_a_study():
+    says = run_missing._activity
+    assert says(0, 2) == "compiling program 1 of 2"
+    assert says(1, 2) == "compiling program 2 of 2"
+    assert says(2, 2) == "simulating"
 
 
 def test_nothing_is_drawn_where_it_is_to_be_quiet_or_there_is_no_terminal():

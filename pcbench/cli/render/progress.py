@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from pcbench.errors import printable
-from pcbench.runtime.progress import SILENT, Progress
+from pcbench.runtime.progress import COMPILING, SILENT, Progress
 
 
 class Rate(rich.ProgressColumn):
@@ -18,6 +18,14 @@ class Rate(rich.ProgressColumn):
         """Show the number of runs per second; nothing if the task does not count runs."""
         shown = task.speed and task.fields.get("what") == "runs"
         return Text(f"{task.speed:,.0f} runs/s" if shown else "", style="progress.data.speed")
+
+
+class Remaining(rich.TimeRemainingColumn):
+    """Estimated time that remains, once every program is compiled."""
+
+    def render(self, task: rich.Task) -> Text:
+        """Show the estimate; nothing while a program compiles, which takes longer than any step."""
+        return Text("") if COMPILING in task.description else super().render(task)
 
 
 @contextmanager
@@ -30,8 +38,14 @@ def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
     if quiet or not console.is_terminal:
         yield SILENT
         return
-    columns = [rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
-    with rich.Progress(*columns, rich.TimeRemainingColumn(), console=console, transient=True) as lines:
+    columns = [
+        rich.TextColumn("{task.description}", markup=False),
+        rich.BarColumn(16),
+        rich.MofNCompleteColumn(),
+        Rate(),
+    ]
+    columns += [rich.TimeElapsedColumn(), Remaining()]
+    with rich.Progress(*columns, console=console, transient=True) as lines:
         yield draw_progress(lines, first)
 
 
