@@ -77,7 +77,7 @@ def test_noise_and_tests_are_those_of_the_page(printed):
     (row,) = json.loads(out["replay 1"])["innovations"]
     assert (row["verdict"], round(row["nis"], 3)) == ("consistent", 0.998)
     assert row["ljung_box_p"] == pytest.approx(0.0002, rel=0.2)
-    assert json.loads(out["replay 3"])["innovations"][0]["ljung_box_p"] == pytest.approx(0.002, rel=0.2)
+    assert json.loads(out["replay 3"])["innovations"][0]["ljung_box_p"] == pytest.approx(0.0025, rel=0.1)
 
 
 @pytest.mark.nightly
@@ -107,7 +107,7 @@ def test_filter_in_c_equals_the_replay(printed):
     lines = [line for line in out["./filter"].splitlines() if "at most" in line]
     assert [line.partition(":")[0] for line in lines] == ["speed", "bias"]
     for line in lines:
-        assert float(line.split(" at most")[0].split(", ")[1]) < 1e-13
+        assert float(line.split(" at most")[0].split(", ")[1]) < 1e-12
     assert same(float(lines[0].rpartition("error ")[2].split()[0]), "0.046")
     assert (folder / "second" / "report.html").stat().st_size < 1.2e6
 
