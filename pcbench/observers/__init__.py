@@ -12,6 +12,7 @@ from pcbench.observers import (
     ekf_delay,
     ekf_iterated,
     equal_delay,
+    eso,
     high_gain,
     kf,
     kf_alexander,
@@ -145,6 +146,7 @@ OBSERVERS = {
         smooth=False, designed={"gains": "design"}
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "eso": _of(eso, "extended state observer with predictor", "one clock"),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

@@ -91,6 +91,13 @@ METHODS = {
         "Hernandez-Gonzalez et al. 2024, equations (6) and (50), doi 10.3390/aerospace11030206",
         exact_moments=False,
     ),
+    "eso": Method(
+        "Extended state observer (ESO), linear",
+        "Estimates the disturbance of a chain of integrators as one more state. One bandwidth places all poles. Corrects at "
+        "the time of the measurement, and predicts to the present with the disturbance held.",
+        f"{AGES}; the plant must be a chain of integrators with one measured output",
+        "Gao 2003, Scaling and bandwidth-parameterization based controller tuning; Miklosovic, Radke, Gao 2006",
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "
