@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.observers import (
+    cascade_predictor,
     chain,
     ekf,
     ekf_delay,
@@ -147,6 +148,7 @@ OBSERVERS = {
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
     "eso": _of(eso, "extended state observer with predictor", "one clock"),
+    "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay"),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

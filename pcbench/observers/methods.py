@@ -98,6 +98,13 @@ METHODS = {
         f"{AGES}; the plant must be a chain of integrators with one measured output",
         "Gao 2003, Scaling and bandwidth-parameterization based controller tuning; Miklosovic, Radke, Gao 2006",
     ),
+    "cascade-predictor": Method(
+        "Cascade predictors",
+        "A chain of observers, each a part of the delay ahead of the one before. The first uses the delayed output, predicted "
+        "between measurements, and the last estimates the present.",
+        "the model and one constant delay",
+        "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "

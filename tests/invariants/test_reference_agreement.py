@@ -40,6 +40,8 @@ def expected(case, observer, options, u, samples):
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer == "eso":
         return field_observers.eso(model, u, samples, xhat0, design.gains.L)
+    if observer == "cascade-predictor":
+        return field_observers.cascade(model, u, samples, xhat0, design.gains.K, design.gains.d)
     if observer in ("pco", "pi-pco"):
         g = design.gains
         return irregular.pco(model, u, samples, xhat0, g.T, g.Kp, g.Ki if observer == "pi-pco" else None)

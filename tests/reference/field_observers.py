@@ -5,7 +5,7 @@ Order of a tick, times and samples are those of `reference.linear`.
 
 import numpy as np
 
-from reference.linear import Array, Model, Sample, pccebo
+from reference.linear import Array, Model, Sample, by_arrival, discretise, pccebo, whole_vectors
 
 
 def eso_gain(omega: float, T: float) -> Array:
@@ -26,3 +26,26 @@ def eso(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -
     """Return xhat [N+1, n] of the extended state observer with L [n+1, 1], d(0) = 0."""
     z = pccebo(with_disturbance(model), u, samples, np.append(xhat0, 0.0), L)
     return z[:, : len(model.A)]
+
+
+def cascade(model: Model, u: Array, samples: list[Sample], xhat0: Array, K: Array, d: Array) -> Array:
+    """Return xhat [N+1, n] of cascade predictors with K [n, q] and links of d [m] ticks, one after the other.
+
+    Nothing is kept but lists of every link's states by tick; before tick 0 they are xhat(0).
+    """
+    Ad, Bd = discretise(model.A, model.B, model.h)
+    inbox, delay, m = by_arrival(samples), int(sum(d)), len(d)
+    links = [[np.asarray(xhat0, float)] for _ in range(m)]
+    y = model.C @ xhat0
+    for k in range(len(u) - 1):
+        for _, value in whole_vectors(inbox.get(k, []), len(model.C)):
+            y = value
+        outputs = [y, *(model.C @ states[k] for states in links[:-1])]
+        past = [states[max(k - int(ticks), 0)] for states, ticks in zip(links, d, strict=True)]
+        for j in range(m):
+            behind = int(sum(d[j + 1 :]))
+            step = Ad @ links[j][k] + Bd @ u[k - behind] + K @ (outputs[j] - model.C @ past[j])
+            links[j].append(step if k >= behind else links[j][k])
+        if k >= delay:
+            y = y + model.C @ (Ad @ past[0] + Bd @ u[k - delay] - past[0])
+    return np.array(links[-1])
