@@ -37,6 +37,7 @@ from pcbench.observers import (
     pco,
     pio,
     smo,
+    super_twisting,
     ukf,
 )
 from pcbench.observers.methods import METHODS, Method
@@ -149,6 +150,9 @@ OBSERVERS = {
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
     "eso": _of(eso, "extended state observer with predictor", "one clock"),
     "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay"),
+    "super-twisting": _late(super_twisting, "super-twisting observer, implicit discretisation")._replace(
+        nonlinear=True
+    ),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

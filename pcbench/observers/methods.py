@@ -105,6 +105,15 @@ METHODS = {
         "the model and one constant delay",
         "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
     ),
+    "super-twisting": Method(
+        "Super-twisting observer",
+        "A second-order sliding mode in position and rate. Corrects at the time of the measurement by an implicit step, which "
+        "does not chatter, and predicts tick by tick to the present.",
+        f"{AGES}, and a bound of the error of the modelled acceleration (`f`); the plant must have a position and its rate as "
+        "states, and one output",
+        "Davila, Fridman, Levant 2005, doi 10.1109/TAC.2005.858636",
+        exact_moments=False,
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "

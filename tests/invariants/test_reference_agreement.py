@@ -42,6 +42,12 @@ def expected(case, observer, options, u, samples):
         return field_observers.eso(model, u, samples, xhat0, design.gains.L)
     if observer == "cascade-predictor":
         return field_observers.cascade(model, u, samples, xhat0, design.gains.K, design.gains.d)
+    if observer == "super-twisting":
+        Ad, Bd = reference.discretise(model.A, model.B, case.h)
+        O, h = np.vstack([model.C, model.C @ model.A]), case.h
+        return field_observers.super_twisting(
+            lambda k, x: Ad @ x + Bd @ u[k], model.C, O, h, case.ticks, samples, xhat0, 1.0, case.te * h
+        )
     if observer in ("pco", "pi-pco"):
         g = design.gains
         return irregular.pco(model, u, samples, xhat0, g.T, g.Kp, g.Ki if observer == "pi-pco" else None)
