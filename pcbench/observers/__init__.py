@@ -14,6 +14,7 @@ from pcbench.observers import (
     ekf_iterated,
     equal_delay,
     eso,
+    finite_time,
     high_gain,
     kf,
     kf_alexander,
@@ -153,6 +154,7 @@ OBSERVERS = {
     "super-twisting": _late(super_twisting, "super-twisting observer, implicit discretisation")._replace(
         nonlinear=True
     ),
+    "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

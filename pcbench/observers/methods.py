@@ -114,6 +114,13 @@ METHODS = {
         "Davila, Fridman, Levant 2005, doi 10.1109/TAC.2005.858636",
         exact_moments=False,
     ),
+    "finite-time": Method(
+        "Finite-time observer with a delay inside",
+        "Combines two estimators of different poles with their own past, so that the error is 0 after a number of regular "
+        "measurements. Corrects at the time of the measurement, and predicts to the present.",
+        AGES,
+        "Engel, Kreisselmeier 2002, doi 10.1109/TAC.2002.800673",
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "

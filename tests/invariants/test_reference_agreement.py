@@ -48,6 +48,9 @@ def expected(case, observer, options, u, samples):
         return field_observers.super_twisting(
             lambda k, x: Ad @ x + Bd @ u[k], model.C, O, h, case.ticks, samples, xhat0, 1.0, case.te * h
         )
+    if observer == "finite-time":
+        g = design.gains
+        return field_observers.finite_time(model, u, samples, xhat0, g.L, g.K, case.te, len(g.window))
     if observer in ("pco", "pi-pco"):
         g = design.gains
         return irregular.pco(model, u, samples, xhat0, g.T, g.Kp, g.Ki if observer == "pi-pco" else None)

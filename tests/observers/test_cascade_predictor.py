@@ -58,6 +58,7 @@ def test_a_gain_exists_for_a_delay_below_1_over_a_only():
     assert cascade.radius(Phi, ONE, K, 90, 0) < 1
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("m", [1, 2])
 def test_links_of_more_than_1_over_a_diverge_with_every_gain(m):
     h = 0.01
@@ -81,6 +82,7 @@ def test_errors_of_three_four_and_six_links_have_the_printed_size():
     assert abs(six) < 1e-30
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("te", [1, 20])
 @pytest.mark.parametrize(("model", "d"), [(CART, 60), (ODD, 47)], ids=["cart", "odd"])
 def test_radius_is_the_decay_of_the_errors_of_a_run(model, d, te):
@@ -96,6 +98,7 @@ def test_radius_is_the_decay_of_the_errors_of_a_run(model, d, te):
     assert late.max() > 1e-3 * error[0], "it does not decay faster than its radius"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("te", "d", "m"), [(40, 95, 3), (7, 60, 2), (50, 0, 1), (30, 200, None)])
 @pytest.mark.parametrize("odd", [False, True])
 def test_perfect_start_leaves_no_error(te, d, m, odd):

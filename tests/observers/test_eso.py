@@ -58,6 +58,7 @@ def test_chain_neglects_the_model_and_full_does_not():
     assert 1e-3 < error["chain"] < 1
 
 
+@pytest.mark.ci
 def test_chain_equals_a_reference_that_is_started_with_the_neglected_acceleration():
     damped = linear.Model(np.array([[0.0, 1.0], [-2.0, -0.5]]), INTEGRATORS.B, INTEGRATORS.C)
     case = Case(damped, 10, 15, ticks=300, h=0.01, noise_std=0.3, xhat0=[0.5, -1.0])

@@ -99,3 +99,33 @@ def super_twisting(
         xhat[k] = now
         now = step(k, now) if k < ticks else now
     return xhat
+
+
+def finite_time(
+    model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array, K: Array, te: int, N: int
+) -> Array:
+    """Return xhat [ticks+1, n] of two current estimators L [2, n, q] combined over N samples by K [2, n, n].
+
+    The estimators' states are whole, with their response to the input, and F^N is multiplied out.
+    """
+    Ad, Bd = discretise(model.A, model.B, model.h)
+    F = [(np.eye(len(Ad)) - L[i] @ model.C) @ np.linalg.matrix_power(Ad, te) for i in range(2)]
+    z = [np.asarray(xhat0, float)] * 2
+    at, inbox, past = 0, by_arrival(samples), []
+    xhat, now = np.zeros((len(u), len(Ad))), z[0]
+    lag = [np.linalg.matrix_power(F[i], N) for i in range(2)]
+    for k in range(len(u)):
+        for taken, y in whole_vectors(inbox.get(k, []), len(model.C)):
+            for j in range(at, taken):
+                z = [Ad @ each + Bd @ u[j] for each in z]
+            z = [each + L[i] @ (y - model.C @ each) for i, each in enumerate(z)]
+            past.append(z)
+            at, now = taken, z[0]
+            if len(past) > N:
+                then = past[-1 - N]
+                now = K[0] @ z[0] + K[1] @ z[1] - (K[0] @ lag[0] - K[1] @ lag[1]) @ (then[0] - then[1]) / 2
+            for j in range(taken, k):
+                now = Ad @ now + Bd @ u[j]
+        xhat[k] = now
+        now = Ad @ now + Bd @ u[k]
+    return xhat
