@@ -151,8 +151,8 @@ OBSERVERS = {
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
     "eso": _of(eso, "extended state observer with predictor", "one clock"),
     "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay"),
-    "super-twisting": _late(super_twisting, "super-twisting observer, implicit discretisation")._replace(
-        nonlinear=True
+    "super-twisting": _of(super_twisting, "super-twisting observer, implicit discretisation", "one clock")._replace(
+        smooth=False, nonlinear=True
     ),
     "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),

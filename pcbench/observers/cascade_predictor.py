@@ -10,8 +10,8 @@ Here a tick is exact under the held input, x_j(k+1) = Phi x_j(k) + Gamma u(k - l
 `synthesis.cascade`. Between samples the output of `delay` ago is predicted,
 y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay), and a sample that arrives sets it.
 
-Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement; Ahmed-Ali, Cherrier, Lamnabhi-Lagarrigue, IEEE
-TAC 57(1), 2012. The form of the gain, the output between samples and the tick are this project's. Linear plants only.
+Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement. The choice of the gain, the output
+between samples and the tick are this project's. Linear plants only.
 Schedule: one constant delay, as each link has a fixed length; sampling intervals may vary, and a lost sample is predicted.
 The certificate is for the mean period. Time index: the estimate is of the present; what arrives at tick k corrects it from tick
 k + 1 on. A link stays at xhat(0) until tick lag_j. Not claimed: that it filters noise well.

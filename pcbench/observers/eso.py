@@ -16,7 +16,8 @@ With `model = "chain"` the observer is Gao's: it uses the order n and b = C A^(n
 
 Source: Gao, ACC 2003 (chain, bandwidth); Miklosovic, Radke, Gao, ACC 2006 (discrete, correction at the sample's time). The
 use at the time of a delayed sample, the prediction over its delay and `model = "full"` are this project's.
-Schedule: samples of any age and order. L is for the mean period T, as is the certificate. A lost sample lengthens one interval.
+Schedule: samples of any age and order. L and the certificate are for the mean period T and the model of the observer. A lost
+sample lengthens one interval.
 Time index: the estimate is of the present, after the jump. Not claimed: an error of zero while d changes, nor, with "chain",
 from a perfect start. Refused: several outputs, feedthrough, a discrete plant, and a relative degree below n.
 """
@@ -101,6 +102,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))  # d that moves x by as much as x(0) is uncertain
     wider = setting._replace(model=whole, P0=block_diag(setting.P0, size), process_std=())
     L, certificate = current_gains.find(wider, "given", L, 0.0, None, None, where)
+    certificate = certificate._replace(inequality="[P, M'; M, P] > 0, M = P (I - L C) Phi, of state and disturbance")
     known = setting.unknown0 if model.E is not None else ()
     gains = Gains(
         motion=prediction.motion_of(whole, setting),

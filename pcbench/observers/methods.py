@@ -111,7 +111,7 @@ METHODS = {
         "does not chatter, and predicts tick by tick to the present.",
         f"{AGES}, and a bound of the error of the modelled acceleration (`f`); the plant must have a position and its rate as "
         "states, and one output",
-        "Davila, Fridman, Levant 2005, doi 10.1109/TAC.2005.858636",
+        "Davila, Fridman, Levant 2005",
         exact_moments=False,
     ),
     "finite-time": Method(

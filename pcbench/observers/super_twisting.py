@@ -12,7 +12,7 @@ innovation. The implicit step chooses the error e+ after the correction, with si
 so that it does not chatter: without noise the position has no error at the samples, and the rate errs by about h f / 2.
 `discretization = "explicit"` is the Euler step, xi_1 <- xi_1 + h k1 |b|^(1/2) sign b, xi_2 <- xi_2 + h k2 sign b.
 
-Source: Davila, Fridman, Levant, IEEE TAC 50(11), 2005, for continuous measurement. The implicit step is a common one; its use
+Source: Davila, Fridman, Levant, IEEE TAC, 2005, for continuous measurement. The implicit step is a common one; its use
 at the time of a delayed sample and the prediction over the delay (`parts/repropagation`) are this project's.
 Schedule: samples of any age and order. h is the interval between samples as they were taken, but the mean period for a sample
 at tick 0.
