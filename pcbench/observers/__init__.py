@@ -7,11 +7,14 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.observers import (
+    cascade_predictor,
     chain,
     ekf,
     ekf_delay,
     ekf_iterated,
     equal_delay,
+    eso,
+    finite_time,
     high_gain,
     kf,
     kf_alexander,
@@ -35,6 +38,7 @@ from pcbench.observers import (
     pco,
     pio,
     smo,
+    super_twisting,
     ukf,
 )
 from pcbench.observers.methods import METHODS, Method
@@ -145,6 +149,12 @@ OBSERVERS = {
         smooth=False, designed={"gains": "design"}
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "eso": _of(eso, "extended state observer with predictor", "one clock"),
+    "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay"),
+    "super-twisting": _of(super_twisting, "super-twisting observer, implicit discretisation", "one clock")._replace(
+        smooth=False, nonlinear=True
+    ),
+    "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

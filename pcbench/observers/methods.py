@@ -91,6 +91,36 @@ METHODS = {
         "Hernandez-Gonzalez et al. 2024, equations (6) and (50), doi 10.3390/aerospace11030206",
         exact_moments=False,
     ),
+    "eso": Method(
+        "Extended state observer (ESO), linear",
+        "Estimates the disturbance of a chain of integrators as one more state. One bandwidth places all poles. Corrects at "
+        "the time of the measurement, and predicts to the present with the disturbance held.",
+        f"{AGES}; the plant must be a chain of integrators with one measured output",
+        "Gao 2003, Scaling and bandwidth-parameterization based controller tuning; Miklosovic, Radke, Gao 2006",
+    ),
+    "cascade-predictor": Method(
+        "Cascade predictors",
+        "A chain of observers, each a part of the delay ahead of the one before. The first uses the delayed output, predicted "
+        "between measurements, and the last estimates the present.",
+        "the model and one constant delay",
+        "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
+    ),
+    "super-twisting": Method(
+        "Super-twisting observer",
+        "A second-order sliding mode in position and rate. Corrects at the time of the measurement by an implicit step, which "
+        "does not chatter, and predicts tick by tick to the present.",
+        f"{AGES}, and a bound of the error of the modelled acceleration (`f`); the plant must have a position and its rate as "
+        "states, and one output",
+        "Davila, Fridman, Levant 2005",
+        exact_moments=False,
+    ),
+    "finite-time": Method(
+        "Finite-time observer with a delay inside",
+        "Combines two estimators of different poles with their own past, so that the error is 0 after a number of regular "
+        "measurements. Corrects at the time of the measurement, and predicts to the present.",
+        AGES,
+        "Engel, Kreisselmeier 2002, doi 10.1109/TAC.2002.800673",
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "

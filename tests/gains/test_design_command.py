@@ -23,6 +23,7 @@ IN = {
     "smo": "arm/sampled",
     "pio": "arm/sampled",
     "high-gain": "helicopter/constant",
+    "cascade-predictor": "cart/gaussian",
     "ekf-delay": "cart/unknown-delay",
     "mmae-delay": "cart/unknown-delay",
 }
@@ -34,6 +35,9 @@ PROMISES = {
     "chain",
     "smo",
     "pio",
+    "eso",
+    "cascade-predictor",
+    "finite-time",
 }  # no-delay diverges there, kf's gain varies in time
 
 
@@ -58,7 +62,7 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
     proven = proof.pop("certified", None)
     unproven = ("ekf", "high-gain", "no-delay", "kf-ignore-delay", "kf-shifted-innovation", "kf-larsen", "kf-alexander")
-    unproven += ("ekf-iterated", "ukf", "mhe", "particle", "ekf-delay", "mmae-delay")
+    unproven += ("super-twisting", "ekf-iterated", "ukf", "mhe", "particle", "ekf-delay", "mmae-delay")
     assert proven == (None if observer == "model-only" else observer not in unproven), "in the files as well"
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)

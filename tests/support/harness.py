@@ -41,6 +41,7 @@ ODD = linear.Model(
 PUSHED = ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))
 FIND_INPUTS = ("smo", "pio")  # they need a plant with an unknown input, and move by Runge-Kutta: see test_unknown_input
 ELSEWHERE = (*FIND_INPUTS, "high-gain")  # no linear model is enough for it: see test_helicopter
+CHAINS = ("eso", "super-twisting")  # they need a chain of integrators, with one output
 TWO_AXES = linear.Model(np.eye(4, k=2), np.eye(4, 2, -2), np.eye(2, 4))  # positions, rates; and their frictions
 
 
@@ -51,7 +52,8 @@ def friction(u: Any, x: Any) -> Any:
 
 def suitable(observer: str) -> list[linear.Model]:
     """Models that an observer can be designed for."""
-    return {"high-gain": [TWO_AXES]}.get(observer, [PUSHED] if observer in FIND_INPUTS else [CART, ODD])
+    linear_models = [PUSHED] if observer in FIND_INPUTS else [CART] if observer in CHAINS else [CART, ODD]
+    return {"high-gain": [TWO_AXES]}.get(observer, linear_models)
 
 
 class Case(NamedTuple):

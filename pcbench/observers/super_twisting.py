@@ -1,0 +1,156 @@
+"""Super-twisting observer: a second-order sliding mode in position and rate, discretised implicitly.
+
+    xi_1' = xi_2 + k1 |e|^(1/2) sign e,   xi_2' = model + k2 sign e,   e = y - xi_1,   k1 = 1.5 sqrt(f),   k2 = 1.1 f
+
+with xi = (y, y') of a plant with two states. f bounds the error of the modelled acceleration, and after a finite time the error
+of continuous measurements is 0. Here the model is predicted to the sample, taken h seconds after the one before, and b is the
+innovation. The implicit step chooses the error e+ after the correction, with sign e+ in [-1, 1] where e+ = 0:
+
+    |b| <= h^2 k2:   e+ = 0,   xi_1 <- y,   xi_2 <- xi_2 + b / h
+    otherwise        |e+| + h k1 |e+|^(1/2) + h^2 k2 = |b|,   xi_1 <- y - e+,   xi_2 <- xi_2 + h k2 sign b
+
+so that it does not chatter: without noise the position has no error at the samples, and the rate errs by about h f / 2.
+`discretization = "explicit"` is the Euler step, xi_1 <- xi_1 + h k1 |b|^(1/2) sign b, xi_2 <- xi_2 + h k2 sign b.
+
+Source: Davila, Fridman, Levant, IEEE TAC, 2005, for continuous measurement. The implicit step is a common one; its use
+at the time of a delayed sample and the prediction over the delay (`parts/repropagation`) are this project's.
+Schedule: samples of any age and order. h is the interval between samples as they were taken, but the mean period for a sample
+at tick 0.
+Plants: two states, one output without feedthrough, relative degree 2; a nonlinear plant must have the states (y, y').
+Time index: the estimate is of the present, after the jump. Not claimed: that it filters noise, or a bound of the error for a
+model error above f. There is no certificate.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from pcbench.errors import UserError
+from pcbench.observers.parts import nonlinear_model, repropagation
+from pcbench.observers.parts.nonlinear_model import Gains
+from pcbench.observers.parts.options import StrictOptions, tunable
+from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.protocols import InnovationStats, Leaf, Now
+from pcbench.synthesis import bandwidth
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
+
+WHY = "the observer is nonlinear, and its theorem is for continuous measurement"
+
+
+class Law(NamedTuple):
+    """The correction."""
+
+    back: Float[Leaf, "2 2"]  # x of (y, y')
+    k1: Float[Leaf, ""]
+    k2: Float[Leaf, ""]
+    period: Float[Leaf, ""]  # [s] the mean one
+    explicit: Float[Leaf, ""]  # 1: Euler; 0: implicit
+
+
+class State(NamedTuple):
+    """The estimate at a tick, and the tick of the sample before."""
+
+    x: Float[Array, "2"]
+    taken: Int[Array, ""]
+    last: Int[Array, ""]
+
+
+class Options(StrictOptions):
+    """The bound of the model error, and the form of the step."""
+
+    f: float = tunable(
+        1.0, gt=0, description="bound of the error of the modelled acceleration [unit of the output per s^2]"
+    )
+    discretization: Literal["implicit", "explicit"] = Field(
+        "implicit", description="correction at a sample: implicit step, or Euler's"
+    )
+
+
+def correction(law: Law, b: Float[Array, ""], h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return what is added to position and rate for an innovation b after h seconds."""
+    size, sign, reach = jnp.abs(b), jnp.sign(b), h**2 * law.k2
+    root = (jnp.sqrt((h * law.k1) ** 2 + 4 * jnp.maximum(size - reach, 0.0)) - h * law.k1) / 2
+    inside = size <= reach
+    rate = jnp.where(inside & (law.explicit == 0), b / h, h * law.k2 * sign)
+    position = jnp.where(law.explicit == 1, h * law.k1 * jnp.sqrt(size), size - jnp.where(inside, 0.0, root**2)) * sign
+    return position, rate
+
+
+def first(gains: Gains, xhat0: Float[Array, "2"]) -> State:
+    """Start from xhat(0)."""
+    return State(xhat0, jnp.asarray(0), jnp.asarray(0))
+
+
+def tick(gains: Gains, now: Now, state: State) -> State:
+    """Move by one tick of the model."""
+    return state._replace(x=gains.motion(now, state.x))
+
+
+def update(gains: Gains, there: Now, state: State, sample: Measurement) -> State:
+    """Correct at the sample's own time."""
+    law: Law = gains.own
+    none = jnp.zeros(0)
+    y = gains.C @ state.x if gains.sensor is None else gains.sensor(there, state.x, none)
+    b = jnp.where(sample.mask, nonlinear_model.nearest(gains, sample.value, y) - y, 0.0)[0]
+    since = sample.taken - state.last
+    position, rate = correction(law, b, jnp.where(since > 0, since * there.dt, law.period))
+    x = state.x + law.back @ jnp.stack([position, rate])
+    return State(x, sample.taken, jnp.where(sample.mask[0], sample.taken, state.last))
+
+
+def expected(gains: Gains, there: Now, state: State, sample: Measurement) -> InnovationStats:
+    """Judge nothing: the observer has no covariance."""
+    return InnovationStats(jnp.zeros(()), jnp.zeros(()))
+
+
+WAY = repropagation.Way(tick, update, expected, first, mean=lambda gains, state: state.x)
+OBSERVER = repropagation.observer(WAY)._replace(covariance=None, innovation=None)
+
+
+def coordinates(setting: DesignContext, where: str) -> np.ndarray:
+    """Return the map [2, 2] from (y, y') to x; raise UserError where the plant has no such coordinates."""
+    wrong = "a plant that is given by its step" if setting.successor is not None else ""
+    wrong = wrong or (f"{len(setting.unknown_std)} unknown inputs or parameters" if setting.unknown_std else "")
+    if not wrong and setting.field is None:
+        return np.linalg.inv(bandwidth.chain_of(setting.model, where, 2).O)
+    if not wrong and not _is_position_and_rate(setting):
+        wrong = "a nonlinear plant whose states are not the output and its derivative"
+    if wrong:
+        raise UserError(
+            f"{where}: got {wrong}, expected two states, the measured position and its rate, without unknown inputs; take ekf "
+            "or another observer."
+        )
+    return np.eye(2)
+
+
+def _is_position_and_rate(setting: DesignContext) -> bool:
+    """Whether x = (y, y'), at a few states and inputs."""
+    n, m = setting.model.B.shape
+    if n != 2 or len(setting.model.C) != 1:
+        return False
+    for z in np.random.default_rng(0).normal(size=(4, 2 + m)):
+        x, u, none = jnp.asarray(z[:2]), jnp.asarray(z[2:]), jnp.zeros(0)
+        now = Now(jnp.zeros(()), jnp.asarray(0), jnp.asarray(setting.dt), u, lambda age: u)  # noqa: B023
+        y = setting.model.C @ x if setting.sensor is None else setting.sensor(now, x, none)
+        rate = setting.field(now, x, none)  # type: ignore[misc]
+        if not np.allclose([y[0], rate[0]], x, rtol=1e-12, atol=1e-12):
+            return False
+    return True
+
+
+def design(setting: DesignContext, options: Options) -> Design:
+    """Take the gains of the source for the bound f; there is no certificate."""
+    back = coordinates(setting, f"super-twisting in {setting.scenario}")
+    law = Law(
+        back=back,
+        k1=np.asarray(1.5 * options.f**0.5),
+        k2=np.asarray(1.1 * options.f),
+        period=np.asarray(setting.period[0] * setting.dt),
+        explicit=np.asarray(float(options.discretization == "explicit")),
+    )
+    gains = nonlinear_model.design(setting, nonlinear_model.Options(), "super-twisting", own=lambda gains: law).gains
+    return Design(gains, no_certificate(WHY))

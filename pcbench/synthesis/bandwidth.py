@@ -1,0 +1,121 @@
+"""Gains by bandwidth: all poles of the error at exp(-omega T), except those of modes that decay faster by themselves.
+
+    (I - L C) Phi, one sample to the next, has the wanted poles: L = Phi^-1 K, Phi - K C by Ackermann's formula
+    K = p(Phi) [C; C Phi; ..; C Phi^(k-1)]^-1 [0; ..; 0; 1],  p(z) = (z - p_1) .. (z - p_k)        (one output)
+
+or by `scipy.signal.place_poles` for several outputs. A mode that decays within a sample cannot be seen in the samples, and its
+pole could be moved by an enormous gain only. So modes faster than a limit are left as they are: with V a basis of the invariant
+subspace of the slow ones and W' V = I, W' Phi = Phi_s W', the gain is L = V l, with l for (Phi_s, C V).
+
+Source: Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003 (all poles at -omega); the exemption of
+fast modes is this project's.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import schur
+
+from pcbench.dynamics.linear import Matrix, Model
+from pcbench.errors import DesignError, UserError, first_sentence
+
+ZERO = 1e-9  # part of the largest entry below which an entry is zero
+
+
+class SlowModes(NamedTuple):
+    """The k modes of a map Phi [n, n] that are not fast: s = W' x, s+ = Phi s, and C [q, k] is what y shows of them."""
+
+    Phi: Matrix  # [k, k]
+    C: Matrix  # [q, k]
+    V: Matrix  # [n, k]
+    W: Matrix  # [k, n]
+
+
+def slow_modes(Phi: Matrix, C: Matrix, fastest: float) -> SlowModes:
+    """Return the modes of Phi whose size is not below `fastest`."""
+    if fastest == 0:
+        return SlowModes(Phi, C, np.eye(len(Phi)), np.eye(len(Phi)))
+    scaled = Phi / (fastest * (1 - ZERO))  # its slow modes are those outside the unit circle
+    _, Z, k = schur(scaled, sort="ouc")
+    _, left, _ = schur(scaled.T, sort="ouc")
+    V = Z[:, :k]
+    W = np.linalg.solve(left[:, :k].T @ V, left[:, :k].T)
+    return SlowModes(W @ Phi @ V, C @ V, V, W)
+
+
+def predictor_gain(Phi: Matrix, C: Matrix, poles: Matrix, where: str) -> Matrix:
+    """Return K [n, q] with Phi - K C of the given real poles [n]; raise DesignError where they cannot be placed."""
+    n = len(Phi)
+    if n == 0:
+        return np.zeros((0, len(C)))
+    try:
+        if len(C) > 1:
+            from scipy.signal import place_poles  # takes a second to import
+
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                return np.asarray(place_poles(Phi.T, C.T, poles).gain_matrix.T, float)
+        p, seen = np.eye(n), [C]
+        for pole in poles:
+            p = p @ (Phi - pole * np.eye(n))
+        for _ in range(n - 1):
+            seen.append(seen[-1] @ Phi)
+        return np.asarray(p @ np.linalg.solve(np.vstack(seen), np.eye(n)[:, -1:]))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignError(
+            f"{where}: the poles were not placed ('{first_sentence(error)}'), expected outputs that show every slow mode; "
+            "change the bandwidth or measure another output."
+        ) from error
+
+
+def current_gain(Phi: Matrix, C: Matrix, pole: float, fastest: float, where: str) -> Matrix:
+    """Return L [n, q] with the slow poles of (I - L C) Phi at `pole`; the poles of several outputs are up to 20 % smaller."""
+    slow = slow_modes(Phi, C, fastest)
+    k = len(slow.Phi)
+    poles = pole * (1 - 0.2 * np.arange(k) / max(k, 1) * (len(C) > 1))
+    return slow.V @ np.linalg.solve(slow.Phi, predictor_gain(slow.Phi, slow.C, poles, where))
+
+
+class Chain(NamedTuple):
+    """A plant as a chain of n integrators: xi = O x, xi_i' = xi_(i+1), xi_n' = row x + b (u + d), y = xi_1."""
+
+    O: Matrix  # [n, n]
+    row: Matrix  # [1, n] C A^n
+    b: float  # C A^(n-1) G
+    G: Matrix  # [n, 1] the direction of the disturbance d: E where there is one, otherwise B
+
+
+def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
+    """Return a model as a chain of integrators.
+
+    Raises UserError where the model is discrete, has several outputs or disturbances, feedthrough, more than `longest` states,
+    or a relative degree from the disturbance to the output below n.
+    """
+    G = model.B if model.E is None else model.E
+    n = len(model.A)
+    rows = [model.C]
+    for _ in range(n):
+        rows.append(rows[-1] @ model.A)
+    known = "a known function of the state among its unknown inputs" if model.known is not None else ""
+    found = (
+        ("a discrete plant" if model.discrete else "")
+        or (f"{len(model.C)} outputs" if len(model.C) != 1 else "")
+        or (f"{G.shape[1]} disturbed inputs" if G.shape[1] != 1 else "")
+        or ("feedthrough" if model.feedthrough.any() else "")
+        or (f"{n} states" if longest is not None and n != longest else "")
+        or known
+    )
+    if not found:
+        size = [float((abs(row) @ abs(G)).item()) for row in rows[:n]]
+        effect = [float((row @ G).item()) for row in rows[:n]]
+        acts = [abs(e) > ZERO * max(s, 1e-300) for e, s in zip(effect, size, strict=True)]
+        degree = acts.index(True) + 1 if any(acts) else None
+        if degree == n:
+            return Chain(np.vstack(rows[:n]), rows[n], effect[-1], G)
+        found = f"a disturbance of relative degree {degree} with {n} states"
+    states = f"{longest}" if longest is not None else "n"
+    raise UserError(
+        f"{where}: got {found}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, and "
+        f"one input or unknown input that acts on its derivative of order {states} first; take kf."
+    )

@@ -1,0 +1,115 @@
+"""Cascade predictors: gains of the links, and the exact map of their errors.
+
+Link j of m carries the estimate over d ticks, and sees its own output of d ticks ago:
+
+    e(k+1) = Phi e(k) - K (C e(k-d) - r(k)),   the poles of Phi - K C by `bandwidth`
+
+r is the error of what the link is compared with: of the link before, or, for the first link, of the output predicted between
+samples, r(k+1) = r(k) + C (Phi - I) e(k-d), r = 0 when a sample arrives. So the first link is a periodic map over one sampling
+period, the others a map over one tick. Their errors decay if and only if each of these maps has a radius below 1. For a scalar
+plant x' = a x and measurements without sampling, such a gain exists if and only if a d < 1 (d in seconds): links make d small.
+
+Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002 (cascade); the maps are this project's.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError
+from pcbench.synthesis import bandwidth
+from pcbench.synthesis.certificate import Certificate
+from pcbench.value_cache import cached_by_value
+
+MOST = 12  # links that are tried
+WHAT = "radius of the links' error maps over one sampling period < 1"
+
+
+class Links(NamedTuple):
+    """The links from the delayed output to the present."""
+
+    d: tuple[int, ...]  # ticks of each
+    K: Matrix  # [n, q], the same for all
+
+
+def divided(delay: int, m: int) -> tuple[int, ...]:
+    """Return a delay [ticks] as m whole numbers that differ by 1 at most."""
+    return tuple(delay * (j + 1) // m - delay * j // m for j in range(m))
+
+
+def gain(Phi: Matrix, C: Matrix, decay: float, where: str) -> Matrix:
+    """Return K [n, q] of a link whose errors would decay by `decay` a tick if it had no delay."""
+    slow = bandwidth.slow_modes(Phi, C, decay)
+    k = len(slow.Phi)
+    poles = decay ** (1 + 0.2 * np.arange(k) / max(k, 1) * (len(C) > 1))
+    return slow.V @ bandwidth.predictor_gain(slow.Phi, slow.C, poles, where)
+
+
+@cached_by_value
+def radius(Phi: Matrix, C: Matrix, K: Matrix, d: int, period: int) -> float:
+    """Return the spectral radius of a link's errors over `period` ticks; 0: a link that is compared at every tick, over one.
+
+    The state is [e(k), e(k-1), .., e(k-d), r(k)], of which e(k+1) and r(k+1) depend on e(k), e(k-d) and r(k) only.
+    """
+    n, q = len(Phi), len(C)
+    size, last = n * (d + 1) + q, slice(n * d, n * (d + 1))
+    F = np.eye(size, k=-n)
+    F[:n, :n] = Phi
+    F[:n, last] -= K @ C
+    F[:n, size - q :] = K
+    F[size - q :] = 0.0
+    if period == 0:
+        return _largest(F[: size - q, : size - q])
+    F[size - q :, last] = C @ Phi - C
+    F[size - q :, size - q :] = np.eye(q)
+    whole = np.linalg.matrix_power(F, period)
+    whole[size - q :] = 0.0  # a sample arrives
+    return _largest(whole)
+
+
+def _largest(F: Matrix) -> float:
+    return float(np.abs(np.linalg.eigvals(F)).max())
+
+
+def certify(Phi: Matrix, C: Matrix, links: Links, period: int) -> Certificate:
+    """Return by how much the errors of all links shrink over a sampling period."""
+    first = radius(Phi, C, links.K, links.d[0], period)
+    others = {d: radius(Phi, C, links.K, d, 0) ** period for d in set(links.d[1:])}
+    numbers = {
+        "links": len(links.d),
+        "radius_of_first_link": first,
+        "radius_of_others": max(others.values(), default=0.0),
+    }
+    return Certificate(WHAT, 1 - max(first, *others.values(), 0.0), "numpy", "computed", numbers)
+
+
+def design(
+    Phi: Matrix, C: Matrix, delay: int, period: int, m: int | None, decay: float | None, where: str
+) -> tuple[Links, Certificate]:
+    """Return the links and their certificate.
+
+    Args:
+        Phi: [n, n], one tick.
+        C: [q, n].
+        delay: of every channel [ticks].
+        period: of the samples [ticks].
+        m: number of links; None: the least that is certified.
+        decay: of the errors per tick if there were no delay; None: by the longest link and the period.
+        where: what is designed, for error messages.
+
+    Raises:
+        DesignError: no number of links that was tried is certified.
+    """
+    tried = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
+    for many in tried:
+        wait = max(3.0 * max(divided(delay, many)), 1.5 * period)
+        K = gain(Phi, C, np.exp(-1 / wait) if decay is None else decay, where)
+        links = Links(divided(delay, many), K)
+        certificate = certify(Phi, C, links, period)
+        if certificate.margin > 0:
+            return links, certificate
+    raise DesignError(
+        f"{where}: got errors that do not decay with {'up to ' if m is None else ''}{max(tried)} links over a delay of {delay} "
+        "ticks, expected a radius below 1; take another omega, more links, or kf."
+    )

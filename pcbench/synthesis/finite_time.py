@@ -1,0 +1,79 @@
+"""Two current estimators whose combination has no error after N samples: their gains and the combination.
+
+With F_i = (I - L_i C) Phi, i = 1, 2, the error of each after N samples is F_i^N times the error before. Both estimate the same
+state, so with K1 + K2 = I and K1 F1^N + K2 F2^N = 0, that is K2 = F1^N (F1^N - F2^N)^-1,
+
+    xhat_m = K1 (z1_m - F1^N z1_(m-N)) + K2 (z2_m - F2^N z2_(m-N)) = K1 z1_m + K2 z2_m - H (z1_(m-N) - z2_(m-N)),   H = K1 F1^N
+
+has no error, whatever the errors were. In the source z is continuous, and exp((A - L_i C) D) takes the place of F_i^N; its
+[K1 K2] = [I 0] [E, exp(F D) E]^-1, F = diag(A - L1 C, A - L2 C), E = [I; I], is the same. For small N, K1 and K2 are large.
+A mode that loses 99 % in a sample keeps its pole (`bandwidth`): there H = (K1 F1^N - K2 F2^N) / 2, and the error vanishes at
+the rate of that mode.
+
+Source: Engel, Kreisselmeier, IEEE TAC 47(7), 2002, for continuous measurement; the form for samples is this project's.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError
+from pcbench.synthesis import bandwidth
+from pcbench.synthesis.certificate import Certificate
+
+FASTEST = 0.01  # size of a mode per sample below which it keeps its pole
+LARGEST = 1e8  # of the entries of K1, K2: beyond, rounding alone would be seen
+WHAT = "radius of F1 and F2 < 1; K1 + K2 = I, K1 F1^N + K2 F2^N = 0"
+
+
+class FiniteTimeGains(NamedTuple):
+    """The two estimators on the first axis, the slower one first."""
+
+    L: Matrix  # [2, n, q]
+    K: Matrix  # [2, n, n] of z_m
+    H: Matrix  # [n, n] of z1_(m-N) - z2_(m-N)
+
+
+def weights(M1: Matrix, M2: Matrix) -> tuple[Matrix, Matrix]:
+    """Return K1, K2 [n, n] with K1 + K2 = I and K1 M1 + K2 M2 = 0; raise LinAlgError where M1 - M2 is singular."""
+    K2 = np.linalg.solve((M1 - M2).T, M1.T).T
+    return np.eye(len(M1)) - K2, K2
+
+
+def design(
+    Phi: Matrix, C: Matrix, pole: float, ratio: float, N: int, where: str
+) -> tuple[FiniteTimeGains, Certificate]:
+    """Return gains and certificate.
+
+    Args:
+        Phi: [n, n], over a sampling period.
+        C: [q, n].
+        pole: of the slower estimator, per sample; the other's is pole^ratio.
+        ratio: above 1.
+        N: samples.
+        where: what is designed, for error messages.
+
+    Raises:
+        DesignError: the poles cannot be placed, or K1 and K2 do not exist or are larger than 1e8.
+    """
+    I, slow = np.eye(len(Phi)), bandwidth.slow_modes(Phi, C, FASTEST)
+    L = np.stack([bandwidth.current_gain(Phi, C, p, FASTEST, where) for p in (pole, pole**ratio)])
+    F = (I - L @ C) @ Phi
+    after = np.linalg.matrix_power(F, N)
+    try:
+        k2 = weights(*(slow.W @ after @ slow.V))[1]
+    except np.linalg.LinAlgError:
+        k2 = np.full_like(slow.Phi, np.inf)
+    size = float(np.abs(k2).max(initial=0.0))
+    if not size < LARGEST:
+        raise DesignError(
+            f"{where}: got weights of size {size:.2g} for {N} samples, expected less than {LARGEST:g}; take more samples or "
+            "other poles."
+        )
+    K2 = slow.V @ k2 @ slow.W
+    K = np.stack([I - K2, K2])
+    radius = float(np.abs(np.linalg.eigvals(F)).max())
+    H = (K[0] @ after[0] - K[1] @ after[1]) / 2
+    numbers = {"K1": K[0], "K2": K[1], "L1": L[0], "L2": L[1], "left": float(np.abs((K @ after).sum(0)).max())}
+    return FiniteTimeGains(L, K, H), Certificate(WHAT, 1 - radius, "numpy", "computed", numbers)

@@ -1,0 +1,131 @@
+"""Standard observers of the field, written out the long way: loops over ticks and samples, as in `reference.linear`.
+
+Order of a tick, times and samples are those of `reference.linear`.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from reference.linear import Array, Model, Sample, by_arrival, discretise, pccebo, whole_vectors
+
+
+def eso_gain(omega: float, T: float) -> Array:
+    """Return the gain [3] of the discrete extended state observer of a double integrator (Miklosovic, Radke, Gao 2006)."""
+    beta = np.exp(-omega * T)
+    return np.array([1 - beta**3, 3 * (1 - beta) ** 2 * (1 + beta) / (2 * T), (1 - beta) ** 3 / T**2])
+
+
+def with_disturbance(model: Model) -> Model:
+    """Return the model with a constant disturbance of its one input as the last state."""
+    n = len(model.A)
+    A = np.zeros((n + 1, n + 1))
+    A[:n, :n], A[:n, n:] = model.A, model.B
+    return Model(A, np.vstack([model.B, [[0.0]]]), np.hstack([model.C, [[0.0]]]), model.h)
+
+
+def eso(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -> Array:
+    """Return xhat [N+1, n] of the extended state observer with L [n+1, 1], d(0) = 0."""
+    z = pccebo(with_disturbance(model), u, samples, np.append(xhat0, 0.0), L)
+    return z[:, : len(model.A)]
+
+
+def cascade(model: Model, u: Array, samples: list[Sample], xhat0: Array, K: Array, d: Array) -> Array:
+    """Return xhat [N+1, n] of cascade predictors with K [n, q] and links of d [m] ticks, one after the other.
+
+    Nothing is kept but lists of every link's states by tick; before tick 0 they are xhat(0).
+    """
+    Ad, Bd = discretise(model.A, model.B, model.h)
+    inbox, delay, m = by_arrival(samples), int(sum(d)), len(d)
+    links = [[np.asarray(xhat0, float)] for _ in range(m)]
+    y = model.C @ xhat0
+    for k in range(len(u) - 1):
+        for _, value in whole_vectors(inbox.get(k, []), len(model.C)):
+            y = value
+        outputs = [y, *(model.C @ states[k] for states in links[:-1])]
+        past = [states[max(k - int(ticks), 0)] for states, ticks in zip(links, d, strict=True)]
+        for j in range(m):
+            behind = int(sum(d[j + 1 :]))
+            step = Ad @ links[j][k] + Bd @ u[k - behind] + K @ (outputs[j] - model.C @ past[j])
+            links[j].append(step if k >= behind else links[j][k])
+        if k >= delay:
+            y = y + model.C @ (Ad @ past[0] + Bd @ u[k - delay] - past[0])
+    return np.array(links[-1])
+
+
+def twist(b: float, h: float, f: float) -> tuple[float, float]:
+    """Return what the implicit super-twisting step adds to position and rate, found by bisection of its equation."""
+    k1, k2, size = 1.5 * np.sqrt(f), 1.1 * f, abs(b)
+    if size <= h * h * k2:
+        return b, b / h
+    low, high = 0.0, size
+    for _ in range(200):
+        middle = (low + high) / 2
+        if middle + h * k1 * np.sqrt(middle) + h * h * k2 < size:
+            low = middle
+        else:
+            high = middle
+    return np.sign(b) * (size - low), np.sign(b) * h * k2
+
+
+def super_twisting(
+    step: Callable[[int, Array], Array],
+    C: Array,
+    O: Array,
+    h: float,
+    ticks: int,
+    samples: list[Sample],
+    xhat0: Array,
+    f: float,
+    period: float,
+) -> Array:
+    """Return xhat [ticks+1, 2] of the super-twisting observer; (y, y') = O x, h seconds a tick.
+
+    step(k, x) moves the model from tick k to k + 1. Every arrival is used at its own time; the model then goes from there to
+    the present, tick by tick. Samples arrive in order.
+    """
+    inbox = by_arrival(samples)
+    at, x_at = 0, np.asarray(xhat0, float)  # of the newest sample
+    xhat, now = np.zeros((ticks + 1, 2)), x_at
+    for k in range(ticks + 1):
+        for taken, y in whole_vectors(inbox.get(k, []), 1):
+            for i in range(at, taken):
+                x_at = step(i, x_at)
+            since = (taken - at) * h if taken > at else period
+            x_at = x_at + np.linalg.solve(O, np.array(twist(float((y - C @ x_at)[0]), since, f)))
+            at, now = taken, x_at
+            for i in range(taken, k):
+                now = step(i, now)
+        xhat[k] = now
+        now = step(k, now) if k < ticks else now
+    return xhat
+
+
+def finite_time(
+    model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array, K: Array, te: int, N: int
+) -> Array:
+    """Return xhat [ticks+1, n] of two current estimators L [2, n, q] combined over N samples by K [2, n, n].
+
+    The estimators' states are whole, with their response to the input, and F^N is multiplied out.
+    """
+    Ad, Bd = discretise(model.A, model.B, model.h)
+    F = [(np.eye(len(Ad)) - L[i] @ model.C) @ np.linalg.matrix_power(Ad, te) for i in range(2)]
+    z = [np.asarray(xhat0, float)] * 2
+    at, inbox, past = 0, by_arrival(samples), []
+    xhat, now = np.zeros((len(u), len(Ad))), z[0]
+    lag = [np.linalg.matrix_power(F[i], N) for i in range(2)]
+    for k in range(len(u)):
+        for taken, y in whole_vectors(inbox.get(k, []), len(model.C)):
+            for j in range(at, taken):
+                z = [Ad @ each + Bd @ u[j] for each in z]
+            z = [each + L[i] @ (y - model.C @ each) for i, each in enumerate(z)]
+            past.append(z)
+            at, now = taken, z[0]
+            if len(past) > N:
+                then = past[-1 - N]
+                now = K[0] @ z[0] + K[1] @ z[1] - (K[0] @ lag[0] - K[1] @ lag[1]) @ (then[0] - then[1]) / 2
+            for j in range(taken, k):
+                now = Ad @ now + Bd @ u[j]
+        xhat[k] = now
+        now = Ad @ now + Bd @ u[k]
+    return xhat
