@@ -23,6 +23,7 @@ from pcbench.observers import (
     kf_reprocess,
     kf_shifted_innovation,
     kfbo,
+    lmi_sampled,
     mhe,
     mmae_delay,
     model_only,
@@ -145,6 +146,7 @@ OBSERVERS = {
         smooth=False, designed={"gains": "design"}
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,
