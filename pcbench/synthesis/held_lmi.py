@@ -111,7 +111,7 @@ def certify(task: HeldTask, found: HeldGain) -> Certificate:
     forms = [-np.block(rows) for rows in corner_forms(task, P, R, (W2, W3), (W2 @ L, W3 @ L))]
     margin = min(least_eigenvalue(M) - len(M) * np.finfo(float).eps * float(np.abs(M).sum()) for M in (P, *R, *forms))
     numbers = {"L": L / max(task.intervals), "P": P, "longest_intervals": np.array(task.intervals)}
-    return Certificate(what, margin, found.solver, found.status, numbers, task.rate)
+    return Certificate(what, margin, found.solver, found.status, numbers, task.rate or float("nan"))
 
 
 def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple[Matrix, Certificate]:

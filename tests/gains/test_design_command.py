@@ -23,6 +23,7 @@ IN = {
     "smo": "arm/sampled",
     "pio": "arm/sampled",
     "high-gain": "helicopter/constant",
+    "lmi-sampled": "ncs-two-state/held",
     "ekf-delay": "cart/unknown-delay",
     "mmae-delay": "cart/unknown-delay",
 }
