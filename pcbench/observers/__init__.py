@@ -26,6 +26,7 @@ from pcbench.observers import (
     kf_reprocess,
     kf_shifted_innovation,
     kfbo,
+    lmi_sampled,
     mhe,
     mmae_delay,
     model_only,
@@ -155,6 +156,7 @@ OBSERVERS = {
         smooth=False, nonlinear=True
     ),
     "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
+    "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
     **NONLINEAR,

@@ -32,7 +32,7 @@ from pcbench.dynamics.integrate import rk4
 from pcbench.errors import UserError
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
-from pcbench.synthesis import lqr
+from pcbench.synthesis import sampled_high_gain
 from pcbench.synthesis.certificate import Design, DesignContext
 
 S0 = 1e-3
@@ -153,4 +153,4 @@ def design(setting: DesignContext, options: Options) -> Design:
         high=high if robust else free,
         start=np.array(setting.unknown0),
     )
-    return Design(gains, lqr.certificate(options.theta, max(setting.period) * setting.dt))
+    return Design(gains, sampled_high_gain.certificate(options.theta, max(setting.period) * setting.dt))

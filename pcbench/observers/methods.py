@@ -121,6 +121,14 @@ METHODS = {
         AGES,
         "Engel, Kreisselmeier 2002, doi 10.1109/TAC.2002.800673",
     ),
+    "lmi-sampled": Method(
+        "Sampled-data observer with held innovations and an LMI gain",
+        "Holds the innovation of each output until the next one arrives, and multiplies it by a constant gain. A certificate "
+        "covers all intervals between samples up to a limit, of each output on its own.",
+        "the model and the longest interval between samples; for a nonlinear plant also `parameter_range`, which must "
+        "contain its slopes",
+        "functional of Fridman 2010; Etienne, Hetel, Efimov, Petreczky 2017 (not obtained)",
+    ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",
         "Updates at the time of the measurement with Jacobians at the estimate, and predicts tick by tick to the present. "

@@ -28,8 +28,7 @@ from pcbench.simulation import trajectory
 from pcbench.statistics.aggregate import Row
 from pcbench.study import Choices, Study, options_of
 from pcbench.study.grid import cell_of
-from pcbench.synthesis import lqr
-from pcbench.synthesis.lqr import limit
+from pcbench.synthesis import sampled_high_gain
 from pcbench.toml_text import TomlTable
 
 SEEDS = 256
@@ -124,8 +123,9 @@ def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
         (float(s.sampling.delay[0]) + s.sampling.delay_sine[0] * np.sin(s.sampling.delay_sine[1] * t)).max()
     )
     yield digits("largest varying delay [s]", "0.045", longest)
-    radius, far = lqr.radius(4.0 * 0.2), lqr.radius(4.0 * 0.8)
-    text = f"linear part: radius {radius:.2f} per sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
+    limit = sampled_high_gain.limit("predictor", 3)
+    radius, far = (sampled_high_gain.radius("predictor", 3, 4.0 * period) for period in (0.2, 0.8))
+    text = f"linear part: radius {radius:.2f} per sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit / 4.0:.2f} s"
     claim = "beyond a limit of the sampling period it does not converge"
     yield statement(claim, "a limitation", text, bool(radius < 1 < far))
 
@@ -164,7 +164,7 @@ def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
     heavy = {what: runs[name].rms(runs[name].z[:, 4:] - VISCOSITY) for what, name in HEAVY.items()}
     text = ", ".join(f"{b[0]:.2f} and {b[1]:.3f} ({what})" for what, b in heavy.items())
     yield report_finding("10 % more mass than the model: rms error of the viscosities", text)
-    yield report_finding("linear limit of Theta Ts", f"{limit():.4f}")
+    yield report_finding("linear limit of Theta Ts", f"{sampled_high_gain.limit('predictor', 3):.4f}")
 
 
 def _rows(frame: pd.DataFrame) -> list[Row]:

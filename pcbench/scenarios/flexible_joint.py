@@ -15,7 +15,7 @@ FLEXIBLE_JOINT = (
         summary="motor angle every 0.1 s, noise of 0.01 rad",
         source="Raghavan, Hedrick 1994, sampled and with noise",
         plant="flexible-joint",
-        observers=("ekf", "ukf", "kf", "model-only"),
+        observers=("ekf", "ukf", "lmi-sampled", "kf", "model-only"),
         truth=Truth(x0=(1.0, 0.0, 1.0, 0.0), process_std=(0.0, 0.005, 0.0, 0.005)),
         loop=Loop(input="sine"),
         sampling=Sampling(sampling_period=(0.1,), delay=(0.0,), noise_std=(0.01,)),

@@ -3,24 +3,15 @@
     u = -K x least in sum x'Q1 x + u'Q2 u:   S = Phi'S Phi + Q1 - Phi'S Gamma K,  K = (Q2 + Gamma'S Gamma)^-1 Gamma'S Phi
 
 Phi, Gamma are over one period of the controller, the input held. Source: Astrom, Wittenmark, Computer-Controlled Systems, 11.2.
-
-The linear limit of a high-gain observer's sampling period: a chain of three integrators, S at rest, samples without delay.
-
-Between samples g(t) = e^{-3 s} g(t_k), s = Th (t - t_k), as S^-1 C' = (3, 3, 1) at rest; scaled errors e (time in 1/Th) obey
-
-    e' = N e - (3, 3, 1) g,    N the shift,    g(t_k) = e_1(t_k)
-
-so over an interval e becomes M(Th Ts) e. Its spectral radius passes 1 at Th Ts = 2.90.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, first_sentence
-from pcbench.synthesis.certificate import Certificate
 
 
 class Law(NamedTuple):
@@ -68,37 +59,3 @@ def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, every: int, late: in
     for i in range(every):
         x = Phi @ x + Gamma @ sent[-((i - late) // every)]
     return np.vstack([x, s, *sent[:kept]])
-
-
-AT_REST = np.array([3.0, 3.0, 1.0])  # S^-1 C'
-
-
-def radius(interval: float) -> float:
-    """Return the spectral radius of M for an interval Th Ts."""
-    whole = np.zeros((4, 4))
-    whole[:3, :3] = np.eye(3, k=1)
-    whole[:3, 3] = -AT_REST
-    whole[3, 3] = -AT_REST[0]
-    over = expm(whole * interval)
-    M = over[:3, :3].copy()
-    M[:, 0] += over[:3, 3]
-    return float(np.abs(np.linalg.eigvals(M)).max())
-
-
-def limit() -> float:
-    """Return the largest Th Ts below which errors of the linear chain decay."""
-    from scipy.optimize import brentq  # takes a tenth of a second to import
-
-    return float(brentq(lambda s: radius(s) - 1, 2.0, 4.0))
-
-
-def certificate(theta: float, period: float) -> Certificate:
-    """Say what is known of a tuning [1/s] at a sampling period [s]; there is no proof, as the plant is nonlinear."""
-    numbers = {"theta_Ts": theta * period, "linear_limit": limit(), "radius": radius(theta * period)}
-    return Certificate(
-        "none: the observer is nonlinear; the numbers are of its linear limit",
-        float("inf"),
-        "none",
-        "not needed",
-        numbers,
-    )

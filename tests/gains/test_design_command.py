@@ -24,6 +24,7 @@ IN = {
     "pio": "arm/sampled",
     "high-gain": "helicopter/constant",
     "cascade-predictor": "cart/gaussian",
+    "lmi-sampled": "ncs-two-state/held",
     "ekf-delay": "cart/unknown-delay",
     "mmae-delay": "cart/unknown-delay",
 }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from harness import CART, CHAINS, ELSEWHERE, ODD, Case, inputs, noise, setting, starts, trace
 from reference import cart as reference_cart
-from reference import field_observers, irregular
+from reference import field_observers, held, irregular
 from reference import linear as reference
 
 from pcbench.observers import DELAYS, LATE, NONLINEAR, OBSERVERS
@@ -54,6 +54,8 @@ def expected(case, observer, options, u, samples):
     if observer in ("pco", "pi-pco"):
         g = design.gains
         return irregular.pco(model, u, samples, xhat0, g.T, g.Kp, g.Ki if observer == "pi-pco" else None)
+    if observer == "lmi-sampled":
+        return held.linear_run(model, u, samples, xhat0, design.gains.L)
     if observer == "kfbo":
         K = design.certificate.numbers["K"]
         flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 from harness import CART, ODD, Case, inputs, noise, problem, recorder, setting, starts
+from reference import held, linear
 from reference import irregular as reference
-from reference import linear
 
 import pcbench
 from pcbench import planning
@@ -36,6 +36,7 @@ CHOICES = {
     "pccebo": [{}],
     "pco": [{"Kp": -61.0}],
     "pi-pco": [{"Kp": -61.0, "Ki": 12.2}],
+    "lmi-sampled": [{}],
     "kf": [{}, {"bias_variance": 1.0}],
 }
 
@@ -85,6 +86,8 @@ def wild(case, clock, observer, options):
 def expected(observer, options, model, u, samples, xhat0, design, case):
     if observer == "pccebo":
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
+    if observer == "lmi-sampled":
+        return held.linear_run(model, u, samples, xhat0, design.gains.L)
     if observer == "kf":
         W = case.input_intensity * case.model.B @ case.model.B.T
         return reference.kf(model, u, samples, xhat0, setting(case).P0, design.gains.R, W, options.get("bias_variance"))
@@ -92,7 +95,11 @@ def expected(observer, options, model, u, samples, xhat0, design, case):
     return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
 
 
-FAST = {("pccebo", "loss"), ("kf", "turns")}  # on the cart; `test_events_per_lane` has more
+FAST = {
+    ("pccebo", "loss"),
+    ("kf", "turns"),
+    ("lmi-sampled", "disorder"),
+}  # on the cart; `test_events_per_lane` has more
 EVERY = [
     pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.nightly)
     for plant in ("cart", "odd")

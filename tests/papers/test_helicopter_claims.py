@@ -7,7 +7,7 @@ import pytest
 from helicopters import planned, record
 
 from pcbench.papers import PAPERS
-from pcbench.synthesis import lqr
+from pcbench.synthesis import sampled_high_gain
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,9 @@ def test_findings_of_the_readme(claims):
 
 def test_the_linear_limit_of_the_sampling_period():
     """Theta Ts < 2.90; with Theta = 4 that is 0.72 s."""
-    assert lqr.limit() == pytest.approx(2.8963, abs=1e-4)
-    assert lqr.radius(2.8) < 1 < lqr.radius(3.0)
-    found = lqr.certificate(4.0, 0.2).numbers
+    assert sampled_high_gain.limit("predictor", 3) == pytest.approx(2.8963, abs=1e-4)
+    assert sampled_high_gain.radius("predictor", 3, 2.8) < 1 < sampled_high_gain.radius("predictor", 3, 3.0)
+    found = sampled_high_gain.certificate(4.0, 0.2).numbers
     assert found["theta_Ts"] == pytest.approx(0.8)
     assert found["radius"] < 1
 

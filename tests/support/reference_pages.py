@@ -279,7 +279,12 @@ e = x - xhat, at the ticks 0 to N-1. To read the tables, see [Read the tables an
 
 def certificates() -> dict[str, str]:
     """What is certified of each observer, at a grid point that it accepts."""
-    places = {"high-gain": "helicopter/constant", "smo": "arm/sampled", "pio": "arm/sampled"}
+    places = {
+        "lmi-sampled": "ncs-two-state/held",
+        "high-gain": "helicopter/constant",
+        "smo": "arm/sampled",
+        "pio": "arm/sampled",
+    }
     asked: dict[str, list[str]] = {}
     for name in OBSERVERS:
         asked.setdefault(places.get(name, "cart/gaussian"), []).append(name)

@@ -1,0 +1,158 @@
+"""Gains and certificates of an observer that holds its innovations between aperiodic, asynchronous samples, by an LMI.
+
+Clock g samples the outputs C_g; t_g is its newest sample and s_g = t - t_g <= T_g its age. The error, with A(t) anywhere in the
+convex hull of given matrices A_i, which contains the slopes of a nonlinear plant:
+
+    e' = A(t) e - sum_g L_g C_g e(t_g)
+    V  = e'P e + sum_g (T_g - s_g) (integral of e^{2 a (r - t)} v(r)'R_g v(r) over r = t_g .. t),   v = de/dt
+
+Let m_g be the mean of v since t_g, so that e(t_g) = e - s_g m_g. With Jensen's inequality, and 0 = 2 (e'P2' + v'P3')(e' - v),
+dV/dt + 2 a V is at most a form in (e, v, m_g), affine in each s_g. It is negative if it is negative at all corners, which are
+s_g = 0 or T_g at every A_i. V does not grow at a sample. So e decays at the rate a for all intervals up to T_g of each clock,
+constant or not.
+
+A gain is sought with P3 = ratio P2: then the LMI is linear in P2'L_g. Time is in units of the largest T_g, and P <= I.
+Source: Fridman, Automatica 46(2), 2010, for one clock and a given gain; several clocks and the hull are ours.
+Not claimed: that larger intervals are unstable, nor anything about delayed samples.
+"""
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError
+from pcbench.synthesis import solvers
+from pcbench.synthesis.certificate import Certificate, least_eigenvalue
+
+PRECISION = 1e-3  # relative, of the largest interval
+UNKNOWN = np.zeros((0, 0))  # a gain that is sought
+
+
+class HeldTask(NamedTuple):
+    """The error of an observer with q outputs on g clocks, and k matrices of the plant."""
+
+    A: Matrix  # [k, n, n] corners of the plant [1/s]
+    C: Matrix  # [q, n]
+    clocks: tuple[int, ...]  # [q] the clock of each output, from 0
+    intervals: tuple[float, ...]  # [g] the longest interval between samples of each clock [s]
+    rate: float = 0.0  # a [1/s]
+    ratio: float = 1.4  # P3 / P2 if a gain is sought, in units of the largest interval
+
+
+class HeldGain(NamedTuple):
+    """A solver's answer in units of the largest interval, as it came."""
+
+    P: Matrix  # [n, n]
+    R: Matrix  # [g, n, n]
+    P2: Matrix  # [n, n]
+    P3: Matrix  # [n, n]
+    L: Matrix  # [n, q], multiplied by the largest interval
+    t: float
+    status: str
+    solver: str
+
+
+def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[Any, Any]) -> list[list[list[Any]]]:
+    """Return the blocks of the form in (e, v, m_g of the clocks with s_g = T_g) at each corner.
+
+    Of arrays, or of cvxpy's variables. W contains P2' and P3', and Y their products with L.
+    """
+    unit, n = max(task.intervals), task.A.shape[-1]
+    rate, ages = task.rate * unit, [T / unit for T in task.intervals]
+    outputs = [np.diag([float(clock == g) for clock in task.clocks]) @ task.C for g in range(len(ages))]
+    forms = []
+    for A, old in itertools.product(task.A * unit, itertools.product((False, True), repeat=len(ages))):
+        M2, M3 = (w @ A - y @ task.C for w, y in zip(W, Y, strict=True))
+        young_R = sum((age * r for age, r, is_old in zip(ages, R, old, strict=True) if not is_old), np.zeros((n, n)))
+        f12 = P - W[0] + M3.T
+        rows = [[M2 + M2.T + 2 * rate * P, f12], [f12.T, young_R - W[1] - W[1].T]]
+        for g in (g for g, is_old in enumerate(old) if is_old):
+            edge = [ages[g] * (y @ outputs[g]) for y in Y]
+            for row, block in zip(rows, [*edge, *[np.zeros((n, n))] * (len(rows) - 2)], strict=True):
+                row.append(block)
+            own = -ages[g] * np.exp(-2 * rate * ages[g]) * R[g]
+            rows.append([row[-1].T for row in rows] + [own])
+        forms.append(rows)
+    return forms
+
+
+def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> HeldGain:
+    """Prove the gain L [n, q], or find one if L is UNKNOWN, with the largest margin t; raise DesignError without an answer."""
+    import cvxpy as cp
+
+    n, q = task.A.shape[-1], len(task.C)
+    P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
+    R = [cp.Variable((n, n), symmetric=True) for _ in task.intervals]
+    P2 = cp.Variable((n, n))
+    scaled = max(task.intervals) * L
+    if L.size:
+        last = P3 = cp.Variable((n, n))
+        Y = P2.T @ scaled, P3.T @ scaled
+    else:
+        last = cp.Variable((n, q))
+        P3, Y = task.ratio * P2, (last, task.ratio * last)
+    rules = [P << np.eye(n), P >> t * np.eye(n), *(each >> t * np.eye(n) for each in R)]
+    for form in map(cp.bmat, corner_forms(task, P, R, (P2.T, P3.T), Y)):
+        rules.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
+    advice = "shorten the intervals, ask for a slower decay, or narrow the ranges"
+    status, (X, margin, X2, Z, *S) = solvers.minimise(-t, rules, (P, t, P2, last, *R), where, solver, advice)
+    X3, gain = (Z, scaled) if L.size else (task.ratio * X2, np.linalg.solve(X2.T, Z))
+    return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)
+
+
+def certify(task: HeldTask, found: HeldGain) -> Certificate:
+    """Re-check P > 0, R_g > 0 and the form < 0 at every corner; the margin is the least eigenvalue, less its rounding error."""
+    what = "V' + 2 a V < 0 at every corner of ages and models, V of Fridman 2010 with one term per clock"
+    P, R, W2, W3, L = (np.asarray(each, float) for each in (found.P, found.R, found.P2.T, found.P3.T, found.L))
+    if not all(np.isfinite(each).all() for each in (P, R, W2, W3, L)):
+        return Certificate(what, float("nan"), found.solver, found.status)
+    forms = [-np.block(rows) for rows in corner_forms(task, P, R, (W2, W3), (W2 @ L, W3 @ L))]
+    margin = min(least_eigenvalue(M) - len(M) * np.finfo(float).eps * float(np.abs(M).sum()) for M in (P, *R, *forms))
+    numbers = {"L": L / max(task.intervals), "P": P, "longest_intervals": np.array(task.intervals)}
+    return Certificate(what, margin, found.solver, found.status, numbers, task.rate or float("nan"))
+
+
+def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple[Matrix, Certificate]:
+    """Return the gain [n, q] with its certificate: L itself, or one that is found if L is None.
+
+    `scale` [n] are units of the states for the solver. Raises DesignError if none is certified.
+    """
+    own = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
+    given = UNKNOWN if L is None else L / scale[:, None]
+    arrays = (own.A, own.C, np.array(own.clocks), np.array(own.intervals), np.array([own.rate, own.ratio]), given)
+
+    def ask(solver: str) -> HeldGain:
+        return solvers.solve_or_load(
+            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(own, given, where, solver)
+        )
+
+    found, certificate = solvers.proven(
+        ask, lambda found: certify(own, found), where, hopeless=lambda found: found.status == "optimal" and found.t <= 0
+    )
+    gain = scale[:, None] * np.asarray(found.L, float) / max(task.intervals) if L is None else L
+    numbers = dict(certificate.numbers) | {"L": gain, "P": np.asarray(found.P) / np.outer(scale, scale)}
+    return gain, certificate._replace(numbers=numbers)
+
+
+def largest_interval(task: HeldTask, L: Matrix | None, upper: float) -> tuple[float, Certificate]:
+    """Return the largest interval [s] of all clocks that the LMI certifies, to 0.1 % and up to `upper`, and its certificate.
+
+    The intervals of `task` are not used; L as in `design`. Raises DesignError if none above 0.1 % of `upper` is certified.
+    """
+    low, high, best = 0.0, upper, None
+    while high - low > PRECISION * (low or upper):
+        middle = (low + high) / 2
+        wide = task._replace(intervals=(middle,) * len(task.intervals))
+        try:
+            found = certify(wide, solve(wide, UNKNOWN if L is None else L, "the largest interval"))
+        except DesignError:
+            found = None
+        if found and found.margin > 0:
+            low, best = middle, found
+        else:
+            high = middle
+    if best is None:
+        raise DesignError("the largest interval: got no certified interval, expected one; give another gain.")
+    return low, best

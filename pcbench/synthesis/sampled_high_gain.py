@@ -1,0 +1,75 @@
+"""The high-gain observer of a chain of n integrators at constant sampling periods: its limits and its decay.
+
+    z' = A z + L g,    L = (C(n,1) theta, C(n,2) theta^2, ...),    y = x1
+
+Between samples the innovation g is one of three:
+
+    hold        g(t) = y_k - z1(t_k)
+    predictor   g(t) = w - z1,  w' = z2,  w(t_k) = y_k      output predictor; g' = -n theta g, and g = e1 at a sample
+    impulse     g = 0, and z+ = z + T L (y - z1) at a sample
+
+Time is scaled by theta and the states by its powers, so that all depends on theta T alone. Without sampling, all n eigenvalues
+are -theta. At rest, `high-gain` is the predictor with n = 3.
+Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, for the output predictor; the limits are ours, by the map over one period.
+"""
+
+from math import comb
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import expm
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.constant_periods import held_map, jump_map, largest_stable, spectral_radius
+from pcbench.synthesis.error_bounds import rate_of
+
+Form = Literal["hold", "predictor", "impulse"]
+UPPER = 8.0  # theta T up to which a limit is searched
+
+
+def error_map(form: Form, n: int, interval: float) -> Matrix:
+    """Return the map [n, n] of the scaled error over an interval theta T."""
+    A, C = np.eye(n, k=1), np.eye(n)[:1]
+    L = np.array([[comb(n, i + 1)] for i in range(n)], float)
+    if form == "hold":
+        return held_map(A, L, C, interval)
+    if form == "impulse":
+        return jump_map(A, interval * L, C, interval)
+    flow = np.block([[A, -L], [np.zeros((1, n)), np.array([[-float(n)]])]])  # of (e, g)
+    over = expm(flow * interval)
+    return np.asarray(over[:n, :n] + over[:n, n:] @ C)  # as g = e1 at a sample
+
+
+def radius(form: Form, n: int, interval: float) -> float:
+    """Return the spectral radius of the error's map at a constant interval theta T; above 1 errors grow."""
+    return spectral_radius(error_map(form, n, interval))
+
+
+def limit(form: Form, n: int) -> float:
+    """Return the largest constant theta T below which errors decay."""
+    return largest_stable(lambda interval: radius(form, n, interval), UPPER)
+
+
+def decay_rate(form: Form, n: int, interval: float) -> float:
+    """Return the decay rate of the error at a constant interval theta T, in units of theta; 1 without sampling."""
+    return rate_of(radius(form, n, interval), interval)
+
+
+def certificate(theta: float, period: float) -> Certificate:
+    """Return the linear limit of `high-gain` with a gain parameter [1/s] at a sampling period [s], samples without delay.
+
+    There is no proof, as the observer is nonlinear.
+    """
+    numbers = {
+        "theta_Ts": theta * period,
+        "linear_limit": limit("predictor", 3),
+        "radius": radius("predictor", 3, theta * period),
+    }
+    return Certificate(
+        "none: the observer is nonlinear; the numbers are of its linear limit",
+        float("inf"),
+        "none",
+        "not needed",
+        numbers,
+    )
