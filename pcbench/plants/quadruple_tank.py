@@ -61,9 +61,9 @@ def pump_gains(n: Numbers) -> Matrix:
     return np.vstack([direct, crossed])
 
 
-def equilibrium(n: Numbers) -> Matrix:
-    """Return the levels [4] in cm at which nothing moves under `VOLTAGE`."""
-    v1, v2 = VOLTAGE
+def equilibrium(n: Numbers, voltage: Matrix = VOLTAGE) -> Matrix:
+    """Return the levels [4] in cm at which nothing moves under the voltages [2] in V."""
+    v1, v2 = voltage
     flow3, flow4 = (1 - n.gamma2) * n.k2 * v2, (1 - n.gamma1) * n.k1 * v1
     flows = np.array([n.gamma1 * n.k1 * v1 + flow3, n.gamma2 * n.k2 * v2 + flow4, flow3, flow4])  # cm^3/s
     return (flows / np.array([n.a1, n.a2, n.a1, n.a2])) ** 2 / (2 * n.g)
@@ -85,15 +85,24 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     )
 
 
-def nominal(numbers: Numbers) -> Model:
-    """Return the model linearised at the operating point."""
-    n = numbers
-    T = np.sqrt(2 * LEVEL / n.g) * np.array([n.A1 / n.a1, n.A2 / n.a2, n.A1 / n.a1, n.A2 / n.a2])  # s
+def time_constants(n: Numbers, level: Matrix) -> Matrix:
+    """Return the time constants [4] in s of the tanks at levels [4] in cm."""
+    return np.sqrt(2 * level / n.g) * np.array([n.A1 / n.a1, n.A2 / n.a2, n.A1 / n.a1, n.A2 / n.a2])
+
+
+def linearized(n: Numbers, level: Matrix) -> Model:
+    """Return the model linearised at levels [4] in cm."""
+    T = time_constants(n, level)
     A = np.diag(-1 / T)
     A[0, 2], A[1, 3] = 1 / T[2], 1 / T[3]
     C = np.zeros((2, 4))
     C[0, 0] = C[1, 1] = n.kc
     return Model(A, pump_gains(n), C)
+
+
+def nominal(numbers: Numbers) -> Model:
+    """Return the model linearised at the operating point."""
+    return linearized(numbers, LEVEL)
 
 
 def speed(g: Array, level: Array) -> Array:
