@@ -7,7 +7,15 @@ nobody could read in its source is no claim: it is in `unobtained`. To add a cla
 from collections.abc import Callable
 
 from pcbench.papers.claim import FINDING, Claim
-from pcbench.papers.field import batch_reactor, flexible_joint, intermittent, quadruple_tank, two_state, unobtained
+from pcbench.papers.field import (
+    batch_reactor,
+    flexible_joint,
+    growth,
+    intermittent,
+    quadruple_tank,
+    two_state,
+    unobtained,
+)
 from pcbench.runtime import config
 
 EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
@@ -17,7 +25,7 @@ EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
     "quadruple tank": quadruple_tank.rows,
     "flexible joint": flexible_joint.rows,
 }
-RUNS: dict[str, Callable[[], list[Claim]]] = {}  # with simulated runs
+RUNS: dict[str, Callable[[], list[Claim]]] = {"growth model": growth.rows}  # in minutes: simulated runs
 
 
 def claims() -> list[Claim]:

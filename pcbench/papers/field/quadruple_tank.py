@@ -11,12 +11,11 @@ from scipy.linalg import eigvals
 
 from pcbench.dynamics.linear import Model
 from pcbench.papers.claim import MISPRINT, Claim, all_digits, report_finding, rounds_to
-from pcbench.plants.quadruple_tank import Numbers, equilibrium, linearized, time_constants
+from pcbench.plants.quadruple_tank import POINTS, Numbers, linearized, time_constants
 
 SEEN, COMPUTED = "Johansson 2000 [S]", "Johansson 2000 [V]"
 LEVELS = {"P-": (12.4, 12.7, 1.8, 1.4), "P+": (12.6, 13.0, 4.8, 4.9)}  # cm, printed
 CONSTANTS = {"P-": Numbers(), "P+": Numbers(k1=3.14, k2=3.29, gamma1=0.43, gamma2=0.34)}
-VOLTAGES = {"P-": 3.0, "P+": 3.15}
 TIMES = {"P-": ("62", "90", "23", "30"), "P+": ("63", "91", "39", "56")}  # s, printed
 EQUILIBRIA = {"P-": "12.263, 12.783, 1.634, 1.409", "P+": "12.442, 13.167, 4.730, 4.986"}
 ZEROS = {"P-": "-0.0580, -0.0172", "P+": "-0.0562, 0.0128"}
@@ -33,7 +32,7 @@ def rows() -> list[Claim]:
 
 def _rows(point: str) -> Iterator[Claim]:
     n, printed = CONSTANTS[point], np.array(LEVELS[point])
-    exact = equilibrium(n, np.full(2, VOLTAGES[point]))
+    exact = POINTS[point].level
     at_print, at_rest = time_constants(n, printed), time_constants(n, exact)
     for i, text in enumerate(TIMES[point]):
         claim = f"{point}: T{i + 1} at the printed levels [s]"
