@@ -166,12 +166,14 @@ def cite(
 
 
 def reproduce(
-    paper: Annotated[str, argument("Short name of a paper, or all")] = ALL_PAPERS,
-    page: Annotated[Path | None, option("Markdown file for the claims of all papers")] = None,
+    paper: Annotated[
+        str, argument("Short name of a paper, field (standard examples of the field), or all")
+    ] = ALL_PAPERS,
+    page: Annotated[Path | None, option("Markdown file for all claims (with all)")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Compare the claims and printed numbers of papers with pcbench's results: a verdict for each claim.
+    """Compare claims and numbers of papers and of standard examples with pcbench's results: a verdict for each.
 
     Example: pcbench reproduce all --page REPRODUCTION.md
     """
@@ -213,5 +215,5 @@ def reproduce(
 
 
 def _data(paper: str, title: str, rows: "list[Claim]") -> dict[str, object]:
-    keys = ("claim", "printed", "reproduced", "verdict")
+    keys = ("claim", "printed", "reproduced", "verdict", *(["source"] if any(row.source for row in rows) else []))
     return {"paper": paper, "source": title, "claims": [{k: getattr(row, k) for k in keys} for row in rows]}

@@ -1,8 +1,8 @@
-"""Each paper's printed numbers and claims against what comes out here, line by line."""
+"""Each paper's printed numbers and claims against what comes out here, line by line; and those of the field's examples."""
 
 from collections.abc import Callable
 
-from pcbench.papers import arm, cart, chain, helicopter, pi_pco
+from pcbench.papers import arm, cart, chain, field, helicopter, pi_pco
 from pcbench.papers.claim import Claim
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
@@ -23,4 +23,8 @@ PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
         helicopter.claims,
     ),
     "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),
+    "field": (
+        "Standard examples of the field: numbers seen in public sources [S], or computed by an independent program [V]",
+        field.claims,
+    ),
 }

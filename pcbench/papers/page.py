@@ -5,12 +5,13 @@ Nothing in it depends on the day, the machine or how long anything took; where d
 """
 
 from pcbench.papers import PAPERS
-from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
+from pcbench.papers.claim import FINDING, NOT_OBTAINED, VERDICTS, Claim, counts
 
 HEAD = """# Reproduction
 
-This page compares the claims and printed numbers of five papers with what pcbench computes. It is made by
-`pcbench reproduce all --page REPRODUCTION.md`, which computes every number under "what comes out". A test repeats this.
+This page compares the claims and printed numbers of five papers, and of standard examples of the field, with what pcbench
+computes. It is made by `pcbench reproduce all --page REPRODUCTION.md`, which computes every number under "what comes out". A
+test repeats this.
 
 - **reproduced**: the claim or number comes out, as closely as the evidence shows.
 - **misprint**: the printed value does not come out, but another reading does.
@@ -20,6 +21,10 @@ This page compares the claims and printed numbers of five papers with what pcben
 Findings are results of pcbench that no paper contains, so they have no verdict. In the tables, te and Ts are the sampling
 period, d is the delay (in `arm` also the unknown input), and rms is the root mean square. In findings, a number after +- is
 half the width of a 95 % interval.
+
+Under `field`, each number has a mark. [S] means that it was seen in a public source. [V] means that a program computed it that
+shares no code with pcbench. A number that nobody could read in its source is no claim. The last table lists those as not
+obtained.
 """
 
 
@@ -29,18 +34,30 @@ def page(every: dict[str, list[Claim]]) -> str:
 
 
 def _summary(every: dict[str, list[Claim]]) -> list[str]:
-    heads = [*VERDICTS, "findings"]
+    heads = [*VERDICTS, "findings", NOT_OBTAINED]
     rows = [[name, *map(str, counts(rows).values())] for name, rows in every.items()]
     total = counts(row for rows in every.values() for row in rows)
     return [*_table(["paper", *heads], [*rows, ["all", *map(str, total.values())]]), ""]
 
 
 def _paper(name: str, rows: list[Claim]) -> list[str]:
-    said = [[r.claim, r.printed, r.steady or r.reproduced, r.verdict] for r in rows if r.verdict != FINDING]
-    ours = [[r.claim, r.steady or r.reproduced] for r in rows if r.verdict == FINDING]
+    said = [row for row in rows if row.verdict in VERDICTS]
+    heads, keys = ["claim", "printed", "what comes out", "verdict"], ["claim", "printed", "reproduced", "verdict"]
+    if any(row.source for row in said):
+        heads, keys = ["claim", "reference", "source", *heads[2:]], ["claim", "printed", "source", *keys[2:]]
     out = [f"## {name}", "", PAPERS[name][0] + ".", ""]
-    out += [*_table(["claim", "printed", "what comes out", "verdict"], said), ""]
-    return out + (["### Findings", "", *_table(["what", "what comes out"], ours), ""] if ours else [])
+    out += [*_table(heads, _cells(said, keys)), ""]
+    if ours := [row for row in rows if row.verdict == FINDING]:
+        out += ["### Findings", "", *_table(["what", "what comes out"], _cells(ours, ["claim", "reproduced"])), ""]
+    if missing := [row for row in rows if row.verdict == NOT_OBTAINED]:
+        heads, keys = ["source", "not obtained", "instead"], ["source", "claim", "reproduced"]
+        out += ["### Not obtained", "", *_table(heads, _cells(missing, keys)), ""]
+    return out
+
+
+def _cells(rows: list[Claim], keys: list[str]) -> list[list[str]]:
+    steady = [row._replace(reproduced=row.steady or row.reproduced) for row in rows]
+    return [[getattr(row, key) for key in keys] for row in steady]
 
 
 def _table(heads: list[str], rows: list[list[str]]) -> list[str]:

@@ -21,9 +21,17 @@ QUESTIONS = {  # that each study answers
     "equal-tuning-reactor": "Do tuned filters match an estimator with bounds?",
     "period-delay-map": "Which sampling period and delay keep the error small?",
     "growth-model": "How much better is a particle filter than an EKF on the growth model?",
+    "ncs-two-state": "Up to which sampling period does held state feedback from estimates settle?",
+    "ncs-reactor": "How long an interval between transmissions does the loop of the batch reactor bear?",
+    "intermittent": "How does the error grow as loss approaches the critical rate?",
+    "quadruple-tank": "How much does a delayed level cost at each operating point?",
+    "flexible-joint": "Up to which sampling period do filters follow the flexible joint?",
+    "outage": "How far does an unstable plant's error grow during an outage?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }
+PERIODS = (0.5, 1.0, 1.5, 1.7, 1.8)  # s: the loop of `ncs-two-state` is stable below 1.72941
+INTERVALS = (0.01, 0.05, 0.1, 0.2)  # s between two transmissions of `ncs-reactor`
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
     "as-assumed": {},
@@ -51,6 +59,19 @@ def _mismatch_scenario(name: str) -> ScenarioTable:
     }
     usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": told}
     return ScenarioTable.model_validate(usual | BELIEFS[name])
+
+
+def _held(period: float) -> ScenarioTable:
+    """Return a scenario of `ncs-two-state`: samples and commands have one period [s]."""
+    control = {**SCENARIOS["ncs-two-state/held"].loop.control, "period": period}
+    table = {"base": "ncs-two-state/held", "sampling_period": period, "control": control}
+    return ScenarioTable.model_validate(table)
+
+
+def _in_turn(interval: float) -> ScenarioTable:
+    """Return a scenario of `ncs-reactor`: the outputs take turns, one every `interval` [s]."""
+    table = {"base": "ncs-reactor/round-robin", "sampling_period": 2 * interval, "sampling_phase": [0.0, interval]}
+    return ScenarioTable.model_validate(table)
 
 
 STUDIES = {
@@ -183,6 +204,52 @@ STUDIES = {
         tables={"gordon": ScenarioTable.model_validate({"base": "growth-model/gordon", "prior_std": [sqrt(5.0)]})},
         seeds=400,
         options={"scenario": {"random_initial_state": True, "consistency": True}},
+    ),
+    "ncs-two-state": Study(
+        name="ncs-two-state",
+        scenarios=[f"period-{period:g}" for period in PERIODS],
+        tables={f"period-{period:g}": _held(period) for period in PERIODS},
+        observers=["kf"],
+        seeds=256,
+    ),
+    "ncs-reactor": Study(
+        name="ncs-reactor",
+        scenarios=[f"interval-{interval:g}" for interval in INTERVALS],
+        tables={f"interval-{interval:g}": _in_turn(interval) for interval in INTERVALS},
+        seeds=64,
+    ),
+    "intermittent": Study(  # critical: 0.64
+        name="intermittent",
+        scenarios=["intermittent/scalar"],
+        seeds=1024,
+        axes={"loss": [0.0, 0.2, 0.4, 0.5, 0.6, 0.63]},
+        options={"scenario": {"random_initial_state": True}},
+    ),
+    "quadruple-tank": Study(
+        name="quadruple-tank",
+        scenarios=["quadruple-tank/delayed", "quadruple-tank/non-minimum-phase"],
+        seeds=256,
+        axes={"delay": [[0.0, 0.0], [0.0, 30.0], [0.0, 60.0], [0.0, 120.0]]},
+        options={"scenario": {"random_initial_state": True}},
+    ),
+    "flexible-joint": Study(
+        name="flexible-joint",
+        scenarios=["flexible-joint/sampled"],
+        seeds=256,
+        axes={"sampling_period": [0.05, 0.1, 0.2, 0.4]},
+        options={"scenario": {"random_initial_state": True}},
+    ),
+    "outage": Study(  # the error grows by a factor of 1.25 per step
+        name="outage",
+        scenarios=["interrupted"],
+        tables={
+            "interrupted": ScenarioTable.model_validate(
+                {"base": "intermittent/scalar", "loss": 0.0, "duration": 40.0, "steady_start": 20.0}
+            )
+        },
+        seeds=1024,
+        axes={"outage_start": [25.0], "outage_duration": [0.0, 3.0, 6.0, 9.0]},
+        options={"scenario": {"random_initial_state": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(

@@ -8,7 +8,7 @@ import pytest
 from commands import call
 
 from pcbench.papers import PAPERS, arm, cart, chain, pi_pco
-from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
+from pcbench.papers.claim import FINDING, NOT_OBTAINED, VERDICTS, Claim, counts, digits, rounds_to, statement
 from pcbench.papers.page import _cell, page
 from pcbench.runtime import config
 
@@ -20,12 +20,14 @@ def cells(line):
 
 
 def parts(text):
-    """The rows of claims and of findings by paper."""
+    """The rows of claims, of findings, and of what was not obtained, by paper."""
     out = {}
     for part in text.split("\n## ")[1:]:
         name, body = part.split("\n", 1)
-        claims, _, ours = body.partition("### Findings")
-        out[name] = [[cells(li) for li in each.splitlines() if li.startswith("| ")][2:] for each in (claims, ours)]
+        rest, _, missing = body.partition("### Not obtained")
+        claims, _, ours = rest.partition("### Findings")
+        tables = (claims, ours, missing)
+        out[name] = [[cells(li) for li in each.splitlines() if li.startswith("| ")][2:] for each in tables]
     return out
 
 
@@ -36,10 +38,10 @@ def summary(text):
 
 def consistent(text):
     """The counts of a page's summary are those of its rows."""
-    said, total = summary(text), [0] * (len(VERDICTS) + 1)
-    for name, (claims, ours) in parts(text).items():
-        many = [sum(row[-1] == v for row in claims) for v in VERDICTS] + [len(ours)]
-        assert sum(many[:-1]) == len(claims), f"{name} has a verdict of no vocabulary"
+    said, total = summary(text), [0] * (len(VERDICTS) + 2)
+    for name, (claims, ours, missing) in parts(text).items():
+        many = [sum(row[-1] == v for row in claims) for v in VERDICTS] + [len(ours), len(missing)]
+        assert sum(many[:-2]) == len(claims), f"{name} has a verdict of no vocabulary"
         assert said[name] == many, name
         total = [a + b for a, b in zip(total, many, strict=True)]
     assert said["all"] == total
@@ -77,11 +79,13 @@ def test_a_page_counts_and_escapes_what_it_is_given():
         statement("|e| < 1", "zero", "a|b * c", True),
         Claim("two", "2", "3", "misprint"),
         Claim("ours", "", "loose 1.2345", FINDING, "steady"),
+        Claim("gain", "", "nothing", NOT_OBTAINED, source="Smith 1970"),
     ]
     text = page({"cart": rows, "arm": rows[1:]})
     consistent(text)
-    assert summary(text) == {"cart": [1, 1, 0, 0, 1], "arm": [0, 1, 0, 0, 1], "all": [1, 2, 0, 0, 2]}
+    assert summary(text) == {"cart": [1, 1, 0, 0, 1, 1], "arm": [0, 1, 0, 0, 1, 1], "all": [1, 2, 0, 0, 2, 2]}
     assert "1.2345" not in text
+    assert parts(text)["arm"][2] == [["Smith 1970", "gain", "nothing"]]
     assert parts(text)["cart"][0][0] == ["\\|e\\| \\< 1", "zero", "a\\|b \\* c", "reproduced"]
     broken = text.replace("| 2 | 3 | misprint |", "| 2 | 3 | reproduced |", 1)
     with pytest.raises(AssertionError):
@@ -113,4 +117,4 @@ def test_the_page_is_what_comes_out(tmp_path):
     assert [p["paper"] for p in said["papers"]] == list(PAPERS)
     whole = [Claim(**row) for p in said["papers"] for row in p["claims"]]
     assert said["verdicts"] == counts(whole)
-    assert {row.verdict for row in whole} == {*VERDICTS, FINDING}
+    assert {row.verdict for row in whole} == {*VERDICTS, FINDING, NOT_OBTAINED}

@@ -22,6 +22,12 @@ PROGRAMS = {
     "equal-tuning-reactor": 2,
     "all": 20,
     "growth-model": 2,
+    "ncs-two-state": 1,
+    "ncs-reactor": 1,
+    "intermittent": 1,
+    "quadruple-tank": 1,
+    "flexible-joint": 1,
+    "outage": 1,
     "variable-sampling": 2,
 }
 

@@ -6,28 +6,29 @@ from reference import threefry
 
 import pcbench
 
-STEPS, SEED = 50, 7
-Q, R, P0 = 10.0, 1.0, 2.0
+SEED = 7
+Q, R = 10.0, 1.0
+VARIANTS = {"gordon": (0.1, 2.0, 0, 50), "arulampalam": (0.0, 10.0, 1, 100)}  # x(0), P(0), phase, steps
 
 
 def moved(x, k):
     return x / 2 + 25 * x / (1 + x**2) + 8 * np.cos(1.2 * k)
 
 
-def run():
-    """The states of steps 0 .. 50 and the measurements of steps 1 .. 50, with the draws of the run."""
-    x = [0.1]
-    for k in range(STEPS):
-        x.append(moved(x[-1], k) + np.sqrt(Q) * threefry.normal(0, SEED, "process", 0, k))
-    v = [threefry.normal(0, SEED, "measurement", 0, i) for i in range(STEPS)]
+def run(x0, phase, steps):
+    """The states of all steps and the measurements from step 1 on, with the draws of the run."""
+    x = [x0]
+    for k in range(steps):
+        x.append(moved(x[-1], k + phase) + np.sqrt(Q) * threefry.normal(0, SEED, "process", 0, k))
+    v = [threefry.normal(0, SEED, "measurement", 0, i) for i in range(steps)]
     return np.array(x), np.array(x[1:]) ** 2 / 20 + v
 
 
-def extended(y):
-    m, P, out = 0.0, P0, [0.0]
-    for k in range(STEPS):
+def extended(y, P, phase):
+    m, out = 0.0, [0.0]
+    for k in range(len(y)):
         slope = 0.5 + 25 * (1 - m**2) / (1 + m**2) ** 2
-        m, P = moved(m, k), slope**2 * P + Q
+        m, P = moved(m, k + phase), slope**2 * P + Q
         H = m / 10
         S = H * P * H + R
         m, P = m + P * H / S * (y[k] - m**2 / 20), P - (P * H) ** 2 / S
@@ -35,15 +36,15 @@ def extended(y):
     return np.array(out)
 
 
-def unscented(y):
+def unscented(y, P, phase):
     """Points m and m +- sqrt(3 P), weights 2/3 and 1/6."""
-    w, m, P, out = np.array([2 / 3, 1 / 6, 1 / 6]), 0.0, P0, [0.0]
+    w, m, out = np.array([2 / 3, 1 / 6, 1 / 6]), 0.0, [0.0]
 
     def points(m, P):
         return m + np.sqrt(3 * P) * np.array([0.0, 1.0, -1.0])
 
-    for k in range(STEPS):
-        z = moved(points(m, P), k)
+    for k in range(len(y)):
+        z = moved(points(m, P), k + phase)
         m = w @ z
         P = w @ (z - m) ** 2 + Q
         z = points(m, P)
@@ -55,11 +56,14 @@ def unscented(y):
 
 
 @pytest.mark.ci
-def test_run_and_its_filters_are_the_references():
-    frame = pcbench.simulate("growth-model/gordon", ["ekf", "ukf"], seed=SEED)
-    x, y = run()
-    for name, want in (("x", x), ("ekf.x", extended(y)), ("ukf.x", unscented(y))):
-        np.testing.assert_allclose(frame[name].to_numpy()[: STEPS + 1], want, rtol=0, atol=1e-10 * np.abs(want).max())
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_run_and_its_filters_are_the_references(variant):
+    x0, P0, phase, steps = VARIANTS[variant]
+    frame = pcbench.simulate(f"growth-model/{variant}", ["ekf", "ukf"], seed=SEED)
+    assert len(frame) == steps + 2
+    x, y = run(x0, phase, steps)
+    for name, want in (("x", x), ("ekf.x", extended(y, P0, phase)), ("ukf.x", unscented(y, P0, phase))):
+        np.testing.assert_allclose(frame[name].to_numpy()[: steps + 1], want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
 def test_another_tick_is_refused():

@@ -8,12 +8,12 @@ from pcbench.cli.render.tables import Column, Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.validate_exact import KEY, ExactValidation
 from pcbench.dataset.verify import Status, Verdict
-from pcbench.papers.claim import FINDING, VERDICTS, Claim, counts
+from pcbench.papers.claim import FINDING, NOT_OBTAINED, VERDICTS, Claim, counts
 from pcbench.statistics.number_format import mark_uncertified
 
 MOST = 8  # lines of a kind
 LONGEST = 40  # rows of a comparison; the rest is counted
-STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
+STYLES = dict(zip((*VERDICTS, FINDING, NOT_OBTAINED), ("green", "yellow", "red", "dim", "white", "dim"), strict=True))
 
 
 def status(found: Status, folder: str, screen: Screen) -> None:
@@ -125,9 +125,10 @@ def _changes(rows: pd.DataFrame, title: str, screen: Screen) -> None:
 
 def claims(title: str, rows: list[Claim], screen: Screen) -> None:
     """Print the claims of a paper with printed and reproduced numbers."""
-    columns = [
-        Column(name, [getattr(row, name) for row in rows], prose=True) for name in ("claim", "printed", "reproduced")
-    ]
+    names = {"claim": "claim", "printed": "printed", "reproduced": "reproduced"}
+    if any(row.source for row in rows):
+        names = {"claim": "claim", "reference": "printed", "source": "source", "reproduced": "reproduced"}
+    columns = [Column(name, [getattr(row, key) for row in rows], prose=True) for name, key in names.items()]
     verdicts = [Text(row.verdict, STYLES[row.verdict]) for row in rows]
     screen.fit(title, [*columns, Column("verdict", verdicts, left=True)])
     screen.print(summary(rows))
@@ -138,11 +139,12 @@ def every(found: dict[str, list[Claim]], titles: dict[str, str], screen: Screen)
     for name, rows in found.items():
         claims(titles[name], rows, screen)
     total = summary([row for rows in found.values() for row in rows])
-    screen.print(f"All {len(found)} papers: {total}", style="bold")
+    screen.print(f"All together: {total}", style="bold")
 
 
 def summary(rows: list[Claim]) -> str:
     """Return how many of each verdict, in a sentence."""
     many = counts(rows)
     each = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
-    return f"{sum(many[name] for name in VERDICTS)} claims: {each}; {many[FINDING]} findings that are in no paper."
+    text = f"{sum(many[name] for name in VERDICTS)} claims: {each}; {many[FINDING]} findings that are in no paper."
+    return text + (f" {many[NOT_OBTAINED]} sources or numbers were not obtained." if many[NOT_OBTAINED] else "")

@@ -1,0 +1,43 @@
+"""Standard examples of the field: numbers that a reader can check, each with its source and a mark.
+
+[V]: the number was computed by a program that shares no code with pcbench. [S]: it was seen in a public source. A number that
+nobody could read in its source is no claim: it is in `unobtained`. To add a claim, add one line to the `rows` of its example.
+"""
+
+from collections.abc import Callable
+
+from pcbench.papers.claim import FINDING, Claim
+from pcbench.papers.field import (
+    batch_reactor,
+    flexible_joint,
+    growth,
+    intermittent,
+    quadruple_tank,
+    two_state,
+    unobtained,
+)
+from pcbench.runtime import config
+
+EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
+    "batch reactor": batch_reactor.rows,
+    "intermittent observations": intermittent.rows,
+    "two-state plant": two_state.rows,
+    "quadruple tank": quadruple_tank.rows,
+    "flexible joint": flexible_joint.rows,
+}
+RUNS: dict[str, Callable[[], list[Claim]]] = {"growth model": growth.rows}  # in minutes: simulated runs
+
+
+def claims() -> list[Claim]:
+    """Return reference against reproduced, for `pcbench reproduce field`."""
+    with config.float64():
+        return [*of(EXAMPLES), *of(RUNS), *unobtained.rows()]
+
+
+def of(examples: dict[str, Callable[[], list[Claim]]]) -> list[Claim]:
+    """Return the claims of some examples, each with the name of its example."""
+    return [
+        row if row.verdict == FINDING else row._replace(claim=f"{name}: {row.claim}")
+        for name, rows in examples.items()
+        for row in rows()
+    ]
