@@ -1,8 +1,12 @@
 """One self-contained page from a study's folder: winners, experiments, tables, figures, and how to repeat the study.
 
-It loads no other file, and its figures are SVG in the page: it opens offline, prints, and needs no script.
+It loads no other file, and its figures are SVG in the page: it opens offline, prints, and needs no script. A script adds one
+figure in which you choose what is shown. A content security policy in the page forbids every request and every other script.
 """
 
+import base64
+import hashlib
+from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +20,7 @@ from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.plots import frames
 from pcbench.plots.labels import inline, title_of_scenario
-from pcbench.report import captions, figures, headline, summary
+from pcbench.report import captions, explorer, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
 from pcbench.report.figures import SHOWN, FigureOptions
@@ -31,6 +35,9 @@ WORDS = {
     "grid point": "one combination of the values of a study's axes",
 }
 HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
+POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
+)
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
@@ -124,14 +131,18 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         study=tomli_w.dumps(as_dict(result.study)).strip(),
         provenance=_provenance(result),
         meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
+        numbers=explorer.numbers(result, shown.metric),
     )
 
 
 def render(template: str, **words: object) -> str:
-    """Return a template of this folder as HTML, with all words escaped."""
+    """Return a template of this folder as HTML, with all words escaped, and with this folder's style and script."""
+    style, script = ((resources.files("pcbench.report") / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = Markup(POLICY.format(digest))
     loader = jinja2.PackageLoader("pcbench", "report")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, finalize=_escape)
-    return environment.get_template(template).render(**words)
+    return environment.get_template(template).render(style=Markup(style), script=Markup(script), policy=policy, **words)
 
 
 def _section(place: figures.Place, anchor: str) -> Section:

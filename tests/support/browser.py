@@ -6,10 +6,14 @@ import re
 import shutil
 import subprocess
 import zlib
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
 
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )
+POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')  # which forbids what a test adds to a page
 TOKEN = re.compile(r"\((?:\\.|[^\\)])*\)|<[^>]*>|[^\s\[\]()<>]+")  # of a PDF's page: a string, a number, an operator
 NEAR = 1.5  # pixels by which boxes of text may touch: they have room above and below their letters
 PROBE = """
@@ -19,10 +23,11 @@ const apart = (a, b) => beside(a, b) || a.bottom <= b.top + NEAR || b.bottom <= 
 const within = (a, b) => a.left >= b.left - NEAR && a.right <= b.right + NEAR;
 const inside = (a, b) => within(a, b) && a.top >= b.top - NEAR && a.bottom <= b.bottom + NEAR;
 const shown = box => box.width > 0.5 && box.height > 0.5;
+const drawn = () => [...document.querySelectorAll("svg:not(.key)")].filter(svg => svg.getClientRects().length);
 const words = leaf => leaf.textContent.trim().slice(0, 50);
 
 function pictures(out) {
-  for (const svg of document.querySelectorAll("svg")) {
+  for (const svg of drawn()) {
     const frame = svg.getBoundingClientRect(), before = [];
     for (const text of svg.querySelectorAll("text")) {
       const full = text.getBoundingClientRect(), cut = full.height * 0.18;  // letters are lower than their line
@@ -33,7 +38,7 @@ function pictures(out) {
       before.push([box, text.textContent.trim()]);
     }
     if (!shown(frame) || !before.length) out.push("an empty picture");
-    const label = svg.closest("[role=img]")?.getAttribute("aria-label") ?? "";
+    const label = svg.closest("[aria-label]")?.getAttribute("aria-label") ?? "";
     if (label.length < 20) out.push("a picture without words");
     if (!before.some(([, said]) => /\\[.+\\]/.test(said))) out.push("a picture without a unit: " + label.slice(0, 50));
   }
@@ -64,7 +69,7 @@ function told() {
     if (PAPER || wide >= 1000) out.push("cut off at desktop width or on paper: " + words(box));
     else if (getComputedStyle(box.nextElementSibling).display == "none") out.push("scrolls and does not say so");
   }
-  return {pictures: document.querySelectorAll("svg").length, wide: wide, complaints: out};
+  return {pictures: drawn().length, wide: wide, complaints: out};
 }
 addEventListener("load", () => setTimeout(() => parent.postMessage(JSON.stringify(told()), "*"), 300));
 </script>
@@ -73,7 +78,8 @@ addEventListener("load", () => setTimeout(() => parent.postMessage(JSON.stringif
 
 def looked_at(page, folder, width, paper=False):
     """What is wrong with a page `width` pixels wide, or as it is printed: how many pictures, complaints, console messages."""
-    text = page.read_text().replace("@media print", "@media all") if paper else page.read_text()
+    text = POLICY.sub("", page.read_text())
+    text = text.replace("@media print", "@media all") if paper else text
     inner, outer = folder / f"inner-{width}.html", folder / f"outer-{width}.html"
     inner.write_text(text.replace("</body>", PROBE.replace("PAPER", "true" if paper else "false") + "</body>"))
     outer.write_text(
@@ -91,6 +97,14 @@ def looked_at(page, folder, width, paper=False):
     told = json.loads(html.unescape(found.group(1)))
     told["console"] = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     return told
+
+
+def devtools(profile):
+    """A browser that is controlled by its DevTools protocol: that of `.ci/search`."""
+    loader = SourceFileLoader("search", str(Path(__file__).parents[2] / ".ci" / "search"))
+    search = module_from_spec(spec_from_loader("search", loader))
+    loader.exec_module(search)
+    return search.Browser(str(profile))
 
 
 def print_page(page, folder):
@@ -136,7 +150,6 @@ def _text_sizes(text):
 if __name__ == "__main__":  # python tests/support/browser.py report.html
     import sys
     import tempfile
-    from pathlib import Path
 
     for name in sys.argv[1:]:
         for width, paper in ((390, False), (1024, False), (1400, False), (718, True)):

@@ -1,0 +1,231 @@
+"""The numbers of the interactive figure of a report: `page.js` draws them, from JSON in the page.
+
+They are means and intervals of the table `stats`, and comparisons with the best observer of a grid point from `pairs`. The
+ratio of two means a / b has Student's interval of its logarithm. It is that of `statistics.comparison.paired_ratio`, without
+the runs: over the same n runs, with standard errors sa and sb of the means a and b, and sd of their difference,
+
+    se(log (a / b))^2 = sa^2 / a^2 + sb^2 / b^2 - (sa^2 + sb^2 - sd^2) / (a b).
+
+If a run of one of the two diverged, the ratio has no interval. Numbers have five digits, and missing ones are null.
+"""
+
+import json
+from collections.abc import Iterable
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from pcbench.dataset.columns import MEANING, axes_of
+from pcbench.dataset.result import Result
+from pcbench.errors import printable
+from pcbench.plots import frames, layout
+from pcbench.plots.labels import describe_metric, title_of_scenario
+from pcbench.plots.palette import Style, styles
+from pcbench.statistics import COMPARED, OF_RUN, POOLED, Row, ranking
+from pcbench.statistics.consistency import BANDS, INSIDE
+from pcbench.statistics.distributions import student_quantile
+from pcbench.statistics.number_format import ROUNDING
+
+DIGITS = 5
+PAIR = ("observer_a", "observer_b", "n", "se", "p_holm", "prob_a_better", "mean_diff")
+HIDDEN = ("mse", "steady_mse", "nees_dof", "nis_dof", *BANDS.values())  # squares of others, and no results of their own
+EXPECTED = {
+    "rms_efficiency": 1.0,
+    **dict.fromkeys(BANDS, 1.0),
+    **dict(zip(INSIDE, (0.683, 0.954, 0.997), strict=True)),  # of Gaussian errors
+}
+WORDS = {
+    "nees": "NEES: squared error divided by the covariance",
+    "nis": "NIS: squared innovation divided by its covariance",
+    "signal_nees": "squared error of {} divided by its variance",
+    "rms_efficiency": "Kalman bound divided by the rms error of {}",
+    "divergence_rate": "fraction of runs that diverged",
+    "unsettled_rate": "fraction of runs in which {} is not settled",
+    **{name: f"fraction of errors of {{}} within {k} sigma" for k, name in enumerate(INSIDE, 1)},
+}
+Numbers = NDArray[np.float64]
+Table = dict[str, Any]
+
+
+class Grid(NamedTuple):
+    """The observers and the grid points of a scenario: the order of all its numbers, observer by observer."""
+
+    observers: list[str]
+    cells: list[int]
+
+
+class Rows(NamedTuple):
+    """The rows of stats of one signal and metric."""
+
+    columns: dict[str, NDArray[Any]]
+    place: tuple[NDArray[np.int64], NDArray[np.int64]]  # of each row: its observer, its grid point
+    shape: tuple[int, int]
+
+    def values(self, column: str) -> Numbers:
+        """Return a column as an array [observers, cells]; NaN where there is no row."""
+        out = np.full(self.shape, np.nan)
+        out[self.place] = self.columns[column]
+        return out
+
+    @property
+    def exact(self) -> bool:
+        """Whether some numbers are exact."""
+        return bool((self.columns["method"] == "exact").any())
+
+
+def numbers(result: Result, metric: str) -> Markup:
+    """Return the numbers of a result as JSON for a page, with the metric that is shown first."""
+    names = list(dict.fromkeys(result.stats.observer))
+    shown = [m for m in dict.fromkeys(result.stats.metric) if m not in HIDDEN]
+    table = {
+        "metric": metric,
+        "alone": result.study.vary == "one-at-a-time",
+        "observers": [_look(name, style) for name, style in styles(names).items()],
+        "metrics": {name: _metric(name) for name in shown},
+        "scenarios": [_scenario(result, name, names) for name in result.scenarios],
+    }
+    text = json.dumps(table, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))
+
+
+def _look(name: str, style: Style) -> Table:
+    return {"name": printable(name), "colour": style.colour, "dash": style.dash, "marker": style.marker}
+
+
+def _metric(name: str) -> Table:
+    ranked = POOLED.get(name, name) in COMPARED
+    title = WORDS.get(name) or describe_metric(name, "{}").removesuffix(" of {}" if name in OF_RUN else "")
+    return {"title": title, "means": MEANING.get(name, ""), "ranked": ranked, "expected": EXPECTED.get(name)}
+
+
+def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
+    signals = result.signals(scenario)
+    stats = pd.concat([result.stats_of(scenario, signal) for signal in signals])
+    grid = Grid(list(dict.fromkeys(stats.observer)), sorted(set(stats.cell)))
+    points = stats.drop_duplicates("cell").sort_values("cell").reset_index(drop=True)
+    points = points.assign(**{name: [frames.plain(v) for v in points[name]] for name in axes_of(points.columns)})
+    units = frames.units(result, points)
+    axes, places = [], []
+    for name in frames.varying(points):
+        values = list(dict.fromkeys(map(layout.word, points[name])))
+        places.append([values.index(layout.word(v)) for v in points[name]])
+        axes.append(_axis(name, values, points[name], units))
+    lost = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
+    return {
+        "title": printable(title_of_scenario(result, scenario)),
+        "observers": [names.index(name) for name in grid.observers],
+        "axes": axes,
+        "cells": list(zip(*places, strict=True)) if places else [()],
+        "lost": _plain(lost) if (lost > 0).any() else None,
+        "signals": [_signal(result, scenario, signal, grid) for signal in signals],
+    }
+
+
+def _rows(stats: pd.DataFrame, grid: Grid) -> Rows:
+    place = tuple(
+        pd.Index(names).get_indexer(stats[name]) for name, names in (("observer", grid.observers), ("cell", grid.cells))
+    )
+    kept = ("mean", "se", "ci_low", "ci_high", "n", "diverged", "method", "unit")
+    return Rows({name: stats[name].to_numpy() for name in kept}, place, (len(grid.observers), len(grid.cells)))
+
+
+def _axis(name: str, words: list[str], column: pd.Series, units: dict[str, str]) -> Table:
+    found = list(dict.fromkeys(column)) if len(words) == column.nunique(dropna=False) else words
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in found)
+    return {
+        "name": name,
+        "label": printable(frames.label(name, units)),
+        "words": list(map(printable, words)),
+        "values": found if numeric else None,
+        "log": bool(numeric and layout.is_wide(found)),
+    }
+
+
+def _signal(result: Result, scenario: str, signal: str, grid: Grid) -> Table:
+    stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
+    by_metric = {str(name): _rows(rows, grid) for name, rows in stats.groupby("metric", sort=False)}
+    met: dict[str, dict[int, list[Row]]] = {}
+    for row in cast(list[Row], pairs[["metric", "cell", *PAIR]].to_dict("records")):
+        met.setdefault(row["metric"], {}).setdefault(row["cell"], []).append(row)
+    series = {}
+    for name, rows in by_metric.items():
+        if name in HIDDEN or np.isnan(rows.columns["mean"].astype(float)).all():
+            continue
+        series[name] = _series(rows)
+        if POOLED.get(name, name) in COMPARED and (rows.exact or name not in POOLED) and len(grid.observers) > 1:
+            series[name] |= _comparison(rows, met.get(name, {}), grid)
+        if band := by_metric.get(BANDS.get(name, "")):
+            series[name] |= {"band_low": _plain(band.values("ci_low")), "band_high": _plain(band.values("ci_high"))}
+    unit = str(by_metric["mae"].columns["unit"][0]) if "mae" in by_metric else str(stats.unit.iloc[0])
+    return {"name": printable(signal.replace("_", " ")), "unit": printable(unit), "series": series}
+
+
+def _series(rows: Rows) -> Table:
+    mean, low, high, runs = (rows.values(column) for column in ("mean", "ci_low", "ci_high", "n"))
+    out = {"unit": printable(str(rows.columns["unit"][0])), "mean": _plain(_rounded(mean))}
+    if (high > low).any():
+        out |= {"low": _plain(low), "high": _plain(high)}
+    same = len(np.unique(runs[np.isfinite(runs)])) == 1
+    return out | {"n": int(np.nanmax(runs)) if same else _plain(runs)}
+
+
+def _rounded(mean: Numbers) -> Numbers:
+    return np.where(np.abs(mean) < ROUNDING, 0.0, mean)
+
+
+def _comparison(rows: Rows, met: dict[int, list[Row]], grid: Grid) -> Table:
+    """Return the best observer of each grid point, and each other's verdict, p-value and interval of its ratio to the best.
+
+    A verdict is 0: not significantly worse, 1: worse, 2: diverges significantly more often, or 3: not compared.
+    """
+    best, (verdict, p, apart) = np.full(len(grid.cells), -1), np.full((3, *rows.shape), np.nan)
+    mean, n, lost = _rounded(rows.values("mean")), rows.values("n"), rows.values("diverged")
+    for j, cell in enumerate(grid.cells):
+        present = [i for i in range(len(grid.observers)) if np.isfinite(n[i, j])]
+        each = {
+            grid.observers[i]: {"observer": grid.observers[i], "mean": mean[i, j], "n": n[i, j], "diverged": lost[i, j]}
+            for i in present
+        }
+        pairs = met.get(cell, [])
+        standing = ranking.stood(list(each.values()), pairs)
+        first = standing.order[0]
+        if not np.isfinite(each[first]["mean"]):
+            continue
+        best[j] = grid.observers.index(first)
+        for i in present:
+            name = grid.observers[i]
+            more = ranking.diverges_more(each[first], each[name])
+            equal = name in (first, *standing.alike)
+            verdict[i, j] = 2 if more else 1 if not equal else 0 if standing.leaders else 3
+        for row in pairs:
+            if first in (row["observer_a"], row["observer_b"]):
+                i = grid.observers.index(row["observer_b" if row["observer_a"] == first else "observer_a"])
+                p[i, j], apart[i, j] = row["p_holm"], row["se"]
+    half = _half_width(rows, best, apart)
+    out = {"best": best.tolist(), "verdict": _plain(verdict), "p": _plain(p, 2)}
+    return out | ({"half": _plain(half, 4)} if np.isfinite(half).any() else {})
+
+
+def _half_width(rows: Rows, best: NDArray[np.int64], apart: Numbers) -> Numbers:
+    """Return half the interval of the logarithm of each observer's ratio to the best, [observers, cells]; NaN: none."""
+    mean, se, n, high, lost = (rows.values(name) for name in ("mean", "se", "n", "ci_high", "diverged"))
+    mean_b, se_b, n_b, high_b, lost_b = (v[best, np.arange(len(best))] for v in (mean, se, n, high, lost))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if rows.exact:  # the ratio of two exact numbers has no interval, and those of others are independent
+            half = np.hypot(*(np.nan_to_num(np.log(h / m)) for h, m in ((high, mean), (high_b, mean_b))))
+            return np.where((best >= 0) & (half > 0) & np.isfinite(mean), half, np.nan)
+        covariance = (se**2 + se_b**2 - apart**2) / 2
+        variance = (se / mean) ** 2 + (se_b / mean_b) ** 2 - 2 * covariance / (mean * mean_b)
+        common = (best >= 0) & (n == n_b) & (lost == 0) & (lost_b == 0) & (n > 1) & (mean > 0) & (mean_b > 0)
+        t = [[student_quantile(int(runs) - 1, 0.975) if runs > 1 else np.nan for runs in row] for row in n]
+        return np.where(common, np.array(t) * np.sqrt(np.maximum(variance, 0.0)), np.nan)
+
+
+def _plain(values: Numbers | Iterable[float], digits: int = DIGITS) -> list[float | int | None]:
+    """Return numbers, observer by observer, with few digits; None for one that is not finite."""
+    flat = np.asarray(values, float).ravel()
+    short = (float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in flat)
+    return [int(v) if v is not None and v == int(v) and abs(v) < 1e9 else v for v in short]

@@ -1,0 +1,278 @@
+"""The interactive figure shows the numbers of the tables, keeps its choices in the address, and requests nothing."""
+
+import http.server
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, POLICY, devtools, print_page
+from scipy.stats import t as student
+
+import pcbench
+from pcbench.plots import frames
+from pcbench.report import explorer, page
+
+pytestmark = [pytest.mark.ci, pytest.mark.usefixtures("in_a_hurry")]
+STUDY = {
+    "name": "explored",
+    "scenarios": ["cart/gaussian"],
+    "observers": ["kf", "kf-ignore-delay", "model-only"],
+    "seeds": 8,
+    "axes": {"delay": [0.1, 0.4], "noise_std": [0.1, 0.5], "process_std": [[0.02, 0.0]]},
+    "options": {"scenario": {"random_initial_state": True, "consistency": True}},
+}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    return pcbench.run(STUDY, out=tmp_path_factory.mktemp("explored") / "run")
+
+
+@pytest.fixture(scope="module")
+def report(result, tmp_path_factory):
+    file = tmp_path_factory.mktemp("page") / "report.html"
+    page.write(result.out, file)
+    return file
+
+
+def number_of(result):
+    return json.loads(explorer.numbers(result, "steady_rmse").replace("\\u003c", "<"))
+
+
+def test_numbers_of_figure_are_those_of_tables(result):
+    """Five digits are kept: their rounding is at most 5e-5 of a number."""
+    (scenario,) = number_of(result)["scenarios"]
+    names = [STUDY["observers"][i] for i in scenario["observers"]]
+    assert [axis["name"] for axis in scenario["axes"]] == ["delay", "noise_std"]
+    assert len(scenario["cells"]) == 4
+    for each in scenario["signals"]:
+        for metric, series in each["series"].items():
+            rows = result.stats_of("cart/gaussian", each["name"])
+            rows = rows[rows.metric == metric].set_index(["observer", "cell"])
+            for i, name in enumerate(names):
+                for cell in range(4):
+                    if (name, cell) not in rows.index or np.isnan(rows["mean"][name, cell]):
+                        assert series["mean"][4 * i + cell] is None
+                        continue
+                    row = rows.loc[(name, cell)]
+                    for key, column in (("mean", "mean"), ("low", "ci_low"), ("high", "ci_high")):
+                        if key in series and np.isfinite(row[column]):
+                            assert series[key][4 * i + cell] == pytest.approx(row[column], rel=5e-5, abs=1e-11)
+                    a, b = scenario["cells"][cell]
+                    assert (row.delay, row.noise_std) == tuple(
+                        axis["values"][k] for axis, k in zip(scenario["axes"], (a, b), strict=True)
+                    )
+
+
+def test_best_and_verdicts_are_those_of_standings(result):
+    (scenario,) = number_of(result)["scenarios"]
+    names = [STUDY["observers"][i] for i in scenario["observers"]]
+    verdicts = set()
+    for signal in scenario["signals"]:
+        for metric, series in signal["series"].items():
+            if "best" not in series:
+                continue
+            for row in frames.standings(result, "cart/gaussian", signal["name"], metric).to_dict("records"):
+                assert names[series["best"][row["cell"]]] == row["best"]
+                for i, name in enumerate(names):
+                    verdict = series["verdict"][4 * i + row["cell"]]
+                    assert verdict == (name not in (*row["leaders"], row["best"])), (metric, row["cell"], name)
+                    verdicts.add(verdict)
+    assert verdicts == {0, 1}
+
+
+def test_interval_of_ratio_is_that_of_runs(result, monkeypatch):
+    """It is the delta method over paired runs. Rounding: the covariance is a difference of squares."""
+    monkeypatch.setattr(explorer, "_plain", lambda values, digits=0: np.asarray(values, float).ravel().tolist())
+    grid = explorer.Grid(STUDY["observers"], [0, 1, 2, 3])
+    series = explorer._signal(result, "cart/gaussian", "position", grid)["series"]["steady_rmse"]
+    runs, compared = result.runs[result.runs.signal == "position"], 0
+    for cell in range(4):
+        wide = runs[runs.cell == cell].pivot(index="seed", columns="observer", values="steady_rmse")
+        best = wide[STUDY["observers"][series["best"][cell]]].to_numpy()
+        for i, name in enumerate(STUDY["observers"]):
+            a = wide[name].to_numpy()
+            if a is best or np.array_equal(a, best):
+                continue
+            se = np.std(a / a.mean() - best / best.mean(), ddof=1) / np.sqrt(len(a))
+            expected = student.ppf(0.975, len(a) - 1) * se
+            assert series["half"][4 * i + cell] == pytest.approx(expected, rel=1e-6)
+            compared += 1
+    assert compared == 8
+
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no browser here: the figure is not drawn")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    opened = devtools(tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.process.terminate()
+    opened.process.wait()
+
+
+def ask(browser, expression):
+    return browser.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+
+
+def visit(browser, address):
+    browser.call("Page.navigate", url="about:blank")
+    browser.open(address, "document.readyState == 'complete' && location.href != 'about:blank'", False)
+
+
+def press(browser, key):
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+
+def table(browser):
+    """The rows of the table of values, by observer."""
+    rows = json.loads(
+        ask(
+            browser,
+            "JSON.stringify([...document.querySelectorAll('#values tbody tr')]"
+            ".map(row => [...row.children].map(cell => cell.textContent)))",
+        )
+    )
+    return {row[0]: row[1:] for row in rows}
+
+
+@needs_browser
+def test_choices_in_address_select_values_of_tables(browser, report, result):
+    visit(browser, f"{report.as_uri()}#metric=max_abs_error&signal=velocity&noise_std=0.5&x=delay&scale=linear&hide=kf")
+    shown = table(browser)
+    assert set(shown) == {"kf-ignore-delay", "model-only"}
+    assert ask(browser, "document.getElementById('where').textContent") == (
+        "cart/gaussian, delay 0.4, noise std [m] 0.5, 8 runs each"
+    )
+    rows = result.stats_of("cart/gaussian", "velocity").query(
+        "metric == 'max_abs_error' and delay == 0.4 and noise_std == 0.5"
+    )
+    rows = rows.set_index("observer")
+    for name, cells in shown.items():
+        value, low, high = (float(rows[c][name]) for c in ("mean", "ci_low", "ci_high"))
+        assert cells[0] == f"{value:.4g} ({low:.3g} to {high:.3g}) m/s"
+        assert cells[1].startswith(f"{value / rows['mean']['kf']:.3g} (")
+    assert ask(browser, "[...document.querySelectorAll('#controls select')].map(s => s.value).join()") == (
+        "velocity,max_abs_error,delay,0.5,value,linear"
+    )
+    assert ask(browser, "document.querySelectorAll('#plot .series polyline').length") == 2
+
+
+@needs_browser
+def test_keys_move_point_and_address_restores_it(browser, report):
+    visit(browser, report.as_uri())
+    before = table(browser)
+    ask(browser, "document.getElementById('plot').focus()")
+    press(browser, "ArrowLeft")
+    assert "delay 0.1" in ask(browser, "document.getElementById('where').textContent")
+    assert "delay 0.1" in ask(browser, "document.getElementById('tip').textContent"), "screen readers hear the value"
+    moved, chosen = table(browser), ask(browser, "location.href")
+    assert moved != before
+    assert "point=0.1" in chosen
+    press(browser, "ArrowUp")
+    assert ask(browser, "location.href") != chosen, "another observer"
+    visit(browser, chosen)
+    assert table(browser) == moved
+
+
+@needs_browser
+def test_controls_change_figure_and_address(browser, report):
+    visit(browser, report.as_uri())
+    ask(
+        browser,
+        "(() => { const box = document.querySelector('#controls [name=metric]'); box.value = 'nees';"
+        " box.dispatchEvent(new Event('change')); })()",
+    )
+    assert "metric=nees" in ask(browser, "location.hash")
+    shown = table(browser)
+    assert shown["kf-ignore-delay"][-1] == "optimistic"
+    ask(browser, "document.querySelector('#observers [name=kf-ignore-delay]').click()")
+    assert "kf-ignore-delay" not in table(browser)
+    assert "hide=kf-ignore-delay" in ask(browser, "location.hash")
+    ask(browser, "document.getElementById('reset').click()")
+    assert "kf-ignore-delay" in table(browser)
+    assert ask(browser, "document.querySelector('#controls [name=metric]').value") == "steady_rmse"
+
+
+@needs_browser
+def test_address_with_unknown_choices_shows_default(browser, report):
+    visit(browser, report.as_uri())
+    default = table(browser)
+    visit(browser, f"{report.as_uri()}#metric=%3Cb%3E&signal=x&noise_std=7&x=y&scale=z&point=q&hide=nobody")
+    assert table(browser) == default
+
+
+@needs_browser
+def test_page_requests_nothing_and_policy_blocks_what_is_added(browser, report, tmp_path):
+    """Without the policy the same additions reach the server, so the test can fail."""
+    asked = []
+
+    class Server(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            self.send_error(404)
+
+        def log_message(self, *words):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    host = f"http://127.0.0.1:{server.server_port}"
+    added = f"<img src='{host}/img'><link rel=stylesheet href='{host}/css'><script>fetch('{host}/js')</script>"
+    text = report.read_text()
+    for policy in (True, False):
+        changed = text.replace("</body>", f"{added}</body>")
+        (tmp_path / "changed.html").write_text(changed if policy else POLICY.sub("", changed))
+        visit(browser, (tmp_path / "changed.html").as_uri())
+        time.sleep(0.3)
+        assert {"/img", "/css", "/js"}.isdisjoint(asked) if policy else {"/img", "/css", "/js"} <= set(asked)
+    server.shutdown()
+    browser.requests.clear()
+    visit(browser, f"{report.as_uri()}#metric=nees")
+    press(browser, "Tab")
+    assert [url for url in browser.requests if not url.startswith((report.as_uri(), "about:", "data:"))] == []
+
+
+@needs_browser
+def test_page_is_complete_without_script(browser, report):
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    visit_without_script = "document.readyState == 'complete'"
+    browser.open(report.as_uri(), visit_without_script, False)
+    assert ask(browser, "getComputedStyle(document.getElementById('explore')).display") == "none"
+    figures = report.read_text().count("<figure") - 1
+    assert (
+        ask(browser, "[...document.querySelectorAll('.picture svg')].filter(s => s.clientWidth > 99).length") == figures
+    )
+    browser.call("Emulation.setScriptExecutionDisabled", value=False)
+
+
+@needs_browser
+def test_print_has_no_controls(report, tmp_path):
+    """The PDF has the same texts with and without the script that draws the figure."""
+    plain = tmp_path / "plain.html"
+    text = report.read_text()
+    plain.write_text(text.partition("<script>")[0] + text.rpartition("</script>")[2])
+    for folder in ("with", "without"):
+        (tmp_path / folder).mkdir()
+    assert len(print_page(report, tmp_path / "with")) == len(print_page(plain, tmp_path / "without")) > 300
+
+
+@needs_browser
+def test_dark_mode_changes_page_and_keeps_figures_light(browser, report):
+    visit(browser, report.as_uri())
+    colours = []
+    for scheme in ("light", "dark"):
+        browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        colours.append(
+            [
+                ask(browser, f"getComputedStyle(document.querySelector('{where}')).backgroundColor")
+                for where in ("body", "#explore figure")
+            ]
+        )
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    assert colours[0] == ["rgb(255, 255, 255)"] * 2
+    assert colours[1] == ["rgb(22, 24, 26)", "rgb(255, 255, 255)"]
