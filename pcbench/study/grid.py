@@ -88,6 +88,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
     require_few_cells(many, to_ticks(base.duration, base), where)
     choices, out, apart, its_axes = choices_of(study), [], channels_apart(study), axes_of(base)
+    commands = sorted(command_columns(study) - set(its_axes))
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
     digests = {o: options_digest(each, mine.get(o)) for o, each in options.items()}
@@ -109,6 +110,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         fits.fits(s, where if where == scenario else f"{where}: {scenario}")
         shown = [name for name in its_axes if name in given or name not in axis.ASKED]
         values = {name: axis.plain(name, s.value(name), name in apart) for name in shown}
+        values |= dict.fromkeys(commands)  # null: the loop has no controller
         of_plant = {k: v for k, v in given.items() if k.startswith("plant.")}
         parameters = dict(base.truth.parameters) | {k.removeprefix("plant."): v for k, v in of_plant.items()}
         if base.plant == "lti":
@@ -196,6 +198,14 @@ def channels_apart(study: Study) -> set[str]:
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)
     return out
+
+
+def command_columns(study: Study) -> set[str]:
+    """Return the columns on commands that every table of a study has if one of its scenarios has a controller."""
+    known = scenarios_of(study)
+    return {
+        name for s in study.scenarios for name in axes_of(known[s]) if name in axis.COMMANDS and name not in axis.ASKED
+    }
 
 
 def identity(cell: Cell, root_seed: int) -> str:

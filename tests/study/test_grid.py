@@ -2,11 +2,14 @@
 
 import tomllib
 
+import numpy as np
 import pytest
 
+import pcbench
 from pcbench.cli.commands import app
+from pcbench.errors import UserError
+from pcbench.study import STUDIES, parse
 from pcbench.study import grid as module
-from pcbench.study import parse
 from pcbench.study.grid import cells, cells_of, identity, number_cells, numbering
 from pcbench.study.serialize import digest, to_toml
 
@@ -121,3 +124,20 @@ def test_a_study_is_written_with_all_that_decides_its_numbers():
 def test_the_digest_of_a_study_changes_with_whatever_changes_its_numbers(changes):
     assert hashed(study()) == hashed(study())
     assert hashed(study(**changes)) != hashed(study())
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_scenario_of_a_study_has_the_same_columns(name):
+    """`all` has loops with a controller, whose commands have columns, and loops without."""
+    made = parse.grid_of(name, {}, [])
+    assert len({tuple(cell.values) for cell in made.cells}) == 1
+
+
+@pytest.mark.ci
+def test_a_study_of_loops_with_and_without_a_controller_has_tables(tmp_path):
+    chosen = {"name": "t", "scenarios": ["cart/white", "ncs-two-state/held"], "observers": ["model-only"], "seeds": 2}
+    found = pcbench.run(chosen, out=tmp_path / "out").stats.groupby("scenario").command_loss.first()
+    assert np.isnan(found["cart/white"])
+    assert found["ncs-two-state/held"] == 0
+    with pytest.raises(UserError, match="command_jitter: no scenario has a controller, and one has"):
+        pcbench.run(chosen | {"scenarios": ["cart/white"]}, out=tmp_path / "out")
