@@ -24,6 +24,12 @@ QUESTIONS = {  # that each study answers
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }
+FIELD = (
+    "eso",
+    "cascade-predictor",
+    "super-twisting",
+    "finite-time",
+)  # observers of the literature for samples of one age
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
     "as-assumed": {},
@@ -112,7 +118,11 @@ STUDIES = {
         name="model-mismatch",
         scenarios=list(BELIEFS),
         tables={name: _mismatch_scenario(name) for name in BELIEFS},
-        observers=["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "model-only"],
+        observers=[
+            *("kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo"),
+            *FIELD,
+            "model-only",
+        ],
         seeds=256,
         options={"scenario": {"random_initial_state": True}},
     ),
@@ -126,6 +136,7 @@ STUDIES = {
             "kf-drop-delayed",
             "kf-larsen",
             "kf-alexander",
+            *FIELD,
             "model-only",
         ],
         seeds=256,
