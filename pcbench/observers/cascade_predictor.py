@@ -131,6 +131,6 @@ def design(setting: DesignContext, options: Options) -> Design:
         d=d,
         lag=delay - np.cumsum(d),
         delay=np.asarray(delay),
-        room=np.zeros(power_of_2(int(d.max()))),
+        room=np.zeros(power_of_2(max(setting.reach * period, int(d.max())))),  # one size for all delays of a study
     )
     return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * setting.dt)))

@@ -100,7 +100,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), whole.C, pole, pole, where)
     prior = np.where(np.diag(setting.P0) > 0, np.diag(setting.P0), 1.0)
     size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))  # d that moves x by as much as x(0) is uncertain
-    wider = setting._replace(model=whole, P0=block_diag(setting.P0, size), process_std=())
+    wider = setting._replace(model=whole, P0=block_diag(setting.P0, [[size]]), process_std=())
     L, certificate = current_gains.find(wider, "given", L, 0.0, None, None, where)
     certificate = certificate._replace(inequality="[P, M'; M, P] > 0, M = P (I - L C) Phi, of state and disturbance")
     known = setting.unknown0 if model.E is not None else ()

@@ -32,6 +32,12 @@ QUESTIONS = {  # that each study answers
 }
 PERIODS = (0.5, 1.0, 1.5, 1.7, 1.8)  # s: the loop of `ncs-two-state` is stable below 1.72941
 INTERVALS = (0.01, 0.05, 0.1, 0.2)  # s between two transmissions of `ncs-reactor`
+FIELD = (
+    "eso",
+    "cascade-predictor",
+    "super-twisting",
+    "finite-time",
+)  # observers of the literature for samples of one age
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
     "as-assumed": {},
@@ -133,7 +139,11 @@ STUDIES = {
         name="model-mismatch",
         scenarios=list(BELIEFS),
         tables={name: _mismatch_scenario(name) for name in BELIEFS},
-        observers=["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "model-only"],
+        observers=[
+            *("kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo"),
+            *FIELD,
+            "model-only",
+        ],
         seeds=256,
         options={"scenario": {"random_initial_state": True}},
     ),
@@ -147,6 +157,7 @@ STUDIES = {
             "kf-drop-delayed",
             "kf-larsen",
             "kf-alexander",
+            *FIELD,
             "model-only",
         ],
         seeds=256,

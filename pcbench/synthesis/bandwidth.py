@@ -40,7 +40,7 @@ def slow_modes(Phi: Matrix, C: Matrix, fastest: float) -> SlowModes:
     _, Z, k = schur(scaled, sort="ouc")
     _, left, _ = schur(scaled.T, sort="ouc")
     V = Z[:, :k]
-    W = np.linalg.solve(left[:, :k].T @ V, left[:, :k].T)
+    W = np.asarray(np.linalg.solve(left[:, :k].T @ V, left[:, :k].T), float)
     return SlowModes(W @ Phi @ V, C @ V, V, W)
 
 

@@ -23,6 +23,7 @@ from pcbench.synthesis.certificate import Certificate
 from pcbench.value_cache import cached_by_value
 
 MOST = 12  # links that are tried
+DENSE = 300  # rows of a map from which on the largest eigenvalue alone is computed
 WHAT = "radius of the links' error maps over one sampling period < 1"
 
 
@@ -50,25 +51,31 @@ def gain(Phi: Matrix, C: Matrix, decay: float, where: str) -> Matrix:
 def radius(Phi: Matrix, C: Matrix, K: Matrix, d: int, period: int) -> float:
     """Return the spectral radius of a link's errors over `period` ticks; 0: a link that is compared at every tick, over one.
 
-    The state is [e(k), e(k-1), .., e(k-d), r(k)], of which e(k+1) and r(k+1) depend on e(k), e(k-d) and r(k) only.
+    The state is [e(k), e(k-1), .., e(k-d), r(k)]. Its map is built column by column: all columns take the steps together.
     """
     n, q = len(Phi), len(C)
-    size, last = n * (d + 1) + q, slice(n * d, n * (d + 1))
-    F = np.eye(size, k=-n)
-    F[:n, :n] = Phi
-    F[:n, last] -= K @ C
-    F[:n, size - q :] = K
-    F[size - q :] = 0.0
-    if period == 0:
-        return _largest(F[: size - q, : size - q])
-    F[size - q :, last] = C @ Phi - C
-    F[size - q :, size - q :] = np.eye(q)
-    whole = np.linalg.matrix_power(F, period)
-    whole[size - q :] = 0.0  # a sample arrives
-    return _largest(whole)
+    size, steps = n * (d + 1) + q, period or d + 1
+    state = np.eye(size)
+    past = [state[n * i : n * (i + 1)] for i in range(d, -1, -1)]  # e(k-d), .., e(k)
+    r = state[size - q :] if period else np.zeros((q, size))
+    for k in range(steps):
+        seen = C @ past[k]
+        past.append(Phi @ past[-1] - K @ (seen - r))
+        r = r + (C @ Phi - C) @ past[k] if period else r
+    F = np.vstack([*past[: -d - 2 : -1], np.zeros((q, size))])  # a sample arrives: r = 0
+    largest = _largest(F[: size - q, : size - q])
+    return float(largest if period else largest ** (1 / steps))
 
 
 def _largest(F: Matrix) -> float:
+    """Return the spectral radius; of a large matrix by Arnoldi iteration, as its other eigenvalues are smaller by far."""
+    if len(F) > DENSE:
+        from scipy.sparse.linalg import ArpackError, eigs  # takes a while to import
+
+        try:
+            return float(np.abs(eigs(F, k=6, ncv=60, v0=np.ones(len(F)), return_eigenvectors=False)).max())
+        except ArpackError:
+            pass
     return float(np.abs(np.linalg.eigvals(F)).max())
 
 

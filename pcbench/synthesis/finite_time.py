@@ -37,7 +37,7 @@ class FiniteTimeGains(NamedTuple):
 
 def weights(M1: Matrix, M2: Matrix) -> tuple[Matrix, Matrix]:
     """Return K1, K2 [n, n] with K1 + K2 = I and K1 M1 + K2 M2 = 0; raise LinAlgError where M1 - M2 is singular."""
-    K2 = np.linalg.solve((M1 - M2).T, M1.T).T
+    K2 = np.asarray(np.linalg.solve((M1 - M2).T, M1.T).T, float)
     return np.eye(len(M1)) - K2, K2
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, setting, trace
+from harness import CART, ODD, Case, problem, recorder, setting, trace
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from pcbench.dynamics import linear
@@ -61,7 +62,7 @@ def test_a_gain_exists_for_a_delay_below_1_over_a_only():
 @pytest.mark.ci
 @pytest.mark.parametrize("m", [1, 2])
 def test_links_of_more_than_1_over_a_diverge_with_every_gain(m):
-    h = 0.01
+    h = 0.025
     for k in 1 + np.geomspace(1e-3, 10, 12):
         Phi, K = link(k, h)
         assert cascade.radius(Phi, ONE, K, round(2.5 / h / m), 0) > 1
@@ -106,6 +107,34 @@ def test_perfect_start_leaves_no_error(te, d, m, odd):
     case = Case(ODD if odd else CART, te, d, ticks=400, h=0.005 if odd else 1e-3, x0=start, xhat0=start)
     got = trace(case, {"cascade-predictor": {"links": m}})
     assert np.abs(got.x - got.estimates["cascade-predictor"]).max() < 1e-12 * np.abs(got.x).max()
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("slip", [-1, 1])
+def test_design_for_a_delay_of_one_tick_more_or_less_is_seen(slip):
+    start = [5.0, 10.0]
+    case = Case(CART, 40, 60, ticks=400, x0=start, xhat0=start)
+    layout, p = problem(case, {"cascade-predictor": {"links": 2}})
+    entry = OBSERVERS["cascade-predictor"]
+    other = entry.design(setting(case._replace(d=60 + slip)), entry.options(links=2)).gains
+    got = recorder()(layout, p._replace(gains={"cascade-predictor": other}), np.asarray(0), np.asarray(0))
+    error = np.abs(np.asarray(got.x) - np.asarray(got.estimates["cascade-predictor"])).max()
+    assert error > 1e-4 * np.abs(np.asarray(got.x)).max()
+
+
+@pytest.mark.parametrize(("d", "te"), [(0, 5), (3, 1), (20, 7), (170, 30), (170, 0)])
+def test_radius_is_that_of_the_map_written_out(d, te):
+    """[e(k), .., e(k-d), r(k)] moves by one matrix a tick; d = 170 is found without all eigenvalues."""
+    Phi, C = expm(ODD.A * 0.005), ODD.C
+    K = cascade.gain(Phi, C, np.exp(-1 / max(3 * d, 1.5 * te, 2)), "here")
+    n, size = 3 * d, 3 * (d + 1) + 2
+    F = np.eye(size, k=-3)
+    F[:3, :3], F[:3, -2:], F[-2:, : size - 2] = Phi, K, 0.0
+    F[:3, n : n + 3] -= K @ C
+    F[-2:, n : n + 3], F[-2:, -2:] = C @ Phi - C, np.eye(2)
+    whole = np.linalg.matrix_power(F, te) if te else F
+    eigenvalues = np.linalg.eigvals(whole[: size - 2, : size - 2])  # r is 0 after a sample, or always
+    assert cascade.radius(Phi, C, K, d, te) == pytest.approx(np.abs(eigenvalues).max(), rel=1e-9)
 
 
 def test_unstable_plant_gets_as_many_links_as_its_delay_needs():

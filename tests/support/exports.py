@@ -26,7 +26,7 @@ WILD = {  # late, lost and overtaking samples
         "loss": 0.2,
     },
 }
-REGULAR = ("kfbo", "model-only", *HOMES)  # samples of one age, or at home elsewhere
+REGULAR = ("kfbo", "cascade-predictor", "model-only", *HOMES)  # samples of one age, or at home elsewhere
 
 
 @cache
