@@ -13,6 +13,7 @@ from pcbench.observers import (
     ekf_iterated,
     equal_delay,
     high_gain,
+    high_gain_predictor,
     kf,
     kf_alexander,
     kf_cloning,
@@ -146,6 +147,9 @@ OBSERVERS = {
         smooth=False, designed={"gains": "design"}
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "high-gain-predictor": _of(high_gain_predictor, "high-gain observer of any plant with one output")._replace(
+        nonlinear=True
+    ),
     "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),

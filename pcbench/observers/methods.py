@@ -91,6 +91,13 @@ METHODS = {
         "Hernandez-Gonzalez et al. 2024, equations (6) and (50), doi 10.3390/aerospace11030206",
         exact_moments=False,
     ),
+    "high-gain-predictor": Method(
+        "Sampled high-gain observer with an inter-sample output predictor",
+        "Multiplies the difference between a predicted and an estimated output by a constant gain. The predicted output is "
+        "the measurement at each sample, and follows the model between samples.",
+        "the model; the plant has one output",
+        "Karafyllis, Kravaris 2009 (not obtained)",
+    ),
     "lmi-sampled": Method(
         "Sampled-data observer with held innovations and an LMI gain",
         "Holds the innovation of each output until the next one arrives, and multiplies it by a constant gain. A certificate "

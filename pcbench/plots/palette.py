@@ -51,6 +51,7 @@ LOOKS = {
     "smo": Style("#9922CC", (6.0, 1.6), "s"),
     "pio": Style("#54AB53", (2.8, 1.4), "^"),
     "high-gain": Style("#B14DD0", (6.0, 1.6), "s"),
+    "high-gain-predictor": Style("#895B51", (7.0, 1.4, 2.4, 1.4), "X"),
     "lmi-sampled": Style("#9151FB", (9.0, 1.4, 3.0, 1.4), "h"),
     "ekf": Style("#884400", (2.8, 1.4), "^"),
     "ekf-iterated": Style("#542F6B", (6.0, 1.4, 1.0, 1.4), "v"),
