@@ -16,6 +16,7 @@ from pcbench.observers import (
     eso,
     finite_time,
     high_gain,
+    high_gain_predictor,
     kf,
     kf_alexander,
     kf_cloning,
@@ -156,6 +157,9 @@ OBSERVERS = {
         smooth=False, nonlinear=True
     ),
     "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
+    "high-gain-predictor": _of(high_gain_predictor, "high-gain observer of any plant with one output")._replace(
+        nonlinear=True
+    ),
     "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),

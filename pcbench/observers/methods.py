@@ -121,6 +121,13 @@ METHODS = {
         AGES,
         "Engel, Kreisselmeier 2002, doi 10.1109/TAC.2002.800673",
     ),
+    "high-gain-predictor": Method(
+        "Sampled high-gain observer with an inter-sample output predictor",
+        "Multiplies the difference between a predicted and an estimated output by a constant gain. The predicted output is "
+        "the measurement at each sample, and follows the model between samples.",
+        "the model; the plant has one output",
+        "Karafyllis, Kravaris 2009 (not obtained)",
+    ),
     "lmi-sampled": Method(
         "Sampled-data observer with held innovations and an LMI gain",
         "Holds the innovation of each output until the next one arrives, and multiplies it by a constant gain. A certificate "

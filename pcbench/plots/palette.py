@@ -55,6 +55,7 @@ LOOKS = {
     "cascade-predictor": Style("#510015", (8.0, 1.2, 1.0, 1.2), "h"),
     "super-twisting": Style("#040842", (2.0, 1.0, 2.0, 3.0), "*"),
     "finite-time": Style("#AEA709", (5.0, 3.0), "8"),
+    "high-gain-predictor": Style("#895B51", (7.0, 1.4, 2.4, 1.4), "X"),
     "lmi-sampled": Style("#9151FB", (9.0, 1.4, 3.0, 1.4), "h"),
     "ekf": Style("#884400", (2.8, 1.4), "^"),
     "ekf-iterated": Style("#542F6B", (6.0, 1.4, 1.0, 1.4), "v"),

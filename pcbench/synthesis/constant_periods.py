@@ -30,6 +30,16 @@ def held_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
     return np.asarray(over[:n, :n] + over[:n, n:] @ C)
 
 
+def predictor_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
+    """Return M(s) [n, n] of an observer with an output predictor w' = C f, w = y at a sample, and innovation w - C xhat.
+
+    e' = A e - L g with g' = -C L g and g = C e at a sample.
+    """
+    n, q = L.shape
+    over = expm(np.block([[A, -L], [np.zeros((q, n)), -C @ L]]) * seconds)
+    return np.asarray(over[:n, :n] + over[:n, n:] @ C)
+
+
 def jump_map(A: Matrix, K: Matrix, C: Matrix, seconds: float) -> Matrix:
     """Return M(s) = e^{A s} (I - K C) [n, n]: the estimate jumps by K (y - C xhat) at a sample, then flows for s seconds."""
     return np.asarray(expm(A * seconds) @ (np.eye(len(A)) - K @ C))

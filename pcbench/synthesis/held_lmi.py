@@ -98,7 +98,7 @@ def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> He
         rules.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
     advice = "shorten the intervals, ask for a slower decay, or narrow the ranges"
     status, (X, margin, X2, Z, *S) = solvers.minimise(-t, rules, (P, t, P2, last, *R), where, solver, advice)
-    X3, gain = (Z, scaled) if L.size else (task.ratio * X2, np.linalg.solve(X2.T, Z))
+    X3, gain = (Z, scaled) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
     return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)
 
 

@@ -9,7 +9,7 @@ Between samples the innovation g is one of three:
     impulse     g = 0, and z+ = z + T L (y - z1) at a sample
 
 Time is scaled by theta and the states by its powers, so that all depends on theta T alone. Without sampling, all n eigenvalues
-are -theta. At rest, `high-gain` is the predictor with n = 3.
+are -theta. At rest, `high-gain` is the predictor with n = 3; `high-gain-predictor` is the predictor.
 Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, for the output predictor; the limits are ours, by the map over one period.
 """
 
@@ -17,11 +17,10 @@ from math import comb
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import expm
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.constant_periods import held_map, jump_map, largest_stable, spectral_radius
+from pcbench.synthesis.constant_periods import held_map, jump_map, largest_stable, predictor_map, spectral_radius
 from pcbench.synthesis.error_bounds import rate_of
 
 Form = Literal["hold", "predictor", "impulse"]
@@ -36,9 +35,7 @@ def error_map(form: Form, n: int, interval: float) -> Matrix:
         return held_map(A, L, C, interval)
     if form == "impulse":
         return jump_map(A, interval * L, C, interval)
-    flow = np.block([[A, -L], [np.zeros((1, n)), np.array([[-float(n)]])]])  # of (e, g)
-    over = expm(flow * interval)
-    return np.asarray(over[:n, :n] + over[:n, n:] @ C)  # as g = e1 at a sample
+    return predictor_map(A, L, C, interval)
 
 
 def radius(form: Form, n: int, interval: float) -> float:

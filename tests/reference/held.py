@@ -1,6 +1,9 @@
-"""The observer that holds its innovations, from its definition: linear, or nonlinear by one Runge-Kutta step a tick.
+"""Observers that act on the newest innovation, from their definitions: held, or with an output predictor.
 
-    xhat' = f(xhat, u) + L g,    g_j = y_j(taken) - C_j xhat(taken) of the newest sample of channel j at hand
+    held        xhat' = f(xhat, u) + L g,    g_j = y_j(taken) - C_j xhat(taken) of the newest sample of channel j at hand
+    predictor   xhat' = f(xhat, u) + L (w - C xhat),    w' = C f(xhat, u)
+
+A sample sets w to y plus what w' has added since it was taken.
 
 Times are ticks, as in `linear`.
 """
@@ -40,11 +43,35 @@ def run(step: Callable[[int, Array, Array], Array], C: Array, ticks: int, sample
     return np.stack(past)
 
 
-def linear_run(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -> Array:
-    """Return xhat [N+1, n]: e^{Ah} and its integral by their power series, of a tick cut into 64."""
-    small = model.A * model.h / 64
-    terms = [M / float(np.prod(range(1, i + 1))) for i, M in enumerate(powers(small, 30))]
-    part, integral = sum(terms), sum(M / (i + 1) for i, M in enumerate(terms)) * model.h / 64
+def over_tick(F: Array, G: Array, h: float) -> tuple[Array, Array]:
+    """Return e^{Fh} and its integral times G by their power series, of a tick cut into 64."""
+    terms = [M / float(np.prod(range(1, i + 1))) for i, M in enumerate(powers(F * h / 64, 30))]
+    part, integral = sum(terms), sum(M / (i + 1) for i, M in enumerate(terms)) * h / 64
     pieces = powers(np.asarray(part), 65)
-    Ad, S = pieces[64], sum(pieces[i] for i in range(64)) @ integral
-    return run(lambda k, x, g: Ad @ x + S @ (model.B @ u[k] + L @ g), model.C, len(u) - 1, samples, xhat0)
+    return pieces[64], sum(pieces[i] for i in range(64)) @ integral @ G
+
+
+def linear_run(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -> Array:
+    """Return xhat [N+1, n] with held innovations."""
+    Ad, S = over_tick(model.A, np.hstack([model.B, L]), model.h)
+    return run(lambda k, x, g: Ad @ x + S @ np.concatenate([u[k], g]), model.C, len(u) - 1, samples, xhat0)
+
+
+def predictor_run(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -> Array:
+    """Return xhat [N+1, n] with an output predictor; the state is (xhat, w, the integral of w')."""
+    (n, q), (A, B, C) = L.shape, model[:3]
+    none = np.zeros((q, q))
+    flow = np.block([[A - L @ C, L, np.zeros((n, q))], [C @ A, none, none], [C @ A, none, none]])
+    Fd, Gd = over_tick(flow, np.vstack([B, C @ B, C @ B]), model.h)
+    inbox, newest = by_arrival(samples), [-1] * q
+    state = np.concatenate([xhat0, C @ xhat0, np.zeros(q)])
+    past, xhat = [], []
+    for k in range(len(u)):
+        past.append(state[n + q :])
+        for s in inbox.get(k, []):
+            if s.taken > newest[s.channel]:
+                newest[s.channel] = s.taken
+                state[n + s.channel] = s.value + past[k][s.channel] - past[s.taken][s.channel]
+        xhat.append(state[:n])
+        state = Fd @ state + Gd @ u[k]
+    return np.stack(xhat)

@@ -24,6 +24,7 @@ SHORT = {
     "csth/10s-noise": (600.0, 300.0),
     "arm/sampled": (0.3, 0.2),
     "cart/variable": (0.9, 0.5),
+    "flexible-joint/sampled": (0.5, 0.25),
 }
 CASES = {
     "cart/gaussian": ["pccebo", "kfbo"],
@@ -79,6 +80,8 @@ def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
 SLOPES = {
     "pccebo": ("cart/gaussian", {"L": [[0.4], [0.1]]}, "steady_rmse"),
     "kfbo": ("cart/gaussian", {"R": 0.5}, "mae"),
+    "lmi-sampled": ("flexible-joint/sampled", {"L": [[8.0], [-2.0], [-0.5], [-4.0]]}, "rmse"),
+    "high-gain-predictor": ("flexible-joint/sampled", {"theta": 2.0}, "mae"),
     "kf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "steady_pooled_rmse"),
     "pco": ("cart/variable", {"Kp": -30.0}, "mse"),
     "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),

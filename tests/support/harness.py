@@ -40,7 +40,8 @@ ODD = linear.Model(
 )
 PUSHED = ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))
 FIND_INPUTS = ("smo", "pio")  # they need a plant with an unknown input, and move by Runge-Kutta: see test_unknown_input
-ELSEWHERE = (*FIND_INPUTS, "high-gain")  # no linear model is enough for it: see test_helicopter
+# no linear model is enough for the first, and one output for the second: test_helicopter, test_high_gain_predictor
+ELSEWHERE = (*FIND_INPUTS, "high-gain", "high-gain-predictor")
 CHAINS = ("eso", "super-twisting")  # they need a chain of integrators, with one output
 TWO_AXES = linear.Model(np.eye(4, k=2), np.eye(4, 2, -2), np.eye(2, 4))  # positions, rates; and their frictions
 
@@ -53,7 +54,7 @@ def friction(u: Any, x: Any) -> Any:
 def suitable(observer: str) -> list[linear.Model]:
     """Models that an observer can be designed for."""
     linear_models = [PUSHED] if observer in FIND_INPUTS else [CART] if observer in CHAINS else [CART, ODD]
-    return {"high-gain": [TWO_AXES]}.get(observer, linear_models)
+    return {"high-gain": [TWO_AXES], "high-gain-predictor": [CART]}.get(observer, linear_models)
 
 
 class Case(NamedTuple):

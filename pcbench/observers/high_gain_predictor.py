@@ -1,0 +1,68 @@
+"""high-gain-predictor: a high-gain observer of a plant with one output, with an output predictor between samples.
+
+    xhat' = f(xhat, u) + L (w - C xhat),    w' = C f(xhat, u),    w(t_k) = y_k
+
+L puts all n eigenvalues of A - L C at -theta. In the coordinates (y, y', ...) of the linear model these are the binomial gains
+C(n, i) theta^i of a chain of integrators. As the period goes to 0, this is the continuous high-gain observer.
+On a linear plant the error is mapped from sample to sample by a matrix, whose spectral radius decides at a constant period. The
+limit of a chain of integrators is in `synthesis/sampled_high_gain`: theta T < 4.99991, 2.89627, 1.28317 for n = 2, 3, 4.
+`parts/held_innovation` writes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
+Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S in place of
+constant gains, for a plant of positions, rates and parameters.
+Not claimed: convergence on a nonlinear plant, nor at varying intervals or with delay.
+"""
+
+import numpy as np
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import require_observable
+from pcbench.errors import UserError
+from pcbench.observers.parts import held_innovation
+from pcbench.observers.parts.options import StrictOptions, tunable
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate
+from pcbench.synthesis.constant_periods import predictor_map, spectral_radius
+from pcbench.synthesis.error_bounds import rate_of
+
+OBSERVER = held_innovation.OBSERVER
+
+
+class Options(StrictOptions):
+    """The tuning."""
+
+    theta: float = tunable(4.0, gt=0, description="gain parameter [1/s]; larger is faster")
+
+
+def design(setting: DesignContext, options: Options) -> Design:
+    """Place the eigenvalues; the certificate is the spectral radius over a constant period."""
+    model, where = setting.model, f"high-gain-predictor in {setting.scenario}"
+    held_innovation.require_continuous(setting, where)
+    if len(model.C) > 1:
+        raise UserError(f"{where}: got {len(model.C)} outputs, expected one; use lmi-sampled or kf.")
+    require_observable(model, where)
+    L = binomial_gain(model.A, model.C, options.theta)
+    gains = held_innovation.gains_of(setting, L, model.C @ L)
+    intervals = setting.intervals or setting.period
+    period = max(intervals) * setting.dt
+    radius = spectral_radius(predictor_map(model.A, L, model.C, period))
+    numbers = {"L": L, "theta_Ts": options.theta * period, "radius": radius}
+    reason = ""
+    if setting.field is not None:
+        reason = "the plant is nonlinear; the radius is of its linear model"
+    elif any(setting.delay):
+        reason = "the measurements are delayed; the radius is without delay"
+    elif len(set(intervals)) > 1:
+        reason = "the intervals vary; the radius is of the longest"
+    elif not radius < 1:
+        reason = "the spectral radius is not below 1"
+    if reason:
+        return Design(gains, no_certificate(reason)._replace(numbers=numbers))
+    what = "the spectral radius of the error's map over a constant period is below 1"
+    return Design(gains, Certificate(what, 1 - radius, "poles", "computed", numbers, rate_of(radius, period)))
+
+
+def binomial_gain(A: Matrix, C: Matrix, theta: float) -> Matrix:
+    """Return L [n, 1] with all eigenvalues of A - L C at -theta, by Ackermann's formula in units of theta."""
+    n, scaled = len(A), A / theta
+    seen = np.vstack([C @ np.linalg.matrix_power(scaled, i) for i in range(n)])
+    polynomial = np.linalg.matrix_power(scaled + np.eye(n), n)
+    return np.asarray(theta * polynomial @ np.linalg.solve(seen, np.eye(n)[:, -1:]))

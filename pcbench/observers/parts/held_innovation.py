@@ -1,0 +1,111 @@
+"""Observers that act on the innovation of the newest sample until the next one arrives: held, or with the output predicted.
+
+    xhat' = f(xhat, u) + L g,    g = c - al,    al' = W g,    c = y_k - (C xhat(t_k) - al(t_k))
+
+t_k is the time of the newest sample of each output. With W = 0, al stays 0 and g is the innovation, held. With W = C L, g is
+w - C xhat with an output predictor w' = C f(xhat, u), w(t_k) = y_k, because (C xhat - al)' = C f.
+A linear model moves by its exact map under held u and c; a field by one Runge-Kutta step a tick. A sample older than the one in
+use is left out. Time index: the estimate is of now, after the jump.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import UserError
+from pcbench.observers.parts.common import known_input, xhat
+from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.synthesis.certificate import DesignContext
+
+
+class Gains(NamedTuple):
+    """n states, m inputs, q outputs, s unknowns."""
+
+    Phi: Float[Leaf, "k k"]  # of (xhat, al) over one tick, k = n + q
+    Gamma: Float[Leaf, "k l"]  # of (u, c) over one tick, l = m + q
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    L: Float[Leaf, "n q"]
+    W: Float[Leaf, "q q"]
+    unknowns: Float[Leaf, " s"]  # assumed constant
+    field: Any  # (now, x[n], p[s]) -> dx/dt[n]; None: the model is linear
+
+
+class Memory(NamedTuple):
+    """The memory between ticks."""
+
+    xhat: Float[Array, " n"]
+    al: Float[Array, " q"]
+    c: Float[Array, " q"]
+    newest: Int[Array, " q"]  # index of the sample that c is of; -1: none
+
+
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0), without an innovation."""
+    q = gains.C.shape[0]
+    return Memory(xhat0, jnp.zeros(q), jnp.zeros(q), jnp.full(q, -1, int))
+
+
+def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
+    """Store C xhat - al."""
+    return gains.C @ memory.xhat - memory.al
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Take c of each output that arrived, unless a newer sample of it is in use."""
+    newer = arrival.mask & (arrival.index > memory.newest)
+    c = arrival.value - known_input(gains.D, now, arrival.age) - arrival.snapshot
+    return memory._replace(c=jnp.where(newer, c, memory.c), newest=jnp.where(newer, arrival.index, memory.newest))
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move by one tick, u and c held."""
+    n = memory.xhat.shape[0]
+    if gains.field is None:
+        both = jnp.concatenate([memory.xhat, memory.al])
+        both = gains.Phi @ both + gains.Gamma @ jnp.concatenate([now.u, memory.c])
+        return memory._replace(xhat=both[:n], al=both[n:])
+
+    def rate(t: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        g = memory.c - state[1]
+        return gains.field(now._replace(t=t), state[0], gains.unknowns) + gains.L @ g, gains.W @ g
+
+    moved, al = rk4(rate, now.t, (memory.xhat, memory.al), now.dt)
+    return memory._replace(xhat=moved, al=al)
+
+
+OBSERVER = Observer(init, snapshot, jump, flow, xhat)
+
+
+def require_continuous(setting: DesignContext, where: str) -> None:
+    """Raise UserError unless the plant is continuous and its outputs are linear in the state."""
+    if setting.model.discrete or setting.successor or setting.sensor or setting.residual:
+        raise UserError(
+            f"{where}: got a plant in discrete time or with a nonlinear output, expected a continuous plant with outputs "
+            "that are linear in the state; use kf or ekf."
+        )
+
+
+def gains_of(setting: DesignContext, L: Matrix, W: Matrix) -> Gains:
+    """Return the gains for L [n, q] and W [q, q]."""
+    model, (n, q) = setting.model, L.shape
+    m = model.B.shape[1]
+    A = np.block([[model.A, -L], [np.zeros((q, n)), -W]])
+    B = np.block([[model.B, L], [np.zeros((q, m)), W]])
+    Phi, Gamma = linear.discretize_zoh(A, B, setting.dt)
+    return Gains(
+        Phi=Phi,
+        Gamma=Gamma,
+        C=model.C,
+        D=model.feedthrough,
+        L=L,
+        W=W,
+        unknowns=np.array(setting.unknown0, float),
+        field=setting.field,
+    )
