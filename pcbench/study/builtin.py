@@ -222,7 +222,7 @@ STUDIES = {
         name="intermittent",
         scenarios=["intermittent/scalar"],
         seeds=1024,
-        axes={"loss": [0.0, 0.2, 0.4, 0.5, 0.6, 0.63]},
+        axes={"loss": [0.1, 0.2, 0.4, 0.5, 0.6, 0.63]},
         options={"scenario": {"random_initial_state": True}},
     ),
     "quadruple-tank": Study(
@@ -235,6 +235,7 @@ STUDIES = {
     "flexible-joint": Study(
         name="flexible-joint",
         scenarios=["flexible-joint/sampled"],
+        observers=["ekf", "kf", "model-only"],
         seeds=256,
         axes={"sampling_period": [0.05, 0.1, 0.2, 0.4]},
         options={"scenario": {"random_initial_state": True}},
