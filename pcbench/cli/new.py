@@ -103,7 +103,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         *("results", "figures", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
         "versioning",
     ),
-    "Findings": ("five-papers",),
+    "Findings": ("five-papers", "the-field"),
     "About": ("comparison", "decisions"),  # the decisions' own pages follow
 }
 

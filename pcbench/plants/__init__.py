@@ -10,6 +10,7 @@ from pcbench.plants import (
     arm,
     cart,
     csth,
+    falling_body,
     flexible_joint,
     growth,
     helicopter,
@@ -66,6 +67,13 @@ PLANTS: dict[str, PlantSpec] = {
     ),
     "flexible-joint": _of(flexible_joint, "flexible joint with measured motor angle, 4 states")._replace(
         heavy=True, model=flexible_joint.model, residual=flexible_joint.residual, drifts=False
+    ),
+    "falling-body": _of(falling_body, "falling body seen by a radar, 3 states")._replace(
+        heavy=True,
+        model=falling_body.model,
+        sensor=falling_body.sensor,
+        positive=("gamma", "distance"),
+        drifts=False,
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -3,6 +3,7 @@
 from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
+from pcbench.scenarios.falling_body import FALLING_BODY
 from pcbench.scenarios.flexible_joint import FLEXIBLE_JOINT
 from pcbench.scenarios.growth import GROWTH
 from pcbench.scenarios.helicopter import HELICOPTER
@@ -17,6 +18,6 @@ __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Sc
 
 _EVERY = (
     *(*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR),
-    *(*NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT, *QUADRUPLE_TANK, *FLEXIBLE_JOINT),
+    *(*NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT, *QUADRUPLE_TANK, *FLEXIBLE_JOINT, *FALLING_BODY),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}

@@ -1,4 +1,4 @@
-"""The quadruple tank at its two operating points, with a delayed second level: `delayed` at P-, `non-minimum-phase` at P+.
+"""The quadruple tank at its two operating points, with a delayed second level: `delayed` at P-, `right-zero` at P+.
 
 Both levels are measured every 5 s, and that of tank 2 arrives 60 s after it was taken. The pumps follow square waves of 0.3 V
 about 3 V (P-) or 3.15 V (P+), so the levels move about the exact equilibrium of the constants. Signals are deviations from it.
@@ -33,8 +33,8 @@ MINIMUM_PHASE = Scenario(
 QUADRUPLE_TANK = (
     MINIMUM_PHASE,
     MINIMUM_PHASE.having(
-        name="quadruple-tank/non-minimum-phase",
-        summary="the same with most water to the upper tanks",
+        name="quadruple-tank/right-zero",
+        summary="as delayed, most water to the upper tanks",
         model={"k1": 3.14, "k2": 3.29, "gamma1": 0.43, "gamma2": 0.34, "point": "P+"},
     ),
 )

@@ -16,6 +16,7 @@ NOT_RUN = [  # every block that no test runs, with the reason that its page give
     ("large_studies.md", "sh", "needs a Dask scheduler on another machine"),
     ("large_studies.md", "python", "needs a cluster under SLURM"),
     ("large_studies.md", "sh", "needs a cluster under SLURM"),
+    ("the_field.md", "sh", "minutes; a test computes its examples one by one"),
     ("CONTRIBUTING.md", "sh", "what .ci/run does, in an hour"),
 ]
 SAVED = re.compile(r"\b[Ss]ave\s+(?:\w+\s+)?as\s+`([\w.-]+)`")

@@ -20,7 +20,7 @@ PROGRAMS = {
     "measurement-errors": 5,
     "reactor": 3,  # each expensive observer has one of its own
     "equal-tuning-reactor": 2,
-    "all": 20,
+    "all": 23,
     "growth-model": 2,
     "ncs-two-state": 1,
     "ncs-reactor": 1,

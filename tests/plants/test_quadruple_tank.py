@@ -15,7 +15,7 @@ PUMPS = {"P-": (3.33, 3.35, 0.7, 0.6), "P+": (3.14, 3.29, 0.43, 0.34)}  # k1, k2
 VOLTS = {"P-": 3.0, "P+": 3.15}
 EQUILIBRIA = {"P-": [12.263, 12.783, 1.634, 1.409], "P+": [12.442, 13.167, 4.730, 4.986]}
 PRINTED = {"P-": [12.4, 12.7, 1.8, 1.4], "P+": [12.6, 13.0, 4.8, 4.9]}
-SCENARIO = {"P-": "quadruple-tank/delayed", "P+": "quadruple-tank/non-minimum-phase"}
+SCENARIO = {"P-": "quadruple-tank/delayed", "P+": "quadruple-tank/right-zero"}
 LEVEL = quadruple_tank.POINTS["P-"].level
 SIGNALS = [name for name, _ in quadruple_tank.SIGNALS]
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pcbench.papers.claim import FINDING, Claim
 from pcbench.papers.field import (
     batch_reactor,
+    falling_body,
     flexible_joint,
     growth,
     intermittent,
@@ -25,7 +26,10 @@ EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
     "quadruple tank": quadruple_tank.rows,
     "flexible joint": flexible_joint.rows,
 }
-RUNS: dict[str, Callable[[], list[Claim]]] = {"growth model": growth.rows}  # in minutes: simulated runs
+RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
+    "growth model": growth.rows,
+    "falling body": falling_body.rows,
+}
 
 
 def claims() -> list[Claim]:

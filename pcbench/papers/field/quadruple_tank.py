@@ -13,7 +13,8 @@ from pcbench.dynamics.linear import Model
 from pcbench.papers.claim import MISPRINT, Claim, all_digits, report_finding, rounds_to
 from pcbench.plants.quadruple_tank import POINTS, Numbers, linearized, time_constants
 
-SEEN, COMPUTED = "Johansson 2000 [S]", "Johansson 2000 [V]"
+SEEN = "Johansson 2000, in CPSEC/probabilistic-recovery [S]"
+COMPUTED = "Johansson 2000 [V]"
 LEVELS = {"P-": (12.4, 12.7, 1.8, 1.4), "P+": (12.6, 13.0, 4.8, 4.9)}  # cm, printed
 CONSTANTS = {"P-": Numbers(), "P+": Numbers(k1=3.14, k2=3.29, gamma1=0.43, gamma2=0.34)}
 TIMES = {"P-": ("62", "90", "23", "30"), "P+": ("63", "91", "39", "56")}  # s, printed

@@ -6,7 +6,7 @@ A number that is only remembered is no evidence, so it has no verdict.
 from pcbench.papers.claim import NOT_OBTAINED, Claim
 
 MISSING = {  # by source: what is missing, and what the table has instead
-    "Walsh, Ye 2001": ("text of the paper", "matrices seen in a public program of data-driven control"),
+    "Walsh, Ye 2001": ("text of the paper", "matrices seen in IMPACT4Mech/continuous-time_data-driven_control"),
     "Heemels, Teel, van de Wouw, Nesic 2010": (
         "bounds on the interval, pairs of interval and delay, noise, initial states",
         "L and gamma, from which the bounds follow",
@@ -17,15 +17,21 @@ MISSING = {  # by source: what is missing, and what the table has instead
     "Etienne, Hetel, Efimov, Petreczky 2017": ("interval and gain", "eigenvalues of the flexible joint"),
     "Petri et al., arXiv 2210.03368": ("intervals and settings of the case study", ""),
     "Raghavan, Hedrick 1994": ("text of the paper", "constants seen in public programs"),
-    "Johansson 2000": ("printed zeros and relative gains", "both computed from the constants"),
+    "Johansson 2000": (
+        "text of the paper, printed zeros and relative gains",
+        "constants seen in public programs, all else computed",
+    ),
     "Gordon, Salmond, Smith 1993": ("text of the paper", "one sentence on coverage, seen in a reading note"),
     "Arulampalam et al. 2002": ("printed table of errors", "errors of an independent program"),
     "Zhang, Branicky, Phillips 2001": (
         "text of the paper, and the bounds of later papers for variable periods",
-        "gain seen in a public program of networked control; the largest constant period",
+        "gain seen in AntonSelivanov/CDC16a; the largest constant period",
     ),
-    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", "errors of an independent program"),
-    "Julier, Uhlmann, Durrant-Whyte 2000": ("curves of the errors", "errors of an independent program"),
+    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", ""),
+    "Julier, Uhlmann, Durrant-Whyte 2000": (
+        "text of the paper, curves of the errors",
+        "constants seen in wengjn/MatlabDBN, errors of an independent program",
+    ),
     "Gopalakrishnan, Kaisare, Narasimhan 2011": ("equations, parameters, tables", ""),
     "Hellmann et al., arXiv 2512.20354": ("model, delays, tables", ""),
     "Xiao, Chen 2020": ("camera period, latency, target model", ""),

@@ -1,0 +1,67 @@
+"""The page on standard examples: its tables name what exists, its numbers are in the ledger, its findings come out."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import pcbench
+from pcbench.scenarios import SCENARIOS
+from pcbench.study.builtin import STUDIES
+
+PAGE = (Path(pcbench.__file__).parent / "guide" / "the_field.md").read_text()
+LEDGER = (Path(__file__).parents[2] / "REPRODUCTION.md").read_text().partition("\n## field\n")[2]
+
+
+def rows(heading):
+    """The cells of the table whose head begins so, as lists."""
+    table = PAGE.partition(f"\n| {heading}")[2].partition("\n\n")[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def test_every_study_and_scenario_of_the_tables_exists():
+    studies = [re.findall(r"`([\w-]+)`", row[2]) for row in rows("example | question")]
+    named = [re.findall(r"`([\w/-]+)`", row[1]) for row in rows("example | scenarios")]
+    assert len(studies) == 8
+    assert {name for each in studies for name in each} <= STUDIES.keys()
+    assert {name for each in named for name in each} <= SCENARIOS.keys()
+    families = {name.split("/")[0] for each in named for name in each}
+    assert families == {
+        "ncs-two-state",
+        "ncs-reactor",
+        "intermittent",
+        "quadruple-tank",
+        "flexible-joint",
+        "growth-model",
+        "falling-body",
+    }
+
+
+def test_every_number_to_check_is_in_the_ledger():
+    for row in rows("example | question"):
+        for number in re.findall(r"-?\d+\.\d\d+", row[3]):
+            assert number in LEDGER, number
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("study", "metric", "signal", "heading"),
+    [
+        ("quadruple-tank", "steady_pooled_rmse", "level_2", "delay [s] | `kf`"),
+        ("ncs-two-state", "steady_rmse", "position", "period [s]"),
+        ("ncs-two-state", "steady_tracking_rmse", "position", "period [s]"),
+    ],
+)
+def test_findings_of_the_page_come_out(study, metric, signal, heading):
+    stats = pcbench.run(study).stats
+    stats = stats[(stats.metric == metric) & (stats.signal == signal)]
+    for first, *shown in rows(heading):
+        if study == "quadruple-tank":
+            delays = stats.delay.map(lambda delay: delay[1])
+            at = stats[(stats.scenario == "quadruple-tank/delayed") & (delays == float(first))]
+            found = at.set_index("observer").loc[["kf", "kf-ignore-delay", "model-only"]]
+        else:
+            found = stats[stats.scenario == f"period-{float(first):g}"]
+            shown = [shown[metric == "steady_tracking_rmse"]]
+        for text, (_, row) in zip(shown, found.iterrows(), strict=True):
+            assert float(text) == pytest.approx(row["mean"], abs=3 * row["se"] + 0.05 * row["mean"])
