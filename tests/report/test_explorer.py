@@ -146,7 +146,7 @@ def test_choices_in_address_select_values_of_tables(browser, report, result):
     shown = table(browser)
     assert set(shown) == {"kf-ignore-delay", "model-only"}
     assert ask(browser, "document.getElementById('where').textContent") == (
-        "cart/gaussian, delay 0.4, noise std [m] 0.5, 8 runs each"
+        "cart/gaussian, delay 0.4 s, noise std 0.5 m, 8 runs each"
     )
     rows = result.stats_of("cart/gaussian", "velocity").query(
         "metric == 'max_abs_error' and delay == 0.4 and noise_std == 0.5"
