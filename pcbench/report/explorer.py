@@ -48,9 +48,9 @@ WORDS = {
 }
 OF_STATS = {  # metrics that a table of runs does not have
     "pooled_rmse": "square root of the expected square of e over ticks 0 .. N-1",
-    "steady_pooled_rmse": "the same from the scenario's steady_start on",
+    "steady_pooled_rmse": "square root of the expected square of e from the scenario's steady_start on",
     "pooled_tracking_rmse": "square root of the expected square of the set point minus the state, in a closed loop",
-    "steady_pooled_tracking_rmse": "the same from steady_start on",
+    "steady_pooled_tracking_rmse": "pooled_tracking_rmse from steady_start on",
     "rms_efficiency": "the least steady_pooled_rmse of any causal estimator divided by that of the observer; 1 is best",
     "divergence_rate": "the fraction of runs whose error became non-finite or exceeded the scenario's divergence threshold; "
     "no mean includes them",
