@@ -116,7 +116,7 @@ def inline(figure: Figure, name: str) -> str:
 def _compact(path: str) -> str:
     """Return a path of straight lines with relative coordinates, in tenths of a point; equal successive points are one."""
     out, x, y = [], 0, 0
-    for command, *point in re.findall(r"([MLz])\s*(?:(\S+)\s+(\S+))?", path):
+    for command, *point in re.findall(r"([MLz])\s*(?:([-+.\de]+)\s+([-+.\de]+))?", path):
         if command == "z":
             out.append("z")
             continue
