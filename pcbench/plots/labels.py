@@ -72,6 +72,7 @@ def times(value: float) -> str:
     return f"{number(float(f'{value:.2g}' if value < 100 else f'{value:.1g}'))}×"
 
 
+POLYLINE = re.compile(r' d="([-+.\deMLz\s]*)"')  # a path of straight lines
 KINDS = ("svg", "pdf", "png")
 DPI = 200  # of PNG
 TIP = re.compile(rb'<g id="tip:([^"]*)">')
@@ -104,7 +105,25 @@ def inline(figure: Figure, name: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
     text = IDENTITY.sub("", text)
+    text = POLYLINE.sub(lambda found: f' d="{_compact(found[1])}"', text)
     text = TAG.sub(lambda tag: PRECISE.sub(r"\1", tag.group()), text)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="1.1"', "", text, count=3).replace("xlink:href", "href")
     text = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = re.sub(r' style="[^"]*"', lambda found: found[0].replace(": ", ":").replace("; ", ";"), text)
     return re.sub(r"\n\s*", "\n", text)
+
+
+def _compact(path: str) -> str:
+    """Return a path of straight lines with relative coordinates, in tenths of a point; equal successive points are one."""
+    out, x, y = [], 0, 0
+    for command, *point in re.findall(r"([MLz])\s*(?:([-+.\de]+)\s+([-+.\de]+))?", path):
+        if command == "z":
+            out.append("z")
+            continue
+        a, b = (round(10 * float(v)) for v in point)
+        if command == "M":
+            out.append(f"M{a / 10:g} {b / 10:g}")
+        elif (a, b) != (x, y):
+            out.append(f"l{(a - x) / 10:g} {(b - y) / 10:g}")
+        x, y = a, b
+    return re.sub(r"(?<![\d.])0\.", ".", "".join(out)).replace(" -", "-")

@@ -46,6 +46,15 @@ WORDS = {
     "unsettled_rate": "fraction of runs in which {} is not settled",
     **{name: f"fraction of errors of {{}} within {k} sigma" for k, name in enumerate(INSIDE, 1)},
 }
+OF_STATS = {  # metrics that a table of runs does not have
+    "pooled_rmse": "square root of the expected square of e over ticks 0 .. N-1",
+    "steady_pooled_rmse": "square root of the expected square of e from the scenario's steady_start on",
+    "pooled_tracking_rmse": "square root of the expected square of the set point minus the state, in a closed loop",
+    "steady_pooled_tracking_rmse": "pooled_tracking_rmse from steady_start on",
+    "rms_efficiency": "the least steady_pooled_rmse of any causal estimator divided by that of the observer; 1 is best",
+    "divergence_rate": "the fraction of runs whose error became non-finite or exceeded the scenario's divergence threshold; "
+    "no mean includes them",
+}
 Numbers = NDArray[np.float64]
 Table = dict[str, Any]
 
@@ -61,7 +70,7 @@ class Rows(NamedTuple):
     """The rows of stats of one signal and metric."""
 
     columns: dict[str, NDArray[Any]]
-    place: tuple[NDArray[np.int64], NDArray[np.int64]]  # of each row: its observer, its grid point
+    place: tuple[NDArray[np.intp], NDArray[np.intp]]  # of each row: its observer, its grid point
     shape: tuple[int, int]
 
     def values(self, column: str) -> Numbers:
@@ -98,7 +107,9 @@ def _look(name: str, style: Style) -> Table:
 def _metric(name: str) -> Table:
     ranked = POOLED.get(name, name) in COMPARED
     title = WORDS.get(name) or describe_metric(name, "{}").removesuffix(" of {}" if name in OF_RUN else "")
-    return {"title": title, "means": MEANING.get(name, ""), "ranked": ranked, "expected": EXPECTED.get(name)}
+    about = "errors and times" if ranked else "consistency of filters" if name in (*BANDS, *INSIDE) else "other"
+    means = (MEANING | OF_STATS).get(name, "")
+    return {"title": title, "means": means, "about": about, "ranked": ranked, "expected": EXPECTED.get(name)}
 
 
 def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
@@ -125,11 +136,12 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
 
 
 def _rows(stats: pd.DataFrame, grid: Grid) -> Rows:
-    place = tuple(
-        pd.Index(names).get_indexer(stats[name]) for name, names in (("observer", grid.observers), ("cell", grid.cells))
+    i, j = (
+        pd.Index(names).get_indexer(pd.Index(stats[column]))
+        for names, column in ((grid.observers, "observer"), (grid.cells, "cell"))
     )
     kept = ("mean", "se", "ci_low", "ci_high", "n", "diverged", "method", "unit")
-    return Rows({name: stats[name].to_numpy() for name in kept}, place, (len(grid.observers), len(grid.cells)))
+    return Rows({name: stats[name].to_numpy() for name in kept}, (i, j), (len(grid.observers), len(grid.cells)))
 
 
 def _axis(name: str, words: list[str], column: pd.Series, units: dict[str, str]) -> Table:

@@ -304,7 +304,7 @@ function bar(group, p, place, log) { // the interval of a point, and the band of
 }
 
 // ---- words ----
-const percent = p => p.lost ? `${number(100 * p.lost / (p.n + p.lost), 3)} % of ${plural(p.n + p.lost, "run")} diverged` : "";
+const losses = p => p.lost ? `${p.lost.toLocaleString("en")} of ${plural(p.n + p.lost, "run")}` : "";
 const range = (low, high) => {
   const [a, b] = [number(low, 3), number(high, 3)];
   return finite(low) && finite(high) && a !== b ? ` (${a} to ${b})` : "";
@@ -323,13 +323,14 @@ function verdict(p) { // significance, or consistency
   if (p.verdict === 2) return "diverges significantly more often";
   const size = finite(p.p) ? p.p < 0.001 ? ", p < 0.001" : `, p = ${number(p.p, 2)}` : "";
   if (p.verdict === 1) return size ? `significantly worse${size}` : p.n === 0 ? "worse (exact)" : "worse (no noise)";
-  return size ? `not significant${size}` : Math.abs((p.ratio ?? 0) - 1) < 1e-9 ? "equal" : "not tested";
+  return size ? `not significantly worse${size}` : Math.abs((p.ratio ?? 0) - 1) < 1e-9 ? "equal" : "not tested";
 }
 
 function where(p) { // the grid point in words
-  const parts = state.x === OBSERVER ? [] : [`${state.x.replace(/^plant\./, "").replaceAll("_", " ")} ${p.word}`];
-  const said = data.alone && state.x !== OBSERVER ? [] : p.s.axes.filter(a => a.name !== state.x && a.words.length > 1);
-  return [p.s.title, ...parts.filter(() => state.x !== SCENARIO), ...said.map(a => `${a.label} ${a.words[p.s.cells[p.cell][axisOf(p.s, a.name)]]}`)].join(", ");
+  const fixed = p.s.axes.filter(a => a.name === state.x || a.words.length > 1 && !(data.alone && axisOf(p.s, state.x) >= 0));
+  fixed.sort((a, b) => (b.name === state.x) - (a.name === state.x));
+  return [p.s.title, ...fixed.map(a => a.label.replace(/^(.*?)(?: \[(.*)\])?$/, (_, name, unit) =>
+    `${name} ${a.words[p.s.cells[p.cell][axisOf(p.s, a.name)]]}${unit ? ` ${unit}` : ""}`))].join(", ");
 }
 
 function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q => q.px), tip = false) { // show one point's numbers
@@ -356,8 +357,8 @@ function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q =>
   for (const q of here) {
     const row = make(body, "tr", q === p ? {class: "active"} : {}), first = make(row, "td");
     make(first, "span", {class: "swatch", style: `background:${q.observer.colour}`});
-    first.append(q.observer.name);
-    const cells = [valueOf(q), ...(same ? [] : [q.n === 0 ? "exact" : String(q.n ?? 0)]), ...(lost ? [percent(q) || "none"] : []), ...(compared ? [ratioOf(q)] : []),
+    make(first, q.isBest || q.best && q.verdict === 0 ? "strong" : "span", {}, q.observer.name);
+    const cells = [valueOf(q), ...(same ? [] : [q.n === 0 ? "exact" : String(q.n ?? 0)]), ...(lost ? [losses(q) || "none"] : []), ...(compared ? [ratioOf(q)] : []),
       ...(judged ? [verdict(q)] : [])];
     for (const [i, word] of cells.entries()) make(row, "td", {"data-of": heads[i + 1]}, word);
   }
@@ -369,7 +370,7 @@ function showTip(box, p) {
   const said = p.best && !p.isBest && p.ratio ? `${ratioOf(p)} times ${p.best.name}; ${verdict(p)}` : verdict(p);
   box.replaceChildren();
   make(box, "strong", {}, p.observer.name);
-  for (const line of [where(p), `${valueOf(p)}, ${runs}`, said, percent(p)].filter(Boolean)) make(box, "div", {}, line);
+  for (const line of [where(p), `${valueOf(p)}, ${runs}`, said, p.lost && `${losses(p)} diverged`].filter(Boolean)) make(box, "div", {}, line);
   const frame = byId("figure").clientWidth;
   box.style.left = `${Math.max(0, Math.min(p.px + 12, frame - box.offsetWidth))}px`;
   box.style.top = `${p.py + 14}px`;
@@ -384,7 +385,7 @@ function notes(log) {
   if (gone.length) out.push(`Not drawn, because no run has a value: ${names(gone)}.`);
   if (zero.length) out.push(`Not drawn, because the error is 0: ${names(zero)}. Choose the linear scale.`);
   if (points.some(p => p.lost)) out.push("Means are over the runs that did not diverge.");
-  if (points.some(p => finite(p.p))) out.push("p: paired t-test with Holm's correction over all grid points and pairs; intervals are not corrected.");
+  if (points.some(p => finite(p.p))) out.push("p: paired t-test with Holm's correction over all grid points and pairs; intervals are not corrected. Bold: the best, and observers that are not significantly worse.");
   if (series().best && state.hide.size) out.push("The best is that of all observers, also of those that are not shown.");
   byId("notes").textContent = out.filter(Boolean).map(part => part.replace(/[^.]$/, "$&.")).join(" ");
 }
@@ -393,7 +394,10 @@ function notes(log) {
 function select(parent, label, options, chosen, changed, name) {
   if (options.length < 2) return;
   const box = make(make(parent, "label", {}, label), "select", {name});
-  options.forEach(([value, word]) => make(box, "option", value === chosen ? {value, selected: ""} : {value}, word));
+  for (const [value, word, about] of options) {
+    const group = about && ([...box.children].find(g => g.label === about) ?? make(box, "optgroup", {label: about}));
+    make(group || box, "option", value === chosen ? {value, selected: ""} : {value}, word);
+  }
   box.addEventListener("change", () => { changed(box.value); byId("controls").querySelector(`[name="${name}"]`)?.focus(); });
 }
 
@@ -402,7 +406,7 @@ function controls(log) {
   box.replaceChildren();
   if (state.x !== SCENARIO || comparable().length < data.scenarios.length) select(box, "scenario", same(data.scenarios.map(t => t.title)), s.title, v => change({scenario: data.scenarios.findIndex(t => t.title === v), signal: -1}), "scenario");
   select(box, "signal", same(s.signals.map(g => g.name)), signal().name, v => change({signal: s.signals.findIndex(g => g.name === v)}), "signal");
-  select(box, "metric", metrics().map(m => [m, m]), state.metric, v => change({metric: v}), "metric");
+  select(box, "metric", metrics().map(m => [m, m, data.metrics[m].about]), state.metric, v => change({metric: v}), "metric");
   const label = name => s.axes.find(a => a.name === name)?.label ?? name;
   select(box, "over", axes().map(a => [a, label(a)]), state.x, v => change({x: v}), "x");
   for (const a of hidden()) select(box, a.label, same(a.words), a.words[state.at[a.name] ?? 0], v => { state.at[a.name] = a.words.indexOf(v); change({}); }, a.name);

@@ -41,18 +41,6 @@ POLICY = (  # figures have styles of their own, and the icon is an empty picture
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
-OF_STATS = {
-    "pooled_rmse": "square root of the expected square of e over ticks 0 .. N-1",
-    "steady_pooled_rmse": "the same from the scenario's steady_start on",
-    "pooled_tracking_rmse": "square root of the expected square of the set point minus the state, in a closed loop",
-    "steady_pooled_tracking_rmse": "the same from steady_start on",
-    "rms_efficiency": "the least steady_pooled_rmse of any causal estimator divided by that of the observer; 1 is best",
-    "divergence_rate": "the fraction of runs whose error became non-finite or exceeded the scenario's divergence "
-    "threshold; no mean "
-    "includes them",
-}
-
-
 class Part(NamedTuple):
     """The part of the page about one signal of a scenario."""
 
@@ -105,7 +93,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     drawn = (part.pictures for section in sections for part in section.parts)
     first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
     head = [*([first] if first else []), *map(_inline, figures.of_study(result, shown))]
-    meaning = {m: MEANING.get(m, OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
+    meaning = {m: MEANING.get(m, explorer.OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
     made = f"# made with pcbench {release.get('pcbench', '')}"

@@ -58,7 +58,15 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
     with zipfile.ZipFile(wheel) as files:
         names = set(files.namelist())
     pages = {f"pcbench/guide/{path.relative_to(GUIDE).as_posix()}" for path in GUIDE.rglob("*") if path.is_file()}
-    others = ("py.typed", "references.bib", "report/page.html", "report/replay.html", "cli/templates/recording/LICENSE")
+    others = (
+        "py.typed",
+        "references.bib",
+        "report/page.html",
+        "report/page.css",
+        "report/page.js",
+        "report/replay.html",
+        "cli/templates/recording/LICENSE",
+    )
     assert pages | {f"pcbench/{name}" for name in others} <= names
     assert not any(name.startswith("tests/") for name in names)
     place = tmp_path / "place"
