@@ -14,6 +14,7 @@ from pcbench.papers.field import (
     growth,
     intermittent,
     quadruple_tank,
+    sampled_observers,
     two_state,
     unobtained,
 )
@@ -25,6 +26,7 @@ EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
     "two-state plant": two_state.rows,
     "quadruple tank": quadruple_tank.rows,
     "flexible joint": flexible_joint.rows,
+    "observers": sampled_observers.rows,
 }
 RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
     "growth model": growth.rows,

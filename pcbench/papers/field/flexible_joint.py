@@ -1,11 +1,28 @@
-"""The flexible joint: eigenvalues at three slopes of the sine, and observability from the motor angle."""
+"""The flexible joint: eigenvalues at three slopes of the sine, observability, and the sampling intervals of held innovations.
+
+The intervals are certified for every slope of the sine and every sequence of intervals, by the LMI of `lmi-sampled`. The limits
+of constant periods are over constant slopes: no larger interval can be certified.
+"""
 
 import numpy as np
 
-from pcbench.papers.claim import Claim, all_digits
+from pcbench.dynamics.linear import Matrix
+from pcbench.papers.claim import Claim, all_digits, digits, report_finding
 from pcbench.plants import flexible_joint
+from pcbench.synthesis import constant_periods, held_lmi
+from pcbench.synthesis.held_lmi import HeldTask
 
 COMPUTED = "Raghavan, Hedrick 1994 [V]"
+FUNCTIONAL = "functional of Fridman 2010 [V]"
+SLOPE = 3.33  # 1/s^2, the largest of the sine
+LONGEST = 0.6  # s, of the search
+FOUND = np.array([[4.375], [0.179], [4.071], [3.463]])  # gains [1/s]
+GIVEN = np.array([[4.019], [0.901], [3.689], [3.505]])
+INTERVALS = (
+    ("from the motor angle", 1, None, "0.290"),
+    ("from motor angle and rate", 2, None, "0.293"),
+    ("from the motor angle, a given gain", 1, GIVEN, "0.281"),
+)
 MODES = {  # by slope of the sine: 0, at rest, with the link upright
     "without gravity": (0.0, "-0.4452 +8.2208i, -0.3596, 0.0000"),
     "link at 0": (3.33, "-0.4322 +8.2798i, -0.1928 +1.5222i"),
@@ -22,4 +39,26 @@ def rows() -> list[Claim]:
         out.append(all_digits(f"eigenvalues, {where} [1/s]", printed, modes[modes.imag >= 0], COMPUTED))
         rank = np.linalg.matrix_rank(np.vstack([model.C @ np.linalg.matrix_power(model.A, i) for i in range(4)]))
         out.append(all_digits(f"observable states from the motor angle, {where}", "4", rank, COMPUTED))
-    return out
+    slopes = np.stack([flexible_joint.nominal(flexible_joint.Numbers(gravity=g)).A for g in (-SLOPE, 0.0, SLOPE)])
+    for what, outputs, L, printed in INTERVALS:
+        task = HeldTask(slopes[[0, 2]], np.eye(4)[:outputs], (0,) * outputs, (1.0,))
+        largest, _ = held_lmi.largest_interval(task, L, LONGEST)
+        out.append(
+            digits(f"largest certified interval, {what} [s]", printed, largest)._replace(
+                steady=f"{largest:.3f}", source=FUNCTIONAL
+            )
+        )
+    periods = [
+        constant_periods.largest_stable(lambda T, L=L: _radius(slopes, L, T), 2 * LONGEST) for L in (FOUND, GIVEN)
+    ]
+    text = ", ".join(f"{period:.4f}" for period in periods)
+    return [
+        *out,
+        report_finding("flexible joint: largest constant periods of two gains [s]", f"{text}, over constant slopes"),
+    ]
+
+
+def _radius(slopes: Matrix, L: Matrix, period: float) -> float:
+    """The largest spectral radius of the error over a period, of all slopes."""
+    maps = [constant_periods.held_map(A, L, np.eye(4)[:1], period) for A in slopes]
+    return max(map(constant_periods.spectral_radius, maps))

@@ -1,0 +1,67 @@
+"""Observers of the field: the printed numbers of their designs, each from the function that designs or bounds the observer."""
+
+import numpy as np
+from scipy.linalg import expm
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.papers.claim import Claim, all_digits, report_finding
+from pcbench.synthesis import bandwidth, finite_time, interval_observer, sampled_high_gain, send_on_delta
+
+PERIOD, OMEGA = 0.01, 20.0  # s, 1/s of the extended state observer
+SOURCES = {
+    "eso": "Miklosovic, Radke, Gao 2006 [V]",
+    "high gain": "Karafyllis, Kravaris 2009 [V]",
+    "finite time": "Engel, Kreisselmeier 2002 [V]",
+    "interval": "Mazenc, Dinh 2014 [V]",
+    "event": "Astrom, Bernhardsson 2002 [V]",
+}
+
+
+def rows() -> list[Claim]:
+    """Return every claim on observers and their sampling."""
+    limits = {form: sampled_high_gain.limit(form, 2) for form in ("hold", "predictor", "impulse")}
+    longer = {form: [sampled_high_gain.limit(form, n) for n in (3, 4)] for form in limits}
+    rates = [sampled_high_gain.decay_rate("predictor", 2, interval) for interval in (0.1, 3.0)]
+    trigger = send_on_delta.expected(1.0)
+    return [
+        all_digits("eso: gains at w = 20, T = 0.01", "0.451188, 8.964126, 59.562428", eso_gains(), SOURCES["eso"]),
+        all_digits("high gain, n = 2, innovation held: largest theta T", "1.000", limits["hold"], SOURCES["high gain"]),
+        all_digits(
+            "high gain, n = 2, output predictor: largest theta T", "4.99991", limits["predictor"], SOURCES["high gain"]
+        ),
+        all_digits("high gain, n = 2, impulse: largest theta T", "0.828", limits["impulse"], SOURCES["high gain"]),
+        all_digits(
+            "high gain, output predictor: decay at theta T = 0.1, 3", "0.973, 0.232", rates, SOURCES["high gain"]
+        ),
+        all_digits(
+            "finite time: norm of K at D = 0.5, 2", "192, 5.42", [weight(0.5), weight(2.0)], SOURCES["finite time"]
+        ),
+        *(
+            all_digits(f"interval observer, poles {a}, {b}: final widths", printed, widths((a, b)), SOURCES["interval"])
+            for a, b, printed in ((0.2, 0.3, "3.179, 4.776"), (0.4, 0.5, "3.767, 4.167"), (0.6, 0.7, "5.533, 3.947"))
+        ),
+        all_digits("send on delta, d = 1: mean interval", "1.000", trigger.interval, SOURCES["event"]),
+        all_digits("send on delta, d = 1: mean variance", "0.1667", trigger.variance, SOURCES["event"]),
+        report_finding(
+            "observers: largest theta T of the high gain, n = 3 and 4",
+            "; ".join(f"{form} {', '.join(f'{limit:.5f}' for limit in each)}" for form, each in longer.items()),
+        ),
+    ]
+
+
+def eso_gains() -> Matrix:
+    """Return the gains of the extended state observer of a double integrator, in the form of the source."""
+    Phi = np.array([[1.0, PERIOD, PERIOD**2 / 2], [0.0, 1.0, PERIOD], [0.0, 0.0, 1.0]])
+    return bandwidth.current_gain(Phi, np.eye(3)[:1], float(np.exp(-OMEGA * PERIOD)), 0.0, "eso")[:, 0]
+
+
+def weight(delay: float) -> float:
+    """Return the norm of the weights of a double integrator, with poles -1, -2 and -3, -4, over a delay [s]."""
+    A, C = np.eye(2, k=1), np.eye(2)[:1]
+    flows = (expm((A - np.array([[a + b], [a * b]]) @ C) * delay) for a, b in ((1.0, 2.0), (3.0, 4.0)))
+    return float(np.linalg.norm(np.hstack(finite_time.weights(*flows)), 2))
+
+
+def widths(poles: tuple[float, float]) -> Matrix:
+    """Return the final widths of the interval observer of a double integrator."""
+    return interval_observer.final_width(interval_observer.double_integrator(0.5, poles, wmax=0.2, vmax=0.05))
