@@ -185,6 +185,8 @@ CLOCKS = {
     "disorder": Clock((0,), 30, 20, "periodic", 5, 45, 0.2),
 }
 OPTIONS = {"pccebo": {}, "pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}, "kf": {}}  # model-only never jumps
+MORE = ("eso", "super-twisting", "finite-time")  # a perfect start alone
+OPTIONS |= {"eso": {}, "super-twisting": {}, "finite-time": {"samples": 8}}  # few samples amplify rounding
 RUN = ("pccebo", "pi-pco", "kf")  # pco is pi-pco with other numbers: the same program
 PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs there; both run pi-pco
 
@@ -197,10 +199,10 @@ def gains_of():
     return {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in OPTIONS.items()}
 
 
-def job(clock, seeds, error=0, swap=False, **numbers):
+def job(clock, seeds, error=0, swap=False, observers=RUN, **numbers):
     """Some runs on one clock; with `swap` pi-pco has the numbers of pco."""
     _, p = problem(CASE, {})
-    gains = {o: gains_of()["pco" if swap and o == "pi-pco" else o] for o in RUN}
+    gains = {o: gains_of()["pco" if swap and o == "pi-pco" else o] for o in observers}
     times = times_of([CLOCKS[clock]], CASE.ticks, 1, error)
     p = p._replace(gains=gains, schedule=times, **{k: np.asarray(v) for k, v in numbers.items()})
     return runner.Job(jax.tree.map(np.asarray, p), 0, np.asarray(seeds))
@@ -293,14 +295,14 @@ def test_every_run_has_the_numbers_of_the_reference(block, clock):
 @cache
 def streams_of():
     """The streams of all observers, compiled in a hurry."""
-    layout = Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in RUN), WIDE, 32, False, False)
+    layout = Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in (*RUN, *MORE)), WIDE, 32, False, False)
     run = lambda p, seeds: event_loop.simulate(layout, p, jnp.asarray(0), seeds).streams  # noqa: E731
     return jax.jit(run, compiler_options=QUICK)
 
 
 def peaks(clock, **numbers):
     """The largest error of each observer over all runs and ticks, relative to the largest state."""
-    start = {"x0": CASE.x0, "xhat0": CASE.x0, "noise_std": [0.0]} | numbers
+    start = {"x0": CASE.x0, "xhat0": CASE.x0, "noise_std": [0.0], "observers": (*RUN, *MORE)} | numbers
     jobs = [job(clock, np.arange(WIDE), swap=swap, **start) for swap in (False, True)]
     found, swapped = (streams_of()(each.problem, each.seeds) for each in jobs)
     found["pco"] = swapped["pi-pco"]

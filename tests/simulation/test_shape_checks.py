@@ -10,7 +10,7 @@ from pcbench.observers import OBSERVERS, ObserverSpec, model_only
 from pcbench.planning import padding
 from pcbench.simulation import shape_checks
 from pcbench.study import Study
-from pcbench.study.builtin import STUDIES
+from pcbench.study.builtin import FIELD, STUDIES
 
 BROKEN = {
     "estimate of one state": (
@@ -95,7 +95,7 @@ def test_every_built_in_observer_keeps_to_the_protocol():
     asked = set()
     others = {
         "scenarios": ["cart/gaussian"],
-        "observers": sorted(o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle"))),
+        "observers": sorted(o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in FIELD),
     }
     for study in (STUDIES["all"], Study(name="late", seeds=1, **others)):
         for plan in planning.plan(study):
