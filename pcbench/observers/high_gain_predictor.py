@@ -9,6 +9,7 @@ limit of a chain of integrators is in `synthesis/sampled_high_gain`: theta T < 4
 `parts/held_innovation` writes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
 Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S in place of
 constant gains, for a plant of positions, rates and parameters.
+A stable mode faster than theta is slowed to theta, by a large gain that may not bear the period.
 Not claimed: convergence on a nonlinear plant, nor at varying intervals or with delay.
 """
 

@@ -13,6 +13,7 @@ HOMES = {
     **dict.fromkeys(("chain", "equal-delay", "no-delay"), "csth/10s-noise"),
     **dict.fromkeys(("smo", "pio"), "arm/sampled"),
     "high-gain": "helicopter/constant",  # a closed loop
+    "high-gain-predictor": "flexible-joint/sampled",
     "mhe-bounded": "reactor",
 }
 WILD = {  # late, lost and overtaking samples
