@@ -29,7 +29,7 @@ GAP = 40  # pixels between two pictures beside each other
 def is_kept(drawn, name):
     """Hold a picture beside the one that the README shows; or keep it in its place."""
     if os.environ.get("PCBENCH_SCREENSHOT") == "write":
-        drawn.convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(FOLDER / name, optimize=True)
+        drawn.convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(FOLDER / name, optimize=True)
     new, old = (np.asarray(p.convert("L").resize((90, 140)), float) for p in (drawn, Image.open(FOLDER / name)))
     assert np.abs(new - old).mean() < 12, "of 255: fonts differ between machines, a page does not"
     assert (new < 250).mean() > 0.1, "something is drawn"
