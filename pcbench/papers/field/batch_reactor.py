@@ -32,7 +32,7 @@ def rows() -> list[Claim]:
     modes = sorted(np.linalg.eigvals(model.A).real, reverse=True)
     closed = np.sort_complex(np.linalg.eigvals(loop.A11))
     ranks = [np.linalg.matrix_rank(_observability(model.A, C)) for C in (model.C, model.C[:1], model.C[1:])]
-    growth = np.linalg.norm(loop.A22, 2)
+    growth = float(np.linalg.norm(loop.A22, 2))
     gain = network_bounds.l2_gain(loop.A11, loop.A12, loop.A21)
     largest = network_bounds.round_robin_limit(loop, LONGEST)
     bounds = {

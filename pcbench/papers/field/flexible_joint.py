@@ -4,6 +4,8 @@ The intervals are certified for every slope of the sine and every sequence of in
 of constant periods are over constant slopes: no larger interval can be certified.
 """
 
+from functools import partial
+
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
@@ -48,9 +50,7 @@ def rows() -> list[Claim]:
                 steady=f"{largest:.3f}", source=FUNCTIONAL
             )
         )
-    periods = [
-        constant_periods.largest_stable(lambda T, L=L: _radius(slopes, L, T), 2 * LONGEST) for L in (FOUND, GIVEN)
-    ]
+    periods = [constant_periods.largest_stable(partial(_radius, slopes, L), 2 * LONGEST) for L in (FOUND, GIVEN)]
     text = ", ".join(f"{period:.4f}" for period in periods)
     return [
         *out,
