@@ -20,7 +20,7 @@ from pcbench.plots.palette import INK, SOFT
 from pcbench.study import scenarios_of
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
-POINTS = 120  # of a line, at most
+POINTS = 60  # of a line, at most
 DEPTH = 1e-4  # of the largest error: what is smaller lies at the lower edge
 DASHED = (0, (3.0, 1.6))
 

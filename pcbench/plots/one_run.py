@@ -31,7 +31,7 @@ from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
 
 FORM = 4  # of the file
-POINTS = 240  # ticks that are kept, or up to twice as many
+POINTS = 120  # ticks that are kept, or up to twice as many
 SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
 MEDIAN = "abs_p50"
 RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band

@@ -6,6 +6,8 @@ figure in which you choose what is shown. A content security policy in the page 
 
 import base64
 import hashlib
+import re
+from html import unescape
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -38,6 +40,7 @@ HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes f
 POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
 )
+SVG, STYLE = re.compile(r"<svg.*?</svg>", re.S), re.compile(r' style="([^"]*)"')
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
 
 
@@ -130,7 +133,20 @@ def render(template: str, **words: object) -> str:
     policy = Markup(POLICY.format(digest))
     loader = jinja2.PackageLoader("pcbench", "report")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, finalize=_escape)
-    return environment.get_template(template).render(style=Markup(style), script=Markup(script), policy=policy, **words)
+    html = environment.get_template(template).render(style=Markup(style), script=Markup(script), policy=policy, **words)
+    return share_styles(html)
+
+
+def share_styles(html: str) -> str:
+    """Return a page in which each style of its figures is written once, as the rule of a class."""
+    names: dict[str, str] = {}
+
+    def name(style: re.Match[str]) -> str:
+        return f' class="{names.setdefault(unescape(style[1]), f"s{len(names)}")}"'
+
+    html = SVG.sub(lambda svg: STYLE.sub(name, svg[0]), html)
+    rules = "".join(f".{each}{{{style}}}" for style, each in names.items())
+    return html.replace("</style>", f"{rules}</style>", 1)
 
 
 def _section(place: figures.Place, anchor: str) -> Section:

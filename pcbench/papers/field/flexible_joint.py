@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
-from pcbench.papers.claim import Claim, all_digits, digits, report_finding
+from pcbench.papers.claim import MISPRINT, Claim, all_digits, digits, report_finding, rounds_to
 from pcbench.plants import flexible_joint
 from pcbench.synthesis import constant_periods, held_lmi
 from pcbench.synthesis.held_lmi import HeldTask
@@ -46,8 +46,10 @@ def rows() -> list[Claim]:
         task = HeldTask(slopes[[0, 2]], np.eye(4)[:outputs], (0,) * outputs, (1.0,))
         largest, _ = held_lmi.largest_interval(task, L, LONGEST)
         out.append(
-            digits(f"largest certified interval, {what} [s]", printed, largest)._replace(
-                steady=f"{largest:.3f}", source=FUNCTIONAL
+            digits(f"largest certified interval, {what} [s]", printed, largest, failed=MISPRINT)._replace(
+                steady=f"{largest:.3f}"
+                + ("" if rounds_to(printed, largest) else ": the reference is cut off, not rounded"),
+                source=FUNCTIONAL,
             )
         )
     periods = [constant_periods.largest_stable(partial(_radius, slopes, L), 2 * LONGEST) for L in (FOUND, GIVEN)]
