@@ -34,7 +34,7 @@ ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, an
     "external run": (export.run, "Run your own Python object on the same measurements"),
     "check": (new.check, "Check your own observer, plant, controller or study"),
     "cite": (report.cite, "Print BibTeX of the sources that a study used"),
-    "reproduce": (report.reproduce, "Compare the claims of papers and standard examples with pcbench's results"),
+    "reproduce": (report.reproduce, "Compare published claims and numbers with pcbench's results"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}
 

@@ -173,7 +173,7 @@ def reproduce(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Compare claims and numbers of papers and of standard examples with pcbench's results: a verdict for each.
+    """Compare published numbers and claims with pcbench's results.
 
     Example: pcbench reproduce all --page REPRODUCTION.md
     """

@@ -7,7 +7,7 @@ The gain and its certificate are in `synthesis/held_lmi`: the error decays at th
 `max_interval`, constant or not. Outputs with clocks of their own may be sampled in any order. With `parameter_range` the
 certificate holds for models anywhere in the range, also if they vary with time. So it covers the slopes of a nonlinear plant if
 the range contains them all.
-Source: functional of Fridman, Automatica 46(2), 2010. Etienne, Hetel, Efimov, Petreczky 2017 treat such observers for
+Source: functional of Fridman, Automatica 2010. Etienne, Hetel, Efimov, Petreczky 2017 treat such observers for
 Lipschitz plants; their inequalities were not obtained. Several clocks and the hull of models are ours.
 Not claimed: that the gain filters noise well, that the range contains the slopes of the plant, nor a certificate with delay.
 """

@@ -134,7 +134,7 @@ METHODS = {
         "covers all intervals between samples up to a limit, of each output on its own.",
         "the model and the longest interval between samples; for a nonlinear plant also `parameter_range`, which must "
         "contain its slopes",
-        "functional of Fridman 2010; Etienne, Hetel, Efimov, Petreczky 2017 (not obtained)",
+        "functional of Fridman 2010 (not obtained)",
     ),
     "ekf": Method(
         "Extended Kalman filter (EKF)",

@@ -214,7 +214,7 @@ SAMPLES = "expected one schedule for all runs"
         ("helicopter/constant", ["options.ekf.R=-1"], ["R", "greater than 0"]),
         ("helicopter/constant", ["options.scenario.path=spiral"], ["spiral", "circle"]),
         ("helicopter/constant", ["options.scenario.input=sine"], ["options.scenario.path"]),
-        ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ekf"]),
+        ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ", " ekf, "]),
         ("cart/white", ["options.scenario.feedforward=true"], ["no controller"]),
         ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "take ekf"]),
     ],
