@@ -200,7 +200,10 @@ def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch
     assert all(label in words for label in LABELS)
     assert SHOWN in words
     loading = ("script", "img", "iframe", "object", "embed")
-    assert [tag for tag, _ in found.elements if tag in loading] == ["script"]  # the page's own, which fits tables
+    assert [tag for tag, _ in found.elements if tag in loading] == [
+        "script",
+        "script",
+    ]  # the numbers, and the page's own
     assert not [a for _, attrs in found.elements for a in attrs if a.startswith("on")]
     for file in [p for p in tmp_path.rglob("*") if p.suffix in (".c", ".h", ".toml", ".md", ".csv")]:
         if file.name not in ("study.toml", "one.toml") or file.parent != tmp_path:

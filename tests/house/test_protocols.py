@@ -73,17 +73,18 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_channel_that_is_not_fresh_changes_nothing(name):
     """Whatever value stands in a channel that did not arrive, the estimate is the same."""
-    p = jax.tree.map(jnp.asarray, problem(Case(suitable(name)[-1], 10, 20, ticks=50), {name: {}})[1])
-    observer, gains = OBSERVERS[name].observer, p.gains[name]
+    model = suitable(name)[-1]
+    p = jax.tree.map(jnp.asarray, problem(Case(model, 10, 20, ticks=50), {name: {}})[1])
+    observer, gains, q = OBSERVERS[name].observer, p.gains[name], len(model.C)
     memory, now = observer.init(gains, jnp.arange(float(len(p.x0)))), present(p, jnp.asarray(30), False)
     snapshot = observer.snapshot(gains, memory, now)
 
     def jumped(other):
         arrival = Arrival(
-            jnp.array([2.0, other]),
-            jnp.array([True, False]),
-            jnp.full(2, 20),
-            jnp.ones(2, int),
+            jnp.array([2.0, other])[2 - q :],
+            jnp.array([True, False])[2 - q :],
+            jnp.full(q, 20),
+            jnp.ones(q, int),
             snapshot,
             jnp.asarray(10),
         )
