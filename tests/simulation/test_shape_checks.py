@@ -97,7 +97,8 @@ def test_every_built_in_observer_keeps_to_the_protocol():
         "scenarios": ["cart/gaussian"],
         "observers": sorted(o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in FIELD),
     }
-    for study in (STUDIES["all"], Study(name="late", seeds=1, **others)):
+    joint = {"scenarios": ["flexible-joint/sampled"], "observers": ["high-gain-predictor"]}
+    for study in (STUDIES["all"], Study(name="late", seeds=1, **others), Study(name="joint", seeds=1, **joint)):
         for plan in planning.plan(study):
             for label, observer in plan.layout.observers:
                 shape_checks.check(label, observer, plan.problem, plan.layout.continuous)
