@@ -176,15 +176,24 @@ class Result:
         return f"{UNPROVEN} the gains of {'; '.join(each)}." if each else ""
 
     def _read(self, columns: list[str] | None = None, where: "ds.Expression | None" = None) -> "pd.DataFrame":
-        """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
+        """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged.
+
+        A column that only some observers have, such as nees, is null for the others.
+        """
         import pyarrow.dataset as ds
+        import pyarrow.parquet as pq
 
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
         target, blocks = self._target, block_files.present(self._target)
         files, base = [f"{target.root}/{block.name}" for block in blocks], f"{target.root}/runs"
         try:
-            every = ds.dataset(files, filesystem=target.fs, format=kind, partitioning="hive", partition_base_dir=base)
+            form = {"filesystem": target.fs, "format": kind, "partitioning": "hive", "partition_base_dir": base}
+            every = ds.dataset(files, **form)
+            one_each = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
+            kinds = [pq.read_schema(file, filesystem=target.fs) for file in one_each.values()]
+            if any(set(each.names) - set(every.schema.names) for each in kinds):
+                every = ds.dataset(files, schema=pa.unify_schemas([every.schema, *kinds]), **form)
             return every.to_table(columns, filter=where).to_pandas()
         except (pa.ArrowException, OSError) as error:
             for block in blocks:

@@ -205,3 +205,20 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     assert found["diverged"].all()
     np.testing.assert_allclose(found["divergence_time"], trace["t"][first])
     assert np.isnan(found["mae"]).all()
+
+
+def test_runs_have_the_columns_of_every_observer(tmp_path):
+    """The file that is read first is of `eso`, which has no covariance."""
+    wanted = {"consistency": True, "random_initial_state": True}
+    study = {
+        "name": "t",
+        "scenarios": ["cart/white"],
+        "observers": ["eso", "kf"],
+        "seeds": 2,
+        "options": {"scenario": wanted},
+    }
+    result = pcbench.run(study, out=tmp_path / "out")
+    means = result.runs.groupby("observer").nees.mean()
+    assert np.isnan(means["eso"])
+    assert means["kf"] > 0
+    assert set(result.runs_of("cart/white", ["nees"], 0).observer) == {"eso", "kf"}
