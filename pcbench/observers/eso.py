@@ -52,7 +52,7 @@ class Gains(NamedTuple):
     start: Float[Leaf, "n k"]  # (x, d) at t = 0 from xhat(0)
     d0: Float[Leaf, " n"]
     signals: Room  # for as many signals as are estimated: the plant's states, and its unknown input if it has one
-    room: Room  # for samples that may be overtaken
+    room: Room  # for samples that may arrive after newer ones
 
 
 class Options(StrictOptions):

@@ -47,7 +47,7 @@ class Gains(NamedTuple):
     K: Float[Leaf, "2 n n"]
     H: Float[Leaf, "n n"]
     window: Room  # for the N samples
-    room: Room  # for samples that may be overtaken
+    room: Room  # for samples that may arrive after newer ones
 
 
 class Pair(NamedTuple):

@@ -7,7 +7,7 @@ C(n, i) theta^i of a chain of integrators. As the period goes to 0, this is the 
 On a linear plant the error is mapped from sample to sample by a matrix, whose spectral radius decides at a constant period. The
 limit of a chain of integrators is in `synthesis/sampled_high_gain`: theta T < 4.99991, 2.89627, 1.28317 for n = 2, 3, 4.
 `parts/held_innovation` writes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
-Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S in place of
+Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S instead of
 constant gains, for a plant of positions, rates and parameters.
 A stable mode faster than theta is slowed to theta, by a large gain that may not bear the period.
 Not claimed: convergence on a nonlinear plant, nor at varying intervals or with delay.

@@ -2,7 +2,7 @@
 
 Verdicts are four. `reproduced`: it comes out, and the evidence says how closely. `misprint`: another reading comes out, the
 printed one does not. `does not hold`: it was computed as the paper says, and is not so. `not determinable`: the paper does not
-say enough to compute it. What stands in no paper is a `finding`: ours, without a verdict, counted apart. A number whose source
+say enough to compute it. What is in no paper is a `finding`: ours, without a verdict, counted apart. A number whose source
 nobody could read is `not obtained`, without a verdict too.
 """
 

@@ -5,7 +5,7 @@
 M is the horizontal distance of the radar, H its altitude. The coefficient is seen in the deceleration only. u [ft/s^2] is 0 in
 the experiment, which has no gravity. Units are those of the source.
 Source: Athans, Wishner, Bertolini 1968; Julier, Uhlmann, Durrant-Whyte 2000. Neither paper was obtained: M, H and the noise are
-those of a public program that names them, gamma is 5e-5 1/ft in place of its 1 / 20000 ft, the same number. A tick is one
+those of a public program that names them, and its 1 / 20000 ft is gamma = 5e-5 1/ft. A tick is one
 Runge-Kutta step.
 """
 

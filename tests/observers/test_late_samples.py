@@ -301,10 +301,10 @@ def test_the_guides_table_is_what_comes_out():
     stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])
     assert len(rows) == 11
     for name, said, products in rows:
-        *errors, believes = said.split(" | ")
+        *errors, consistency = said.split(" | ")
         found = stats.loc[name, "steady_rmse"]["mean"].sort_index()
         np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
         assert costs.loc[(1, name), "sample"] == int(products)
-        if believes != "no covariance":
+        if consistency != "no covariance":
             mean, band = stats.loc[(name, "nees", 0.8)], stats.loc[(name, "nees_band", 0.8)]
-            assert verdict(mean["mean"], Band(band.ci_low, band.ci_high)) == believes
+            assert verdict(mean["mean"], Band(band.ci_low, band.ci_high)) == consistency

@@ -65,11 +65,11 @@ def drawn(tmp_path_factory):
 
 
 def quiet(folder, width, paper):
-    told = looked_at(folder / "report.html", folder, width, paper)
-    assert width - 20 <= told["wide"] <= width, "a scroll bar may stand beside it"
+    measured = looked_at(folder / "report.html", folder, width, paper)
+    assert width - 20 <= measured["wide"] <= width, "a scroll bar may stand beside it"
     figures = (folder / "report.html").read_text().count("<figure")
-    assert told["pictures"] == figures - paper > 0, "the interactive figure is not printed"
-    assert told["complaints"] == told["console"] == []
+    assert measured["pictures"] == figures - paper > 0, "the interactive figure is not printed"
+    assert measured["complaints"] == measured["console"] == []
 
 
 @pytest.mark.nightly
@@ -95,13 +95,13 @@ def test_printed_page_keeps_texts_of_figures_readable(drawn):
 
 @pytest.mark.nightly
 def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
-    """The measure itself: a page that is broken in five ways is told so."""
+    """The measure itself: a page that is broken in five ways has five complaints."""
     text = (drawn("motor") / "report.html").read_text()
     head, text_, rest = text.partition("<text")
     text = f'{head}<text x="9999" y="5">far</text><text x="1" y="9">a</text><text x="2" y="9">b</text>{text_}{rest}'
     text = text.replace("<h2>Repeat this study</h2>", BROKEN + "<svg width='9' height='9'></svg>")
     (tmp_path / "report.html").write_text(text.replace("function hints", "console.log('noise'); function hints"))
-    told = looked_at(tmp_path / "report.html", tmp_path, 1400)
+    measured = looked_at(tmp_path / "report.html", tmp_path, 1400)
     for said in (
         "wider than its window",
         "leaves its picture: far",
@@ -109,5 +109,5 @@ def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
         "cut off: this one",
         "an empty picture",
     ):
-        assert any(said in line for line in told["complaints"]), said
-    assert any("noise" in line for line in told["console"])
+        assert any(said in line for line in measured["complaints"]), said
+    assert any("noise" in line for line in measured["console"])
