@@ -1,6 +1,6 @@
 """What built-in studies take: a new user's first run, with empty caches, and the same again. Each run is a process of its own.
 
-    python benchmarks/first_use.py                              # half an hour on two cores
+    python benchmarks/first_use.py                              # all studies: half an hour on two cores
     python benchmarks/first_use.py quick cart --turns 3
     python benchmarks/first_use.py quick --against ../older     # ratios to another checkout, in turn
     python benchmarks/first_use.py --small                      # one short study: its figures mean nothing
@@ -22,6 +22,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
+
+from pcbench.study import builtin
 
 HERE = Path(__file__).resolve().parent.parent
 NEW_PLANT = """name = "new-plant"
@@ -52,27 +54,7 @@ duration = 1.0
 steady_start = 0.5
 """
 FILES = {"new-plant": NEW_PLANT, "900000-runs": MANY, "short": SHORT}
-STUDIES = (
-    *(
-        "quick",
-        "new-plant",
-        "cart",
-        "unequal-delays",
-        "period-delay-map",
-        "variable-sampling",
-        "reactor",
-        "model-mismatch",
-    ),
-    *(
-        "delayed-measurements",
-        "measurement-errors",
-        "equal-tuning",
-        "equal-tuning-reactor",
-        "unknown-input",
-        "helicopter",
-    ),
-    *("all", "900000-runs"),
-)
+STUDIES = (*builtin.STUDIES, "new-plant", "900000-runs")
 
 
 class Took(NamedTuple):
@@ -89,7 +71,8 @@ class Took(NamedTuple):
 def once(study: str, checkout: Path, cache: Path) -> Took:
     """Run a study with the checkout's command line, its results thrown away."""
     environment = os.environ | {"PCBENCH_CACHE": str(cache), "PYTHONPATH": str(checkout)}
-    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    for name in ("JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE"):  # an installed package has its bytecode
+        environment.pop(name, None)
     with tempfile.TemporaryDirectory() as place:
         name = study
         if study in FILES:

@@ -90,6 +90,16 @@ def _no_kept_tunings():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_stored_programs():
+    """Trace every program: a test may have replaced a function. Tests of the store ask for it again."""
+    from pcbench.runtime import program_store
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program_store, "allow", lambda: None)
+        yield
+
+
 @pytest.fixture(scope="module")
 def as_users_have_it():
     """Have batches compiled as a user has them, where a module asks for it."""

@@ -74,10 +74,11 @@ def working(quiet: bool, first: str = "") -> Iterator[Progress]:
 
 
 def setup() -> None:
-    """Set jax up for a command that computes: float64, and where compiled programs are kept."""
-    from pcbench.runtime import config
+    """Set jax up for a command that computes: float64, and where traced and compiled programs are kept."""
+    from pcbench.runtime import config, program_store
 
     config.setup()
+    program_store.allow()
 
 
 def require_effect(given: Mapping[str, object], context: str, advice: str) -> None:

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.stages import Compiled
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -27,7 +26,7 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Gains, Leaf
-from pcbench.runtime import thread_pools
+from pcbench.runtime import program_store, thread_pools
 from pcbench.simulation import reverse_mode
 from pcbench.simulation.types import GridPointParams
 
@@ -113,14 +112,18 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         _pad_seeds(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)
     ]
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
-    compiled: list[Compiled] = []
+    compiled: list[Callable[..., PyTree]] = []
 
     def at(gains: Gains) -> Slope:
         reals = numbers(gains)
         others = [a for a, real in zip(jax.tree.leaves(gains), which, strict=True) if not real]
         if not compiled:
-            lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
-            compiled.append(lowered.compile(options))
+            given = jax.tree.map(
+                lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), (reals, others, bare, *calls[0])
+            )
+            about = layout, n, tail, root_seed, label, which, goal.base, goal.signal, jax.tree.map(np.shape, gains)
+            function = jax.value_and_grad(mean, has_aux=True)
+            compiled.append(program_store.compile_program(function, about, given, options))
         with thread_pools.pool(len(runner.devices())) as threads:
             parts = list(threads.map(lambda c: runner.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
@@ -161,6 +164,6 @@ def _pad_seeds(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray
     return np.resize(seeds, width), weights
 
 
-def _read(call: Compiled, *arguments: PyTree) -> Slope:
+def _read(call: Callable[..., PyTree], *arguments: PyTree) -> Slope:
     (value, lost), slopes = call(*arguments)
     return float(value), [np.asarray(s) for s in slopes], bool(lost)

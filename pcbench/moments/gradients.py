@@ -78,7 +78,8 @@ def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyT
         tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
         call = given, others, reals, tangents
         if not compiled:
-            compiled.append(compile_program(both, *call))
+            about = one.layout, shape, label, real, jax.tree.map(np.shape, p.problem.gains[label])
+            compiled.append(compile_program(both, about, *call, returned=(Sums,)))
         value, slopes = jax.tree.map(np.asarray, compiled[0](*call))
         mine = jax.tree.map(lambda a: a[..., :1], value)
         return CellGradients(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))

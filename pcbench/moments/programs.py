@@ -8,14 +8,16 @@ from jaxtyping import PyTree
 
 from pcbench.engine import runner
 from pcbench.moments.delay_modes import mix_of
+from pcbench.moments.error_sums import Sums
 from pcbench.moments.events import Shape
 from pcbench.moments.inputs import own_of, stack_inputs
 from pcbench.moments.noise_state import WRITTEN_OUT, form_of
-from pcbench.moments.propagate import Outcome, run
+from pcbench.moments.propagate import Last, MomentRecord, Outcome, run
 from pcbench.moments.realisations import Realisation
-from pcbench.runtime import program_cache
+from pcbench.runtime import program_cache, program_store
 from pcbench.simulation.schedule import common_times
 
+RETURNED = (Outcome, Sums, MomentRecord, Last)  # types of what a program returns
 FEW, SOME, MANY = 8, 64, 128  # cells a call; of the cart's a cell costs four fifths with 128 of what it does with 64
 
 
@@ -34,14 +36,21 @@ def compute(ones: list[Realisation], recorded: str, every: int = 1, width: int |
     shape = Shape(width, form, own, recorded, every, written)
     leaves, tree = jax.tree.flatten(given)
     key = layout, shape, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
-    program = _PROGRAMS.ask(key, lambda: compile_program(lambda given: run(layout, shape, given), given))
+    program = _PROGRAMS.ask(
+        key, lambda: compile_program(lambda given: run(layout, shape, given), (layout, shape), given, returned=RETURNED)
+    )
     outcome: Outcome = jax.tree.map(np.asarray, program(given))
     return outcome
 
 
-def compile_program(f: Callable[..., PyTree], *given: PyTree) -> Callable[..., PyTree]:
-    """Return f compiled for arrays of the shapes of `given`, with the engine's options on a CPU."""
-    return jax.jit(f).lower(*given).compile(runner.OPTIONS if jax.devices()[0].platform == "cpu" else None)
+def compile_program(
+    f: Callable[..., PyTree], about: object, *given: PyTree, returned: tuple[type, ...] = ()
+) -> Callable[..., PyTree]:
+    """Return f compiled for arrays of the shapes of `given`, with the engine's options on a CPU (see `program_store`)."""
+    options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
+    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), given)
+    program: Callable[..., PyTree] = program_store.compile_program(f, about, shapes, options, returned)
+    return program
 
 
 def width_of(ones: list[Realisation], wide: set[Hashable]) -> int:
