@@ -85,17 +85,16 @@ def _stored(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.
     """The program of a key: the one that is stored, or traced and stored now."""
     place = cache.folder("traces")
     path = place / key
-    with suppress(OSError, ValueError):
+    content = b""
+    with suppress(OSError):
         content = path.read_bytes()
-        if hashlib.sha256(content[SIZE:]).digest() != content[:SIZE]:
-            raise ValueError
         os.utime(path)
-        return export.deserialize(bytearray(content[SIZE:]))
-    traced = export.export(jax.jit(flat))(*leaves)
-    content = bytes(traced.serialize())
-    cache.keep(path, hashlib.sha256(content).digest() + content)
-    _drop_old(place)
-    return traced
+    digest, stored = content[:SIZE], content[SIZE:]
+    if hashlib.sha256(stored).digest() != digest:
+        stored = bytes(export.export(jax.jit(flat))(*leaves).serialize())
+        cache.keep(path, hashlib.sha256(stored).digest() + stored)
+        _drop_old(place)
+    return export.deserialize(bytearray(stored))  # the first time too: jax finds machine code by the text of a program
 
 
 def _register(named_tuple: type) -> None:
