@@ -7,6 +7,7 @@ simulation reads it; measurement noise is made from it by `simulation.measuremen
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 
@@ -384,6 +385,7 @@ FIELDS = (
 )
 
 
+@cache
 def names(**wanted: object) -> tuple[str, ...]:
     """Return the names of the fields that have all these values, in order."""
     return tuple(f.name for f in FIELDS if all(getattr(f, key) == value for key, value in wanted.items()))

@@ -1,7 +1,8 @@
 """What of a study is exact, as files: `exact.parquet`, rows as in stats, and `moments/`, means and deviations over time.
 
 They are made before anything is simulated, once for a study: they say which observers of which cells are left to runs. A cell's
-moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are left, about.
+moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are left, about. A study of more than `MOST` cells
+has no `moments/`: a file for each would take most of its time.
 """
 
 import itertools
@@ -29,6 +30,7 @@ NAME, FOLDER = "exact.parquet", "moments"
 OVER_TIME = re.compile(rf"{FOLDER}/scenario=[^/]+/cell=\d+\.parquet")
 OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
+MOST = 1000  # cells of a study whose moments over time are kept
 WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
 SAID = 3  # refusals that are said
 
@@ -73,7 +75,8 @@ def _over_time(
     owned: StudyClaim, exact: "Exact", rows: list[dict[str, list[object]]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
-    for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
+    solved = exact.solved(owned.cells, "std" if len(owned.cells) <= MOST else "", POINTS)
+    for key, parts in itertools.groupby(solved, key=lambda m: m.planned.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
         for m in parts:
             rows.append(exact.rows(m))

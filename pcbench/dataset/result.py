@@ -103,7 +103,10 @@ class Result:
 
     @cached_property
     def moments(self) -> "pd.DataFrame":
-        """Exact mean and standard deviation of the errors over time, per scenario, grid point, observer, signal and t."""
+        """Exact mean and standard deviation of the errors over time, per scenario, grid point, observer, signal and t.
+
+        None are kept of a study of more than 1,000 grid points; `pcbench.exact_moments` computes them for one.
+        """
         return self._moments(storage.names(self._target, moments_tables.FOLDER))
 
     def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":

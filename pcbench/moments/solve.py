@@ -124,13 +124,15 @@ def solve(plans: Iterable[Plan], asked: MomentRequest) -> Iterator[CellMoments]:
 def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
     """Yield cells with their realisations, some at a time; cells whose kind is `unlike` are not tried by modes."""
     window: list[Work] = []
+    many = 0  # realisations in the window
     for p in plans:
         off = bend(p)
         ones, drawn, trial = ([], False, False) if off > ROUNDING else _realisations(p, asked, unlike)
         window.append(Work(p, ones, drawn, trial, off, []))
-        if sum(len(work.ones) for work in window) >= WINDOW:
+        many += len(ones)
+        if many >= WINDOW:
             yield window
-            window = []
+            window, many = [], 0
     yield window
 
 

@@ -9,7 +9,8 @@ and SCENARIOS scenarios.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,43 +59,53 @@ def to_ticks(seconds: float, s: Scenario) -> int:
 
 def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels whose samples are taken, delayed and lost alike are one."""
-    many, groups = len(s.sampling.delay), dict[Sampling, list[int]]()
+    return list(_clocks(s.sampling, s.dt))
+
+
+@lru_cache(256)
+def _clocks(every: Sampling, dt: float) -> tuple[Clock, ...]:
+    many, groups = len(every.delay), dict[Sampling, list[int]]()
     for j in range(many):
-        alone: dict[str, object] = {name: per_channel(s.value(name), many)[j] for name in OF_A_SENSOR}
+        alone: dict[str, Any] = {name: per_channel(getattr(every, name), many)[j] for name in OF_A_SENSOR}
         alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
-        alone |= {name: s.value(name)[j] for name in fields.names(rows=True) if has_rows(s.value(name))}
-        groups.setdefault(s.having(**alone).sampling, []).append(j)
-    return [_clock(measured, tuple(channels), s) for measured, channels in groups.items()]
+        rows = {name: getattr(every, name) for name in fields.names(rows=True)}
+        alone |= {name: each[j] for name, each in rows.items() if has_rows(each)}
+        groups.setdefault(every._replace(**alone), []).append(j)
+    return tuple(_clock(measured, tuple(channels), dt) for measured, channels in groups.items())
 
 
-def _clock(measured: Sampling, channels: tuple[int, ...], s: Scenario) -> Clock:
+def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
     """One sensor: its delay's steps are later by a few values or by a gamma distribution, drawn one by one or by a chain."""
+
+    def ticks(seconds: float) -> int:
+        return round(seconds / dt)
+
     delay, pattern = measured.delay[0], measured.sampling_pattern
-    steps = tuple(to_ticks(v, s) for v in measured.delay_values)
+    steps = tuple(ticks(v) for v in measured.delay_values)
     share = tuple(each / sum(measured.delay_weights) for each in measured.delay_weights)
     if measured.delay_gamma_mean:
-        share = gamma(number(measured.delay_gamma_mean) / s.dt, number(measured.delay_gamma_shape))
+        share = gamma(number(measured.delay_gamma_mean) / dt, number(measured.delay_gamma_shape))
         steps = tuple(range(len(share)))
     start, length = number(measured.outage_start), number(measured.outage_duration)
-    offset, jitter = (to_ticks(v, s) for v in (measured.timestamp_offset, measured.timestamp_jitter))
+    offset, jitter = (ticks(v) for v in (measured.timestamp_offset, measured.timestamp_jitter))
     return Clock(
         channels=channels,
-        period=to_ticks(measured.sampling_period[0], s),
-        delay=None if isinstance(delay, str) else to_ticks(delay, s),
-        profile=pattern if isinstance(pattern, str) else tuple(to_ticks(v, s) for v in pattern),
-        jitter=to_ticks(number(measured.sampling_jitter), s),
-        spread=to_ticks(number(measured.delay_jitter), s),
+        period=ticks(measured.sampling_period[0]),
+        delay=None if isinstance(delay, str) else ticks(delay),
+        profile=pattern if isinstance(pattern, str) else tuple(ticks(v) for v in pattern),
+        jitter=ticks(number(measured.sampling_jitter)),
+        spread=ticks(number(measured.delay_jitter)),
         steps=steps,
         stay=chain(measured),
         share=share,
-        turns=tuple(sampling.LOST if v == LOST else to_ticks(float(v), s) for v in measured.delay_sequence),
+        turns=tuple(sampling.LOST if v == LOST else ticks(float(v)) for v in measured.delay_sequence),
         loss=number(measured.loss),
         burst=number(measured.mean_burst_length) if measured.loss else 0.0,
-        phase=to_ticks(number(measured.sampling_phase), s),
-        outage=(to_ticks(start, s), to_ticks(start + length, s)) if length else (0, 0),
+        phase=ticks(number(measured.sampling_phase)),
+        outage=(ticks(start), ticks(start + length)) if length else (0, 0),
         stamp=Stamp(offset, 1e-6 * measured.clock_skew, jitter),
         early=measured.prefilled,
-        swing=(measured.delay_sine[0] / s.dt, measured.delay_sine[1] * s.dt),
+        swing=(measured.delay_sine[0] / dt, measured.delay_sine[1] * dt),
     )
 
 

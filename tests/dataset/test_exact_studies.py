@@ -94,6 +94,17 @@ def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
 
 
 @pytest.mark.ci
+def test_a_study_of_many_grid_points_has_no_file_for_each_and_the_same_tables(out, tmp_path, monkeypatch):
+    monkeypatch.setattr(moments_tables, "MOST", 1)
+    many = pcbench.run(STUDY, evaluation="exact", out=tmp_path / "many")
+    assert not (tmp_path / "many" / "moments").exists()
+    assert many.moments.empty
+    assert many.moments_of(*many.stats[["scenario", "cell"]].iloc[0]).empty
+    pd.testing.assert_frame_equal(many.stats, open_result(out).stats, check_exact=True)
+    assert verify.verify(tmp_path / "many", 1, 0).wrong == []
+
+
+@pytest.mark.ci
 def test_verify_status_and_compare_take_them(out, tmp_path):
     again = verify.verify(out, 1, 0)
     assert (again.wrong, len(again.exact), again.unlike) == ([], 1, [])
