@@ -134,5 +134,7 @@ def _spread(layout: Layout, p: GridPointParams, state: State, drawn: steps.TickN
         return lane_forms.forms_of(tick, [*forms, *and_drawn[many:]])
 
     forms = lane_forms.spread(moved, given[:many])
+    long = [len(x.shape) > 0 and x.shape[0] >= lane_forms.MANY for x in leaves]  # whose tables keep their rows together
+    forms = [lane_array.TABLE if form and many else form for form, many in zip(forms, long, strict=True)]
     wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
     return jax.tree.unflatten(tree, wide)
