@@ -12,6 +12,7 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from threading import Lock
 from types import CodeType, FunctionType, MethodType
@@ -137,7 +138,7 @@ def _surroundings() -> bytes:
     for path in sorted(root.rglob("*.py")):
         found.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode() + path.read_bytes())
     settings = sorted(item for item in os.environ.items() if item[0].startswith(("JAX_", "XLA_")))
-    releases = [(name, __import__(name).__version__) for name in OF_LIBRARIES]
+    releases = [(name, metadata.version(name)) for name in OF_LIBRARIES]
     found.update(repr((platform.python_version(), releases, settings, jax.default_backend())).encode())
     return found.digest()
 
