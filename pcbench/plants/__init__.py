@@ -9,6 +9,7 @@ from jaxtyping import PyTree
 from pcbench.plants import (
     arm,
     cart,
+    coordinated_turn,
     csth,
     falling_body,
     flexible_joint,
@@ -74,6 +75,15 @@ PLANTS: dict[str, PlantSpec] = {
         sensor=falling_body.sensor,
         positive=("gamma", "distance"),
         drifts=False,
+    ),
+    "coordinated-turn": _of(coordinated_turn, "turning aircraft seen by a radar, 5 states")._replace(
+        heavy=True,
+        successor=coordinated_turn.successor,
+        sensor=coordinated_turn.sensor,
+        output_residual=coordinated_turn.output_residual,
+        errors=coordinated_turn.ERRORS,
+        drifts=False,
+        tick=coordinated_turn.TICK,
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -2,6 +2,7 @@
 
 from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
+from pcbench.scenarios.coordinated_turn import COORDINATED_TURN
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.falling_body import FALLING_BODY
 from pcbench.scenarios.flexible_joint import FLEXIBLE_JOINT
@@ -18,6 +19,15 @@ __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Sc
 
 _EVERY = (
     *(*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR),
-    *(*NCS_TWO_STATE, *NCS_REACTOR, *GROWTH, *INTERMITTENT, *QUADRUPLE_TANK, *FLEXIBLE_JOINT, *FALLING_BODY),
+    *(
+        *NCS_TWO_STATE,
+        *NCS_REACTOR,
+        *GROWTH,
+        *INTERMITTENT,
+        *QUADRUPLE_TANK,
+        *FLEXIBLE_JOINT,
+        *FALLING_BODY,
+        *COORDINATED_TURN,
+    ),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}

@@ -26,6 +26,7 @@ QUESTIONS = {  # that each study answers
     "intermittent": "How does the error grow near the critical loss?",
     "quadruple-tank": "How much error does a delayed level cost?",
     "flexible-joint": "Up to which period do filters follow the joint?",
+    "coordinated-turn": "Which filter follows a turning target, and at which delay?",
     "outage": "How far does the error grow during an outage?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
@@ -250,6 +251,13 @@ STUDIES = {
         seeds=256,
         axes={"sampling_period": [0.05, 0.1, 0.2, 0.4]},
         options={"scenario": {"random_initial_state": True}},
+    ),
+    "coordinated-turn": Study(
+        name="coordinated-turn",
+        scenarios=["coordinated-turn/radar"],
+        seeds=250,
+        axes={"delay": [0.0, 1.0, 2.0, 4.0]},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "outage": Study(  # the error grows by a factor of 1.25 per step
         name="outage",

@@ -55,7 +55,8 @@ def of(**functions):
 EVERY = {"cart/white": {"axes"}, "csth/10s-noise": set(), "arm/sampled": set(), "helicopter/constant": {"rest"},
          "reactor/batch": set(), "cart/unknown-delay": {"axes"}, "ncs-two-state/held": set(),
          "ncs-reactor/round-robin": set(), "growth-model/gordon": {"rest", "seen"}, "intermittent/scalar": set(),
-         "quadruple-tank/delayed": set(), "flexible-joint/sampled": set(), "falling-body/radar": set()}  # fmt: skip
+         "quadruple-tank/delayed": set(), "flexible-joint/sampled": set(), "falling-body/radar": set(),
+         "coordinated-turn/radar": set()}  # fmt: skip
 
 KNOWN = {
     "reactor/batch": {"tick"},  # its tick of 0.1 s is wrong by 2e-5 of a state

@@ -20,8 +20,9 @@ PROGRAMS = {
     "measurement-errors": 5,
     "reactor": 3,  # each expensive observer has one of its own
     "equal-tuning-reactor": 2,
-    "all": 23,
+    "all": 25,
     "growth-model": 2,
+    "coordinated-turn": 2,
     "ncs-two-state": 1,
     "ncs-reactor": 1,
     "intermittent": 1,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pcbench.papers.claim import FINDING, Claim
 from pcbench.papers.field import (
     batch_reactor,
+    coordinated_turn,
     falling_body,
     flexible_joint,
     growth,
@@ -31,6 +32,7 @@ EXAMPLES: dict[str, Callable[[], list[Claim]]] = {  # in seconds
 RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
     "growth model": growth.rows,
     "falling body": falling_body.rows,
+    "coordinated turn": coordinated_turn.rows,
 }
 
 

@@ -27,7 +27,7 @@ MISSING = {  # by source: what is missing, and what the table has instead
         "text of the paper, and the bounds of later papers for variable periods",
         "gain seen in AntonSelivanov/CDC16a; the largest constant period",
     ),
-    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", ""),
+    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", "the remembered covariance"),
     "Julier, Uhlmann, Durrant-Whyte 2000": (
         "text of the paper, curves of the errors",
         "constants seen in wengjn/MatlabDBN, errors of an independent program",

@@ -1,0 +1,41 @@
+"""The coordinated turn: errors of the cubature filter, and those of the extended filter without the runs that it loses.
+
+The numbers of an independent program are of 250 runs and 100 steps each: of one seed or of two. `reproduced` is within three
+standard errors of the difference of two such numbers, each of as many runs. The standard error is that of 250 runs of pcbench.
+The program draws the estimate's start about x(0), pcbench draws x(0) about the estimate's start.
+"""
+
+import numpy as np
+import pandas as pd
+
+from pcbench import api
+from pcbench.papers.claim import FALSE, REPRODUCED, Claim
+
+COMPUTED = "Arasaratnam, Haykin 2009 [V]"
+LOST = 500.0  # m: a run of the extended filter that passes it counts as lost
+
+
+def rows() -> list[Claim]:
+    """Return every claim on the coordinated turn."""
+    runs = api.run("coordinated-turn", axes={"delay": [0.0]}).runs
+    ukf = runs[runs.observer == "ukf"].set_index("signal").steady_mse
+    extended = runs[(runs.observer == "ekf") & (runs.signal == "position")]
+    kept = extended[extended.steady_max_abs_error <= LOST]
+    lost = f"lost: {len(extended) - len(kept)} of {len(extended)}"
+    return [
+        _root(ukf["position"], (19.3, 20.4), "ukf, cubature: position [m]"),
+        _root(ukf["velocity"], (11.2,), "ukf, cubature: velocity [m/s]"),
+        _root(ukf["turn_rate"] * np.degrees(1.0) ** 2, (1.33,), "ukf, cubature: turn rate [degrees/s]"),
+        _root(kept.steady_mse, (30.0,), f"ekf: position in the runs within {LOST:g} m [m]", lost),
+    ]
+
+
+def _root(square: "pd.Series[float]", printed: tuple[float, ...], claim: str, more: str = "") -> Claim:
+    """Compare the root of the mean square over runs and steps with the printed ones; `square` is of each run."""
+    root = np.sqrt(square.mean())
+    error = square.sem() / (2 * root)  # of the root
+    away = max(abs(root - each) for each in printed) / (np.sqrt(2) * error)
+    shown = "; ".join(filter(None, (f"{root:.3g} +- {error:.2g}, {away:.1f} standard errors off at most", more)))
+    steady = f"within {3 if away < 3 else away:.0f} standard errors"
+    text = ", ".join(f"{each:g}" for each in printed)
+    return Claim(claim, text, shown, REPRODUCED if away < 3 else FALSE, steady, COMPUTED)
