@@ -66,6 +66,7 @@ def driven(found, folder, every, late, at, ticks, age):
     return [float(x) for x in ran.stdout.split()]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "name", ["kf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "kf-reprocess", "mhe"))]
 )

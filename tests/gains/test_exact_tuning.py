@@ -83,6 +83,7 @@ KNOWN = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("metric", ["steady_pooled_rmse", pytest.param("mae", marks=pytest.mark.nightly)])
 def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     """The value to 1e-10; the gradient to what central differences of the other give: 1e-7."""

@@ -214,6 +214,7 @@ def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, ch
         pcbench.run("helicopter/constant", observers=["mhe"])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.nightly)])
 def test_particles_equal_the_reference_on_the_same_draws(many, share):
     """Late and overtaking samples move the same particles by the same draws again."""

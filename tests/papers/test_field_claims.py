@@ -26,6 +26,7 @@ def computed():
         return field.of(field.EXAMPLES)
 
 
+@pytest.mark.ci
 def test_computed_claims_are_in_the_page_as_they_come_out(computed):
     """Byte for byte and in order; a row of the page that is computed from runs, or not obtained, may be between them."""
     tables = [line for line in _paper("field", computed) if line.startswith("|")]

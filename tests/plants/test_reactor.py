@@ -29,6 +29,7 @@ def test_its_run_is_scipys():
     np.testing.assert_allclose(got @ [1.0, 2.0], 5.0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "name",
     ["ekf", pytest.param("ekf-iterated", marks=pytest.mark.nightly), pytest.param("mhe", marks=pytest.mark.nightly)],

@@ -48,6 +48,7 @@ def test_channels_of_different_motions_have_no_lag(tmp_path):
     assert pcbench.info(recording(tmp_path / "log", 4, 0.1, other=5)).attrs["lags"] == []
 
 
+@pytest.mark.ci
 def test_intervals_hold_the_lag_in_at_least_34_of_40_recordings(tmp_path):
     """95 % intervals hold it in fewer with a probability of 0.003."""
     held = 0

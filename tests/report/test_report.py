@@ -250,6 +250,7 @@ def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, tex
         assert png.startswith(b"\x89PNG")
 
 
+@pytest.mark.ci
 def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp_path):
     done = call("report", str(folder), "--out", str(tmp_path / "a" / "page.html"))
     assert "which opens in any browser" in done.stdout, done.stderr

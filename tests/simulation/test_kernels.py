@@ -84,9 +84,9 @@ def products_in(jaxpr):
     ("scenario", "observers"),
     [
         ("cart/white", ["pccebo", "kfbo", "kf", "ekf-delay"]),
-        ("arm/sampled", ["smo", "pio", "kf"]),
+        pytest.param("arm/sampled", ["smo", "pio", "kf"], marks=pytest.mark.ci),
         ("reactor/batch", ["ekf", "ukf"]),
-        ("helicopter/varying", ["high-gain"]),
+        pytest.param("helicopter/varying", ["high-gain"], marks=pytest.mark.ci),
     ],
 )
 def test_every_product_of_an_event_loop_rounds_by_itself(scenario, observers, monkeypatch):

@@ -52,6 +52,7 @@ def lqr_over_networks():
     return raw, law, [loop.simulate(p, SENSOR, ACTUATOR, law, N, 0, seed) for seed in range(3)]
 
 
+@pytest.mark.ci
 def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references(lqr_over_networks):
     raw, _, runs = lqr_over_networks
     assert gap(pcbench.simulate(raw, "kf", seed=1), runs[1]) < 1e-10

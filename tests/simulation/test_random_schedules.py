@@ -50,7 +50,7 @@ def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
     assert realised(clocks, ticks, seed, root) == every_sample(clocks, ticks, root, seed)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
     q, error = width(clocks), misjudged(data, clocks)

@@ -118,6 +118,7 @@ def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_qu
         assert share_called(runs[runs.observer == "kf-bold"], metric, degrees, "optimistic") > 0.97
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "names", [("kf",), pytest.param(("kf", "kf-cloning", "model-only"), marks=pytest.mark.nightly)]
 )
