@@ -1,6 +1,6 @@
 """Options that several commands share."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pcbench.cli.shared import argument, option
 
@@ -26,3 +26,4 @@ Signal = Annotated[str | None, option("Signal [default: the first of a closing t
 Metric = Annotated[str, option("Metric that ranks observers (see pcbench list metrics)")]
 Late = Annotated[float | None, option("Delay of every measurement [s], for a recording without arrival times")]
 Start = Annotated[float | None, option("Time of tick 0 in the recording [s] [default: its first time]")]
+Journal = Literal["ieee", "elsevier", "elsevier-1p"]  # the keys of plots.JOURNALS

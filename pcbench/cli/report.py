@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pcbench.cli.options import RANK, Folder, Json, Metric, Quiet, Signals
+from pcbench.cli.options import RANK, Folder, Journal, Json, Metric, Quiet, Signals
 from pcbench.cli.shared import argument, chosen, console, option, out, require_effect, setup, working, write
 from pcbench.errors import UserError, printable, unknown
 
@@ -20,6 +20,9 @@ def report(
     figures: Annotated[str | None, option("Folder for the figures as files, instead of the page")] = None,
     formats: Annotated[
         str | None, option("Comma-separated file formats (with --figures) [default: svg,pdf,png]")
+    ] = None,
+    journal: Annotated[
+        Journal | None, option("Journal whose column widths and fonts the figures have (with --figures)")
     ] = None,
     width: Annotated[float | None, option("Column width in inches (with --figures) [default: 3.75]")] = None,
     size: Annotated[float | None, option("Font size in points (with --figures) [default: 9]")] = None,
@@ -41,13 +44,13 @@ def report(
 
     Examples: pcbench report results/quick --metric steady_rmse --signal velocity;  pcbench report replayed
     """
-    of_figures = {"--formats": formats, "--width": width, "--size": size, "--font": font}
+    of_figures = {"--formats": formats, "--journal": journal, "--width": width, "--size": size, "--font": font}
     if figures is None:
         require_effect(of_figures, "without --figures", "add --figures, or leave it out")
     setup()
     from pcbench import statistics
     from pcbench.plots import replay_frames
-    from pcbench.plots.layout import PAPER
+    from pcbench.plots.layout import JOURNALS, PAPER
     from pcbench.report.figures import FigureOptions
     from pcbench.runtime import config
 
@@ -73,10 +76,11 @@ def report(
             from pcbench.report import replay_page
 
             kinds = pictures.kinds_of("svg,pdf,png" if formats is None else formats)
-            paper = PAPER._replace(
-                width=PAPER.width if width is None else width,
-                size=PAPER.size if size is None else size,
-                font=PAPER.font if font is None else font,
+            base = JOURNALS[journal] if journal else PAPER
+            paper = base._replace(
+                width=base.width if width is None else width,
+                size=base.size if size is None else size,
+                font=base.font if font is None else font,
             ).checked()
             if replayed:
                 written = replay_page.write_figures(folder, figures, shown._replace(paper=paper), kinds)
@@ -105,6 +109,9 @@ def tables(
     markdown: Annotated[bool, option("Markdown [default, unless --out ends in .tex or .csv]", "--markdown")] = False,
     csv: Annotated[bool, option("CSV: one row per estimate, with all digits", "--csv")] = False,
     plain: Annotated[bool, option("LaTeX without packages", "--plain")] = False,
+    journal: Annotated[
+        Journal | None, option("Journal whose columns the tables fit (with LaTeX) [default: ieee]")
+    ] = None,
     metric: Metric = RANK,
     signal: Signals = None,
     file: Annotated[str | None, out("File to write: .tex, .md or .csv [default: the terminal]")] = None,
@@ -121,6 +128,9 @@ def tables(
         raise UserError(
             f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; add --latex, --markdown or --csv."
         )
+    form = given[0] if given else SUFFIXES[suffix]
+    if form != "latex":
+        require_effect({"--journal": journal}, f"with {form}", "add --latex, or leave it out")
     from pcbench.dataset.result import open_result
     from pcbench.tables import latex as tex
     from pcbench.tables import layout, text
@@ -128,9 +138,8 @@ def tables(
     found = layout.tables(open_result(folder), metric, chosen(signal))
     if not found:
         raise UserError(f"--metric: got {metric}, which the selected signals do not have; use another.")
-    form = given[0] if given else SUFFIXES[suffix]
     if form == "latex":
-        _put(tex.latex(found, plain), file)
+        _put(tex.latex(found, plain, journal or "ieee"), file)
     else:
         _put(text.markdown(found) if form == "markdown" else text.values(found), file)
 

@@ -17,7 +17,7 @@ from pcbench.dataset import single_table
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.layout import number
+from pcbench.plots.layout import TIMES, number
 
 LTI = "lti"  # the scenario of a table [lti]
 WORDS = {
@@ -75,6 +75,7 @@ def times(value: float) -> str:
 POLYLINE = re.compile(r' d="([-+.\deMLz\s]*)"')  # a path of straight lines
 KINDS = ("svg", "pdf", "png")
 DPI = 200  # of PNG
+FAMILY = f"'{TIMES}', 'STIX Two Text', 'Times New Roman', 'Times'"  # where the first is not installed
 TIP = re.compile(rb'<g id="tip:([^"]*)">')
 TAG, PRECISE = re.compile(r"<[^>]*>"), re.compile(r"(\d+\.\d\d)\d+")  # numbers inside a tag say where, not what
 IDENTITY = re.compile(
@@ -86,9 +87,13 @@ def render_figure(figure: Figure, kind: str) -> bytes:
     """Return a figure as a file's content. Text stays text in SVG and PDF; the same figure gives the same bytes."""
     out = io.BytesIO()
     about: dict[str, None] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "pcbench", "pdf.fonttype": 42}):
+    with mpl.rc_context(
+        {"svg.fonttype": "none", "svg.hashsalt": "pcbench", "pdf.fonttype": 42, "text.hinting": "none"}
+    ):
         figure.savefig(out, format=kind, dpi=DPI, metadata=about)
-    return TIP.sub(rb"<g><title>\1</title>", out.getvalue()) if kind == "svg" else out.getvalue()
+    if kind != "svg":
+        return out.getvalue()
+    return TIP.sub(rb"<g><title>\1</title>", out.getvalue()).replace(f"'{TIMES}'".encode(), FAMILY.encode())
 
 
 def save(figure: Figure, file: str | Path) -> None:

@@ -39,6 +39,7 @@ LOOK = {
     "grid.color": GRID, "grid.linewidth": 0.6, "legend.borderaxespad": 0.2, "legend.borderpad": 0.0,
     "legend.columnspacing": 1.0, "legend.frameon": False, "legend.handlelength": 2.4, "legend.handletextpad": 0.4,
     "legend.labelspacing": 0.3, "text.color": INK, "text.parse_math": False,  # a text is a text, never mathematics
+    "text.hinting": "none",  # a text is equally wide at every resolution
     **{f"{axis}tick.{key}": value for axis in "xy" for key, value in TICK.items()},
 }  # fmt: skip
 
@@ -49,11 +50,23 @@ class Paper(NamedTuple):
     width: float = 3.75  # inches, of one column; maps of many observers take two
     size: float = 9.0  # points, of text
     font: str = "DejaVu Sans"  # family; letters that it lacks, and all where it is not installed, are of DejaVu Sans
+    text: float | None = None  # inches, of the whole text; None: two columns
+
+    @property
+    def full(self) -> float:
+        """Return the width of the whole text in inches."""
+        return 2 * self.width if self.text is None else self.text
 
     @property
     def em(self) -> float:
         """Return the height of a letter in inches."""
         return self.size / 72
+
+    def fitted(self, width: float) -> float:
+        """Return the width of a figure that needs so many inches: where the text's is known, one column or all of it."""
+        if self.text is None:
+            return width
+        return self.width if width <= self.width + 1e-9 else self.text
 
     def checked(self) -> "Paper":
         """Return the paper; raise UserError for a width or a size on which nothing can be read."""
@@ -87,6 +100,12 @@ class Paper(NamedTuple):
 
 
 PAPER = Paper()
+POINTS_PER_INCH = 72.27  # of TeX
+TIMES = "STIXGeneral"  # looks like Times; matplotlib installs it
+JOURNALS = {  # IEEEtran; elsarticle with its option 5p; and with 1p, which fits 3p and manuscripts too
+    name: Paper(column / POINTS_PER_INCH, 8.0, TIMES, text / POINTS_PER_INCH)
+    for name, column, text in (("ieee", 252, 516), ("elsevier", 252, 522), ("elsevier-1p", 384, 384))
+}
 
 
 @lru_cache(4096)
@@ -118,7 +137,7 @@ def sheet(
         for ax in grid.flat[panels:]:
             ax.remove()
         yield figure, list(grid.flat[:panels])
-        _lay_out(figure, grid, title, height, width or paper.width, keys, paper)
+        _lay_out(figure, grid, title, height, paper.fitted(width or paper.width), keys, paper)
 
 
 def _lay_out(

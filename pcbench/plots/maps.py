@@ -214,8 +214,9 @@ def draw(
     room = max(paper.width_of(w, 1) for w in words[1]) + 2 * em
     cell = max(3.3 * em, *(paper.width_of(w, 1) + 0.4 * em for w in words[0]))
     each = SIDE + room if fine else max(cell * len(x.values), LEAST * em) + room
-    columns = max(1, min(len(maps), int(2 * paper.width / each)))
-    width = columns * each if fine else min(2 * paper.width, columns * max(paper.width / 1.6, each))
+    rows = ceil(len(maps) / max(1, int(paper.full / each)))
+    columns = ceil(len(maps) / rows)
+    width = columns * each if fine else min(paper.full, columns * max(paper.width / 1.6, each))
     width = paper.width if columns == 1 and not fine else width
     height = SIDE if fine else max(2.6 * em, min(ROW, TALL / len(y.values))) * len(y.values)
     with sheet(paper, title, len(maps), columns, height=height, width=width, keys=keys) as (figure, axes):

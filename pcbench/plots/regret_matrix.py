@@ -128,7 +128,7 @@ def regrets(
         f"{subject} / least of the column [-], {result.study.name}, {runs}",
         panels,
         height=ROW * len(found.observers) + (words if upright else 0.0),
-        width=max(paper.width, min(2 * paper.width, names + CELL * columns + 0.3)),
+        width=max(paper.width, min(paper.full, names + CELL * columns + 0.3)),
         keys=keys,
     ) as (figure, axes):
         for i, ax in enumerate(axes):

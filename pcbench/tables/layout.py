@@ -1,10 +1,11 @@
-"""What stands where in a table of a result, before it is written in any form.
+"""The rows and columns of the tables of a result, before they are written in any form.
 
-Of a scenario without axes that vary: a row an observer, a column a signal. Along one axis of few values: a table a signal, a
-row an observer, a column a value. Else: a row a cell, a column an observer. Among the observers of one cell the best is marked,
-with those that are as good.
+Every row is an observer. If no axis varies, each column is a signal. Otherwise each signal has a table whose columns are the
+values of the longest axis, with rows grouped by the values of the other axes. Axes that vary one at a time have a table each.
+The best observer of a grid point is marked, and those that are not significantly worse.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import pandas as pd
@@ -15,8 +16,6 @@ from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import estimate
 from pcbench.statistics.ranking import standing
-
-WIDE = 4  # values of an axis that stand beside one another
 
 
 class Head(NamedTuple):
@@ -44,7 +43,7 @@ class Entry(NamedTuple):
 
 
 class Table(NamedTuple):
-    """One table; every row begins with as many words as `stub` has heads."""
+    """One table; every row begins with as many words as `stub` has heads: the values of axes, and an observer."""
 
     scenario: str
     signal: str  # empty: all that are shown
@@ -62,12 +61,14 @@ class Table(NamedTuple):
     @property
     def notes(self) -> list[str]:
         """Return what a reader has to know of it, a sentence each."""
-        runs = {e.row["n"] + e.row["diverged"] for e in self.entries}
+        runs = {int(e.row["n"] + e.row["diverged"]) for e in self.entries} or {0}
         each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; skewed intervals by their ends" if any(" .. " in e.text for e in self.entries) else ""
-        notes = [f"Means over {each} runs, ± half a 95 % interval{leans}."]
+        half = ", ± half a 95 % interval" if any("±" in e.text for e in self.entries) else ""
+        notes = [f"Means over {each} runs{half}{leans}." if max(runs) else "Exact expected values."]
         if any(e.best for e in self.entries):
-            notes += ["Bold: the best, and each that is not significantly worse (paired t-test, Holm, 5 %)."]
+            test = "not significantly worse (paired t-test, Holm, 5 %)" if max(runs) else "equal to it"
+            notes += [f"Bold: the best, and each that is {test}."]
         if any(e.lost for e in self.entries):
             notes += ["Dagger: some runs diverged; the mean is over the others."]
         return notes
@@ -90,7 +91,8 @@ def tables(result: Result, metric: str, signals: list[str] | None = None) -> lis
         if not frames.varying(next(iter(parts.values()))):
             out.append(_by_signal(result, scenario, metric, parts))
         else:
-            out += [_by_axis(result, scenario, metric, signal, part) for signal, part in parts.items()]
+            for signal, part in parts.items():
+                out += _by_axis(result, scenario, metric, signal, part)
     return out
 
 
@@ -102,25 +104,40 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
     return Table(scenario, "", f"{scenario}: {metric} of the error", [Head("observer")], heads, rows)
 
 
-def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Table:
+def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
+    """Yield the tables of a signal: of axes that vary one at a time, one for each."""
     axes = frames.varying(part)
+    if result.study.vary == "one-at-a-time":
+        for axis in axes:
+            yield _over_axis(result, scenario, metric, signal, frames.fix_axes(part, [axis]), axis)
+    else:
+        longest = max(axes, key=lambda axis: part[axis].nunique(dropna=False))
+        yield _over_axis(result, scenario, metric, signal, part, longest)
+
+
+def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame, axis: str) -> Table:
+    """Return the table of a signal with the values of one axis as columns."""
+    units, others = frames.units(result, part), [a for a in frames.varying(part) if a != axis]
     entries = [e for _, cell in part.groupby("cell", sort=False) for e in _entries(result, cell, metric)]
-    observers = list(dict.fromkeys(str(e.row["observer"]) for e in entries))
-    by = {(str(e.row["observer"]), tuple(_value(e.row[a]) for a in axes)): e for e in entries}
-    points = list(dict.fromkeys(point for _, point in by))
+    by = {tuple(_value(e.row[a]) for a in (*others, "observer", axis)): e for e in entries}
+    values, groups = (list(dict.fromkeys(found)) for found in zip(*((at[-1], at[:-2]) for at in by), strict=True))
+    places = sorted(dict.fromkeys(at[:-1] for at in by), key=lambda place: groups.index(place[:-1]))
     unit = part.unit.iloc[0]
     about = f"{scenario}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
-    if len(axes) == 1 and len(points) <= WIDE:
-        rows = [([o], [by.get((o, point)) for point in points]) for o in observers]
-        heads = [Head(p) for (p,) in points]
-        return Table(scenario, signal, about, [Head("observer")], heads, rows, over=_axis(axes[0]))
-    rows = [(list(point), [by.get((o, point)) for o in observers]) for point in points]
-    return Table(scenario, signal, about, [_axis(a) for a in axes], [Head(o) for o in observers], rows)
+    return Table(
+        scenario=scenario,
+        signal=signal,
+        about=about,
+        stub=[*(_axis(a, units) for a in others), Head("observer")],
+        heads=[Head(value) for value in values],
+        rows=[(list(place), [by.get((*place, value)) for value in values]) for place in places],
+        over=_axis(axis, units),
+    )
 
 
-def _axis(name: str) -> Head:
-    """The head of an axis; a unit in words is left out."""
-    unit = AXIS_UNITS.get(name, "")
+def _axis(name: str, units: dict[str, str]) -> Head:
+    """The head of an axis, its unit by `units` of this scenario; a unit in words is left out."""
+    unit = units.get(name) or AXIS_UNITS.get(name, "")
     return Head(_words(name.removeprefix("plant.")), "" if " " in unit or unit == "1" else unit)
 
 

@@ -5,15 +5,23 @@ import io
 import re
 import shutil
 import subprocess
-from itertools import pairwise
+from itertools import pairwise, product
+from types import SimpleNamespace
+from typing import get_args
 
+import numpy as np
 import pandas as pd
 import pytest
 from commands import call
 
 import pcbench
+from pcbench.cli.options import Journal
 from pcbench.errors import UserError
+from pcbench.plants import signals_of
+from pcbench.plots.layout import JOURNALS, POINTS_PER_INCH
 from pcbench.statistics import number_format
+from pcbench.study import STUDIES, observers_of, scenarios_of
+from pcbench.study.grid import cells
 from pcbench.tables import latex, layout, text
 from pcbench.tables.layout import Entry, Head, Table
 
@@ -77,8 +85,9 @@ def test_without_axes_a_column_is_a_signal_with_its_unit(result):
     assert "| observer | position [m] | velocity [m/s] |" in text.markdown([found])
 
 
-def test_along_more_axes_a_row_is_a_cell(result):
-    stats = result.stats.assign(delay=result.stats.cell.astype(float))
+def test_along_more_axes_rows_are_groups_of_observers(result):
+    again = result.stats.assign(delay=0.5, cell=result.stats.cell + 2)
+    stats = pd.concat([result.stats.assign(delay=0.0), again, again.assign(delay=1.0, cell=again.cell + 2)])
 
     class Two:
         study, pairs = result.study, result.pairs
@@ -89,9 +98,15 @@ def test_along_more_axes_a_row_is_a_cell(result):
 
     Two.stats = stats
     (found,) = layout.tables(Two, "steady_rmse")
-    assert [h.text for h in found.stub] == ["delay", "noise std"]
-    assert [h.text for h in found.heads] == ["pccebo", "kfbo"]
-    assert [words for words, _ in found.rows] == [["0", "0.1"], ["1", "0.5"]]
+    assert (found.over, [h.text for h in found.heads]) == (Head("delay", "s"), ["0", "0.5", "1"])
+    assert found.stub == [Head("noise std", "m"), Head("observer")]
+    assert [words for words, _ in found.rows] == [[n, o] for n in ("0.1", "0.5") for o in ("pccebo", "kfbo")]
+    by_cell = stats.query(
+        "metric == 'steady_rmse' and observer == 'kfbo' and noise_std == 0.5 and signal == 'position'"
+    )
+    assert [e.row["cell"] for e in found.rows[-1][1]] == by_cell.sort_values("delay").cell.to_list()
+    made = latex.latex([found], plain=True)
+    assert made.index("noise std 0.1") < made.index("kfbo") < made.index("noise std 0.5")
 
 
 LATEX = {
@@ -126,8 +141,8 @@ def test_marks_units_and_special_letters_in_latex_and_markdown():
     assert "Dagger: some runs diverged" in made
     assert "16 to 19 runs" in made
     assert "| o_1 | **1.00 ± 0.10** | 2.00 ± 0.10 † |" in text.markdown([alone(best, lost)])
-    assert "siunitx" not in latex.latex([alone(best)], plain=True)
-    assert "unit" not in latex.latex([alone(best)], plain=True)
+    assert "siunitx" not in latex.latex([alone(best, best)], plain=True)
+    assert "unit" not in latex.latex([alone(best, best)], plain=True)
 
 
 def test_csv_holds_the_numbers_in_full(result):
@@ -152,10 +167,13 @@ def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
         done = call("tables", whole, "--out", tmp_path / name)
         assert done.returncode == 0, done.stderr
         assert (tmp_path / name).read_text().startswith(begins)
-    assert call("tables", whole, "--plain").stdout.startswith("\\begin{table}")
+    assert call("tables", whole, "--plain").stdout.startswith("% for ieee: tables are at most 252 pt")
+    assert "384 pt" in call("tables", whole, "--latex", "--journal", "elsevier-1p").stdout
+    assert [*JOURNALS] == [*get_args(Journal)]
     for words, said in (
         (["--csv", "--latex"], "expected one form"),
         (["--out", tmp_path / "t.doc"], "no form by its name"),
+        (["--markdown", "--journal", "ieee"], "--journal has no effect with markdown"),
     ):
         done = call("tables", whole, *words)
         assert done.returncode == 2
@@ -170,6 +188,109 @@ def installed():
     return len(found.stdout.split()) == 2
 
 
+class Made:
+    """A result of a built-in study without runs: estimates of any size at each of its grid points, with their intervals."""
+
+    def __init__(self, name):
+        self.study = STUDIES[name]
+        known, rng, rows = scenarios_of(self.study), np.random.default_rng(7), []
+        self.scenarios = [*self.study.scenarios]
+        for scenario in self.scenarios:
+            for cell in cells(self.study, scenario):
+                for observer, (signal, unit) in product(
+                    observers_of(self.study, scenario), signals_of(known[scenario])
+                ):
+                    about = {"scenario": scenario, "cell": cell.number, **cell.values, "observer": observer}
+                    mean, half = 10.0 ** rng.uniform(-7, 7), rng.choice([0.0, 1e-4, 0.02, 0.3])
+                    interval = {"ci_low": mean * (1 - half), "ci_high": mean * (1 + half * rng.choice([1.0, 1.5]))}
+                    about |= {"signal": signal, "unit": unit, "metric": "steady_rmse", "mean": mean, "p50": mean}
+                    rows.append(about | interval | {"n": 250, "diverged": int(rng.integers(2))})
+        self.stats = pd.DataFrame(rows)
+        self.pairs = pd.DataFrame(columns=["scenario", "signal", "metric", "cell"])
+
+    def signals(self, scenario):
+        return list(self.stats_of(scenario).signal.unique())
+
+    def stats_of(self, scenario, signal=None):
+        mine = self.stats[self.stats.scenario == scenario]
+        return mine if signal is None else mine[mine.signal == signal]
+
+    def ranks(self, metric):
+        return metric
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Results of built-in studies by name; every second observer is in bold, which is wider."""
+    monkeypatch.setattr(layout, "standing", lambda cell, met: SimpleNamespace(leaders=[*cell.observer][::2]))
+    return Made
+
+
+@pytest.mark.parametrize("journal", JOURNALS)
+@pytest.mark.parametrize("study", STUDIES)
+def test_parts_of_a_split_table_are_the_whole(made, study, journal):
+    for table in layout.tables(made(study), "steady_rmse"):
+        column, both = (width * POINTS_PER_INCH for width in (JOURNALS[journal].width, JOURNALS[journal].full))
+        parts = [part for part, _ in latex.split(table, column, both)]
+        each = [
+            (*words, h.text, e and e.text)
+            for p in parts
+            for words, es in p.rows
+            for h, e in zip(p.heads, es, strict=True)
+        ]
+        whole = [
+            (*words, h.text, e and e.text) for words, es in table.rows for h, e in zip(table.heads, es, strict=True)
+        ]
+        assert sorted(each, key=str) == sorted(whole, key=str)
+        said = [f", part {i} of {len(parts)}" for i in range(1, len(parts) + 1)] if parts[1:] else [""]
+        assert [p.about for p in parts] == [table.about + text for text in said]
+        assert len(parts) > 1 or study != "period-delay-map"
+
+
+MEASURED = r"""
+\usepackage{etoolbox}
+\newsavebox\measured
+\BeforeBeginEnvironment{tabular}{\begin{lrbox}{\measured}}
+\AfterEndEnvironment{tabular}{\end{lrbox}\typeout{WIDTH \the\wd\measured\space OF \the\linewidth}\usebox\measured}
+"""
+CLASSES = {  # widths as in IEEEtran, and in elsarticle with the options 5p and 1p; Computer Modern, which is wider than Times
+    "ieee": r"\documentclass[twocolumn]{article}\setlength\textwidth{516pt}\setlength\columnsep{12pt}",
+    "elsevier": r"\documentclass[twocolumn]{article}\setlength\textwidth{522pt}\setlength\columnsep{18pt}",
+    "elsevier-1p": r"\documentclass{article}\setlength\textwidth{384pt}",
+}
+
+
+def compiled(body, folder, begin):
+    """What TeX says of a document with these tables, each on pages of its own."""
+    body = re.sub(r"(\\end\{table\*?\})", r"\1\\clearpage", body)
+    begin += r"\usepackage[T1]{fontenc}\setlength\textheight{690pt}\setlength\topmargin{-60pt}"
+    (folder / "t.tex").write_text(f"{begin}\n\\begin{{document}}\n{body}\\end{{document}}\n")
+    words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    return re.sub(r"(?<=.{79})\n", "", (folder / "t.log").read_text(errors="replace"))
+
+
+@pytest.mark.ci
+@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("journal", CLASSES)
+def test_tables_of_every_study_fit_their_journal(made, tmp_path, journal, plain):
+    every = [table for study in STUDIES for table in layout.tables(made(study), "steady_rmse")]
+    every += layout.tables(made("helicopter"), "steady_rmse", [])
+    body = latex.latex(every, plain, journal)
+    log = compiled(body, tmp_path, CLASSES[journal] + MEASURED + ("" if plain else re.sub("% needs ", "", latex.NEEDS)))
+    measured = [(float(a), float(b)) for a, b in re.findall(r"WIDTH ([\d.]+)pt OF ([\d.]+)pt", log)]
+    assert len(measured) == body.count(r"\begin{tabular}") > 100
+    assert [pair for pair in measured if pair[0] > pair[1]] == []
+    assert {round(b) for _, b in measured} == {
+        round(JOURNALS[journal].width * 72.27),
+        round(JOURNALS[journal].full * 72.27),
+    }
+    assert max(a / b for a, b in measured) > 0.85, "no table is split that could be whole"
+    assert not re.findall(r"Overfull \\hbox.*|Float too large.*", log)
+
+
 @pytest.mark.ci
 @pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
 @pytest.mark.parametrize("plain", [False, True])
@@ -177,10 +298,4 @@ def test_latex_takes_it(result, tmp_path, plain):
     odd = [Entry(row(*numbers, diverged=1), mark) for numbers, mark in zip(LATEX, [True, False] * 4, strict=False)]
     every = [*layout.tables(result, "steady_rmse", []), *(alone(a, b) for a, b in pairwise(odd))]
     packages = "" if plain else re.sub("% needs ", "", latex.NEEDS)
-    body = latex.latex(every, plain)
-    (tmp_path / "t.tex").write_text(
-        f"\\documentclass{{article}}{packages}\n\\begin{{document}}\n{body}\\end{{document}}\n"
-    )
-    words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
+    compiled(latex.latex(every, plain), tmp_path, rf"\documentclass{{article}}{packages}")
