@@ -96,7 +96,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
             "your-own-observer",
             "your-own-plant",
         ),
-        *("recordings", "recording-files", "find-a-delay", "gains", "export-to-c", "large-studies"),
+        *("recordings", "recording-files", "find-a-delay", "gains", "export-to-c", "large-studies", "paper"),
     ),
     "Concepts": ("timing-model", "glossary", "how-it-works", "exact-evaluation", "limitations"),
     "Reference": (

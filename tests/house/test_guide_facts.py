@@ -134,9 +134,18 @@ def test_every_optional_function_of_an_observer_is_named():
 
 
 def test_every_plot_is_named():
-    page = PAGES["results.md"].split("## In Python")[1].split("\n## ")[0]
+    page = PAGES["paper.md"].split("## Figures in Python")[1].split("\n## ")[0]
     for name in plots.__all__:
         assert re.search(rf"(?:plots\.|`){name}\b", page) or name == "styles", name
+
+
+def test_widths_of_journals_are_those_of_the_page():
+    widths = {
+        name: [f"{72.27 * w:.0f} pt ({w:.2f} in)" for w in (paper.width, paper.full)]
+        for name, paper in plots.JOURNALS.items()
+    }
+    rows = re.findall(r"^\| `(\w.*?)` \| [^|]* \| ([^|]+) \| ([^|]+) \|$", PAGES["paper.md"], re.M)
+    assert {name: [*each] for name, *each in rows} == widths
 
 
 def test_how_many_runs_a_call_has():
