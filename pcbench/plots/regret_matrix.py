@@ -3,6 +3,7 @@
 A situation is a scenario at a grid point. Those whose least error is 0 are left out.
 """
 
+from itertools import pairwise
 from math import ceil, inf, isfinite
 from typing import NamedTuple, cast
 
@@ -12,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.transforms import offset_copy
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
@@ -24,11 +26,25 @@ from pcbench.statistics.number_format import ROUNDING
 
 COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
-ROW, CELL = 0.21, 0.36  # inches
+ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, beside both
+LINE, SEPARATOR = 1.35, " | "  # between lines of labels [heights of letters]; between words of one
 DARKEST = 10.0  # at least the ratio with the darkest colour
 HATCH = "#C4C4C499"  # of cells that are not significant
 KEYS = (1.0, 2.0, 5.0, 10.0, 100.0)
 COLOURS = LinearSegmentedColormap.from_list("regrets", ["#FFFFFF", "#A9C1DA", "#5A88B8", "#1B4674"])
+
+
+class Level(NamedTuple):
+    """What varies between the columns: an axis, or the scenario."""
+
+    name: str  # with its unit; empty: the words say it
+    words: list[str]  # one per situation
+
+    def spans(self, outer: "list[Level]", columns: range) -> list[tuple[str, int, int]]:
+        """Return each word with its first and its last column, those of equal words as one."""
+        keys = [(*(level.words[i] for level in outer), self.words[i]) for i in columns]
+        starts = [i for i in range(len(keys)) if not i or keys[i] != keys[i - 1]]
+        return [(keys[a][-1], a, b - 1) for a, b in pairwise([*starts, len(keys)])]
 
 
 class Regrets(NamedTuple):
@@ -40,6 +56,7 @@ class Regrets(NamedTuple):
     situations: list[str]
     runs: int  # 0: exact
     signals: list[str]
+    levels: list[Level]  # of the labels of the columns, the outermost first
 
     @property
     def largest(self) -> dict[str, float]:
@@ -56,6 +73,7 @@ def regrets_of(
     """
     metric = result.ranks(metric)
     parts, chosen, runs = list[pd.DataFrame](), dict[str, None](), 0
+    every, points = list[pd.DataFrame](), dict[str, tuple[str, int]]()
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
             part, stood = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
@@ -64,6 +82,8 @@ def regrets_of(
             best = dict(zip(stood.cell, stood.best, strict=True))
             least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
             names = {cell: _situation(result, part, cell) for cell in best}
+            points |= {name: (scenario, cell) for cell, name in names.items()}
+            every.append(part)
             rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
             rows = rows.assign(scenario=scenario, signal=signal, cell=part.cell)
             rows["ratio"] = np.where(np.isfinite(part["mean"]), part["mean"] / least.where(least > ROUNDING), inf)
@@ -78,7 +98,8 @@ def regrets_of(
     situations, observers = (list(dict.fromkeys(whole[name])) for name in ("situation", "observer"))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
-    found = Regrets(whole, observers, situations, runs, list(chosen))
+    levels = _levels(result, every, {name: points[name] for name in situations})
+    found = Regrets(whole, observers, situations, runs, list(chosen), levels)
     largest = found.largest
     return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
@@ -88,6 +109,30 @@ def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
     words = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, part, cell).items()]
     several = len(result.scenarios) > 1
     return ", ".join([title_of_scenario(result, part.scenario.iloc[0])] * (several or not words) + words)
+
+
+def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tuple[str, int]]) -> list[Level]:
+    """Return what varies between situations, of which each is a scenario and a grid point; `parts` are rows of the scenarios.
+
+    The begin of the names that all scenarios have in common is left out.
+    """
+    if result.study.vary != "all":
+        return [Level("", list(situations))]
+    by = {part.scenario.iloc[0]: part for part in parts}
+    titles = [title_of_scenario(result, scenario) for scenario, _ in situations.values()]
+    found = [Level("", [title.removeprefix(_shared(titles)) for title in titles])]
+    values = [frames.values_at(by[scenario], cell) for scenario, cell in situations.values()]
+    for axis in result.study.axes:
+        names = {frames.label(axis, frames.units(result, part)) for part in parts}
+        name = names.pop() if len(names) == 1 else frames.label(axis).partition(" [")[0]
+        found.append(Level(name, [layout.word(point[axis]) if axis in point else "" for point in values]))
+    return [level for level in found if len(set(level.words)) > 1]
+
+
+def _shared(names: list[str]) -> str:
+    """Return the part up to the first / with which all names begin."""
+    begins = {name.partition("/")[0] + "/" if "/" in name else "" for name in names}
+    return begins.pop() if len(begins) == 1 else ""
 
 
 def regrets(
@@ -112,34 +157,73 @@ def regrets(
     finite = found.rows.ratio[np.isfinite(found.rows.ratio)]
     darkest = max(DARKEST, float(finite.max()))
     norm = LogNorm(1.0, darkest)
-    panels = ceil(len(found.situations) / COLUMNS)
-    columns = ceil(len(found.situations) / panels)
-    words = max(paper.width_of(name, 1) for name in found.situations)
-    names = max(paper.width_of(name, 1) for name in found.observers)
-    upright = words > CELL - 0.05
+    many = len(found.situations)
+    panels = ceil(many / COLUMNS)
+    columns = ceil(many / panels)
+    parts = [range(i, min(i + columns, many)) for i in range(0, many, columns)]
+    observers = max(paper.width_of(name, 1) for name in found.observers)
+    names = max(observers, *(paper.width_of(level.name, 1) for level in found.levels))
+    cell = max(CELL, _cell_width(found.levels, parts, paper))
+    upright = names + cell * columns + BESIDE > paper.full
+    if upright:
+        names, cell = observers, CELL
+        below = max(paper.width_of(label, 1) for label in _labels(found.levels)) + paper.em
+    else:
+        below = len(found.levels) * LINE * paper.em + 0.5 * paper.em
     runs = f"{found.runs:,} runs, hatched: not significant (paired t-test, Holm, 5 %)" if found.runs > 1 else "exact"
     runs = "one run" if found.runs == 1 else runs
     subject = describe_metric(result.ranks(metric), " or ".join(found.signals))
+    titles = [level.name for level in found.levels if level.name and upright]
+    about = [f"{subject} / least of the column [-]", _shared_title(result, found), runs]
+    about += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
             for v in KEYS if v <= darkest]  # fmt: skip
     keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label="not significant"))
     with sheet(
         paper,
-        f"{subject} / least of the column [-], {result.study.name}, {runs}",
+        ", ".join(about),
         panels,
-        height=ROW * len(found.observers) + (words if upright else 0.0),
-        width=max(paper.width, min(paper.full, names + CELL * columns + 0.3)),
+        height=ROW * len(found.observers) + below,
+        width=max(paper.width, min(paper.full, names + cell * columns + BESIDE)),
         keys=keys,
     ) as (figure, axes):
-        for i, ax in enumerate(axes):
-            _draw_panel(ax, found, found.situations[i * columns : (i + 1) * columns], norm, upright, paper)
+        for ax, part in zip(axes, parts, strict=True):
+            _draw_panel(ax, found, part, norm, paper)
+            if upright:
+                ax.set_xticks(range(len(part)), [_labels(found.levels)[i] for i in part], rotation=90)
+            else:
+                _draw_levels(ax, found.levels, part, paper)
     return figure
 
 
-def _draw_panel(ax: Axes, found: Regrets, situations: list[str], norm: LogNorm, upright: bool, paper: Paper) -> None:
+def _shared_title(result: Result, found: Regrets) -> str:
+    """Return the study's name, with the scenario or the begin of the names of all scenarios."""
+    scenarios = [title_of_scenario(result, name) for name in dict.fromkeys(found.rows.scenario)]
+    shared = scenarios[0] if len(scenarios) == 1 else _shared(scenarios).rstrip("/")
+    return ", ".join(dict.fromkeys(filter(None, [result.study.name, shared])))
+
+
+def _cell_width(levels: list[Level], parts: list[range], paper: Paper) -> float:
+    """Return how wide columns are in inches, so that horizontal labels fit."""
+    widths = [
+        (paper.width_of(word, 1) + 0.8 * paper.em) / (last - first + 1)
+        for i, level in enumerate(levels)
+        for part in parts
+        for word, first, last in level.spans(levels[:i], part)
+    ]
+    return max(widths)
+
+
+def _labels(levels: list[Level]) -> list[str]:
+    """Return one label per column: what varies, without the names of axes."""
+    return [SEPARATOR.join(words) for words in zip(*(level.words for level in levels), strict=True)]
+
+
+def _draw_panel(ax: Axes, found: Regrets, columns: range, norm: LogNorm, paper: Paper) -> None:
+    situations = [found.situations[i] for i in columns]
     ax.set(xlim=(-0.5, len(situations) - 0.5), ylim=(len(found.observers) - 0.5, -0.5))
     ax.set_yticks(range(len(found.observers)), found.observers)
-    ax.set_xticks(range(len(situations)), situations, rotation=90 if upright else 0)
+    ax.set_xticks([])
     ax.grid(False)
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
@@ -155,6 +239,21 @@ def _draw_panel(ax: Axes, found: Regrets, situations: list[str], norm: LogNorm, 
             ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=HATCH, hatch="/////", linewidth=0.0))
         ax.text(x, y, text, ha="center", va="center", fontsize=paper.size - 2, color=on(colour), in_layout=False,
                 fontweight="bold" if row["best"] else "normal")  # fmt: skip
+
+
+def _draw_levels(ax: Axes, levels: list[Level], columns: range, paper: Paper) -> None:
+    """Write the labels below the columns: the innermost level first, equal neighbours once."""
+    for line, i in enumerate(reversed(range(len(levels)))):
+        down = -(line * LINE + 0.4) * paper.size
+        place = {"textcoords": "offset points", "va": "top", "fontsize": paper.size - 1, "annotation_clip": False}
+        ax.annotate(levels[i].name, (0, 0), (-3, down), xycoords="axes fraction", ha="right", color=SOFT, **place)
+        below = offset_copy(ax.get_xaxis_transform(), ax.get_figure(root=True), 0, down + 1, units="points")
+        for word, first, last in levels[i].spans(levels[:i], columns):
+            middle = ((first + last) / 2, 0)
+            ax.annotate(word, middle, (0, down), xycoords=ax.get_xaxis_transform(), ha="center", **place)
+            if line:
+                ends = [first - 0.4, last + 0.4]
+                ax.plot(ends, [0, 0], color=SOFT, linewidth=0.6, clip_on=False, transform=below, label="_")
 
 
 def number(ratio: float) -> str:

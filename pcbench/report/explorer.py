@@ -1,4 +1,4 @@
-"""The numbers of the interactive figure of a report: `page.js` draws them, from JSON in the page.
+"""The numbers of the interactive figure of a report: `explorer.js` draws them, from JSON in the page.
 
 They are means and intervals of the table `stats`, and comparisons with the best observer of a grid point from `pairs`. The
 ratio of two means a / b has Student's interval of its logarithm. It is that of `statistics.comparison.paired_ratio`, without

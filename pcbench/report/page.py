@@ -127,8 +127,13 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
 
 
 def render(template: str, **words: object) -> str:
-    """Return a template of this folder as HTML, with all words escaped, and with this folder's style and script."""
-    style, script = ((resources.files("pcbench.report") / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
+    """Return a template of this folder as HTML, with all words escaped, and with this folder's style and scripts.
+
+    The script of the interactive figure is written if `words` contain its numbers.
+    """
+    files = ["page.css", "page.js", *(["explorer.js"] if "numbers" in words else [])]
+    style, *scripts = ((resources.files("pcbench.report") / name).read_text("utf-8") for name in files)
+    script = "".join(scripts)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = Markup(POLICY.format(digest))
     loader = jinja2.PackageLoader("pcbench", "report")

@@ -64,6 +64,7 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
         "report/page.html",
         "report/page.css",
         "report/page.js",
+        "report/explorer.js",
         "report/replay.html",
         "cli/templates/recording/LICENSE",
     )

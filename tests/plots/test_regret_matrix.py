@@ -49,7 +49,10 @@ def test_regret_is_error_over_least_error_of_situation(result):
 def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
     found, (ax,) = regret_matrix.regrets_of(result), plots.regrets(result).axes
     assert [t.get_text() for t in ax.get_yticklabels()] == found.observers
-    assert [t.get_text() for t in ax.get_xticklabels()] == found.situations
+    below = [t.get_text() for t in ax.texts if t.get_position()[1] < -0.5]
+    assert below == ["delay [s]", "0", "0.4", "0", "0.4", "", "white", "gaussian"], (
+        "what all have in common is in the title"
+    )
     at = {tuple(map(int, t.get_position())): t for t in ax.texts}
     hatched = {(round(p.get_x() + 0.5), round(p.get_y() + 0.5)) for p in ax.patches if p.get_hatch()}
     colours = {p.get_gid().partition(":")[2]: sum(p.get_facecolor()[:3]) for p in ax.patches if p.get_gid()}
@@ -67,7 +70,7 @@ def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
             tie = observer != best and (both.p_holm.iloc[0] > 0.05 or both.prob_a_better.iloc[0] == 0.5)
             assert ((x, y) in hatched) == tie
             ties += tie
-    assert 0 < ties < len(at) / 2
+    assert 0 < ties < len(found.rows) / 2
     ordered = found.rows.sort_values("ratio")
     shades = [
         colours[next(k for k in colours if k.startswith(f"{r.observer}, {r.situation}:"))] for r in ordered.itertuples()
@@ -75,8 +78,27 @@ def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
     assert shades == sorted(shades, reverse=True), "larger is darker"
     assert shades[0] == 3.0, "white"
     said = " ".join(t.get_text().replace("\n", " ") for t in plots.regrets(result).findobj(Text))
-    for part in ("6 runs", "not significant (paired t-test, Holm, 5 %)", "position"):
+    for part in ("6 runs", "not significant (paired t-test, Holm, 5 %)", "position", "situations, cart,"):
         assert part in said
+
+
+@pytest.mark.ci
+def test_upright_labels_say_only_what_varies(result):
+    """In a column so narrow that no label fits below its cell."""
+    figure = plots.regrets(result, paper=plots.Paper(width=2.0, text=2.0))
+    (ax,) = figure.axes
+    assert [t.get_text() for t in ax.get_xticklabels()] == [
+        f"{s} | {d}" for s in ("white", "gaussian") for d in ("0", "0.4")
+    ]
+    said = " ".join(t.get_text().replace("\n", " ") for t in figure.findobj(Text))
+    assert "columns: delay [s]" in said.replace("\u00a0", " ")
+
+
+def test_equal_neighbours_are_one_label():
+    outer, inner = regret_matrix.Level("a", ["1", "1", "2", "2"]), regret_matrix.Level("b", ["x", "y", "y", "y"])
+    assert outer.spans([], range(4)) == [("1", 0, 1), ("2", 2, 3)]
+    assert inner.spans([outer], range(4)) == [("x", 0, 0), ("y", 1, 1), ("y", 2, 3)]
+    assert inner.spans([outer], range(1, 4)) == [("y", 0, 0), ("y", 1, 2)]
 
 
 @pytest.mark.ci

@@ -239,6 +239,26 @@ def test_page_requests_nothing_and_policy_blocks_what_is_added(browser, report, 
 
 
 @needs_browser
+def test_contents_stay_visible_on_a_wide_page(browser, report):
+    size = {"width": 1500, "height": 700, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    visit(browser, report.as_uri())
+    ask(browser, "scrollTo(0, document.body.scrollHeight)")
+    assert ask(browser, "scrollY") > 1000
+    boxes = json.loads(
+        ask(
+            browser,
+            "JSON.stringify([...document.querySelectorAll('nav a, main')].map(each => each.getBoundingClientRect()))",
+        )
+    )
+    assert len(boxes) > 3
+    *links, main = boxes
+    assert all(0 < box["top"] < box["bottom"] < 700 for box in links)
+    assert max(box["right"] for box in links) < main["left"], "they do not overlap the page"
+    browser.call("Emulation.clearDeviceMetricsOverride")
+
+
+@needs_browser
 def test_page_is_complete_without_script(browser, report):
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     visit_without_script = "document.readyState == 'complete'"

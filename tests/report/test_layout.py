@@ -7,7 +7,7 @@ from walked import STUDIES as SHORT
 import pcbench
 from pcbench.report import page
 
-WIDTHS = [(390, False), (1024, False), (1400, False), (718, True)]  # phone, small and large window, a printed page
+WIDTHS = [(390, False), (1024, False), (1400, False), (1500, False), (718, True)]  # phone, windows, a printed page
 MOTOR = {
     "name": "motor",
     "seeds": 8,

@@ -65,6 +65,8 @@ def test_page_is_one_file_with_the_numbers_of_the_replay(folders, full):
     assert not re.search(r'(src|href)="(?!#|data:)', text)
     ids = re.findall(r' id="([^"]+)"', text)
     assert len(ids) == len(set(ids))
+    assert set(re.findall(r'<li><a href="#([^"]+)"', text)) == set(re.findall(r'<section id="([^"]+)"', text))
+    assert len(text.rpartition("<script>")[2]) < 1000, "the script of the interactive figure is not in it"
     about = json.loads((folders / "full" / "replay.json").read_text())
     for row in about["innovations"]:
         assert short(row["nis"]) in text
