@@ -27,7 +27,7 @@ from pcbench.statistics.number_format import ROUNDING
 COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
 ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, beside both
-LINE, SEPARATOR = 1.35, " | "  # between lines of labels [heights of letters]; between words of one
+LINE, SEPARATOR = 1.45, " | "  # between lines of labels [heights of letters]; between words of one
 DARKEST = 10.0  # at least the ratio with the darkest colour
 HATCH = "#C4C4C499"  # of cells that are not significant
 KEYS = (1.0, 2.0, 5.0, 10.0, 100.0)
@@ -245,15 +245,17 @@ def _draw_levels(ax: Axes, levels: list[Level], columns: range, paper: Paper) ->
     """Write the labels below the columns: the innermost level first, equal neighbours once."""
     for line, i in enumerate(reversed(range(len(levels)))):
         down = -(line * LINE + 0.4) * paper.size
-        place = {"textcoords": "offset points", "va": "top", "fontsize": paper.size - 1, "annotation_clip": False}
-        ax.annotate(levels[i].name, (0, 0), (-3, down), xycoords="axes fraction", ha="right", color=SOFT, **place)
-        below = offset_copy(ax.get_xaxis_transform(), ax.get_figure(root=True), 0, down + 1, units="points")
+        below, rule = (
+            offset_copy(ax.get_xaxis_transform(), ax.get_figure(root=True), 0, y, units="points")
+            for y in (down, down + 0.2 * paper.size)
+        )
+        beside = offset_copy(ax.transAxes, ax.get_figure(root=True), -3, down, units="points")
+        ax.text(0, 0, levels[i].name, transform=beside, ha="right", va="top", fontsize=paper.size - 1, color=SOFT)
         for word, first, last in levels[i].spans(levels[:i], columns):
-            middle = ((first + last) / 2, 0)
-            ax.annotate(word, middle, (0, down), xycoords=ax.get_xaxis_transform(), ha="center", **place)
+            ax.text((first + last) / 2, 0, word, transform=below, ha="center", va="top", fontsize=paper.size - 1)
             if line:
                 ends = [first - 0.4, last + 0.4]
-                ax.plot(ends, [0, 0], color=SOFT, linewidth=0.6, clip_on=False, transform=below, label="_")
+                ax.plot(ends, [0.0, 0.0], color=SOFT, linewidth=0.6, clip_on=False, transform=rule, label="_")
 
 
 def number(ratio: float) -> str:
