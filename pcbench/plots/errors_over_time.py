@@ -48,7 +48,8 @@ def error_bands(
         raise UserError(
             f"plots.error_bands: got no runs of {scenario} with noise on one schedule, expected some; use another scenario."
         )
-    return draw_bands(result, whole, scenario, signal, cell, paper)
+    seed = result.study.first_seed if seed is None else seed
+    return draw_bands(result, whole, scenario, signal, cell, seed, paper)
 
 
 def has_bands(whole: pd.DataFrame, signal: str) -> bool:
@@ -56,14 +57,16 @@ def has_bands(whole: pd.DataFrame, signal: str) -> bool:
     return bool(((whole.kind == one_run.MEDIAN) & (whole.signal == signal)).any())
 
 
-def draw_bands(result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, paper: Paper) -> Figure:
+def draw_bands(
+    result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
+) -> Figure:
     """Draw the bands of a frame of `one_run.of`."""
     part, stats = whole[whole.signal == signal], frames.rows(result, scenario, signal, "mae")
     arrivals = whole.t[whole.kind == "arrival"].to_numpy()
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
     at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result, scenario), *at, f"{one_run.RUNS} runs"])
+    title = ", ".join([title_of_scenario(result, scenario), *at, one_run.describe_seeds(whole, seed)])
     title = f"|error| of {signal.replace('_', ' ')} [{unit}]: {title}"
     spread = part[part.kind.isin(one_run.SIZES) & part.series.isin([*look])].value
     keys = [

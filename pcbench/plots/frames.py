@@ -16,6 +16,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.plants import output_units, states_of
 from pcbench.plots import layout
 from pcbench.statistics import ranking
+from pcbench.statistics.limit_verdicts import COUNTS
 from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
@@ -227,6 +228,12 @@ def map_axes(part: pd.DataFrame) -> tuple[str, str]:
     across, up = varying(part)[:2]
     long = [sum(len(layout.word(v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
     return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
+
+
+def runs_of(part: pd.DataFrame) -> int:
+    """Return how many runs a grid point has, at most; 0: its numbers are exact."""
+    lost = part.diverged.where(~part.metric.isin(COUNTS), 0)  # a rate of diverged runs counts them itself
+    return int((part.n + lost).max())
 
 
 def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:

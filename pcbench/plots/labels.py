@@ -55,12 +55,23 @@ def title_of_scenario(result: Result, scenario: str) -> str:
 
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return the title of a figure: the scenario, the values of the axes it does not show, and the number of runs."""
-    many = int((part.n + part.diverged).max())
-    said = [
-        title_of_scenario(result, part.scenario.iloc[0]),
-        *(frames.format_axis(axis, value) for axis, value in at.items()),
-    ]
-    return ", ".join([*said, f"{many:,} runs"] if many > 1 else said)
+    return ", ".join(
+        [
+            title_of_scenario(result, part.scenario.iloc[0]),
+            *(frames.format_axis(axis, value) for axis, value in at.items()),
+            describe_runs(frames.runs_of(part)),
+        ]
+    )
+
+
+def describe_runs(many: int) -> str:
+    """Return a number of runs in words; 0: the numbers are exact."""
+    return f"{many:,} runs" if many > 1 else "one run" if many else "exact values"
+
+
+def quantity(value: str, unit: str) -> str:
+    """Return a number with its unit, if it has one."""
+    return value if unit in ("", "1") else f"{value} {unit}"
 
 
 def times(value: float) -> str:

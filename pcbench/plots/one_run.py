@@ -80,6 +80,17 @@ def has_nees(whole: pd.DataFrame) -> bool:
     return bool((whole.kind == "nees").any())
 
 
+def runs_of(whole: pd.DataFrame) -> int:
+    """Return over how many runs the bands and means of a frame of `of` are taken: 1 if runs do not differ."""
+    return RUNS if (whole.kind == MEDIAN).any() else 1
+
+
+def describe_seeds(whole: pd.DataFrame, seed: int) -> str:
+    """Return the number of runs of a frame of `of` with their first seed, in words."""
+    many = runs_of(whole)
+    return f"{many} runs from seed {seed}" if many > 1 else f"seed {seed}"
+
+
 def _cell(study: Study, scenario: str, number: int) -> Cell:
     every = {each.number: each for each in cells(study, scenario)}
     if number not in every:

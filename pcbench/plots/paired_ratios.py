@@ -43,6 +43,16 @@ class Ratios(NamedTuple):
     bound: pd.Series | None  # the row of stats of the best's rms_efficiency: the Kalman bound divided by its rms error
     exact: bool  # no ratio has an interval
 
+    @property
+    def intervals(self) -> bool:
+        """Whether a ratio has an interval: not if the numbers are exact or runs do not vary."""
+        return bool((self.rows.ci_high > self.rows.ci_low).any())
+
+    @property
+    def tested(self) -> bool:
+        """Whether a ratio has a p-value."""
+        return bool(np.isfinite(self.rows.p).any())
+
 
 def ratios_of(
     result: Result,
@@ -135,12 +145,13 @@ def ratios(
         )
     rows, look = found.rows, styles(whole.observer)
     words = describe_metric(result.ranks(metric), whole.signal.iloc[0])
-    method = "exact values" if found.exact else "95 % paired intervals, p-values of the paired t-test (Holm)"
-    title = f"{words}: {about(result, whole, frames.named_values(result, whole, cell))}, {method}"
-    keys: list[Artist] = [] if found.exact else [Patch(color=GRID, label="not distinguishable (95 %)")]
+    here = about(result, whole, frames.named_values(result, whole, cell))
+    methods = ["95 % paired intervals"] * found.intervals + ["p-values of the paired t-test (Holm)"] * found.tested
+    title = ", ".join([f"{words}: {here}", *methods])
+    keys: list[Artist] = [Patch(color=GRID, label="not distinguishable (95 %)")] if found.intervals else []
     if not rows.worse[1:].all():
         hollow = Line2D([], [], color=SOFT, marker="o", markerfacecolor="white", linestyle="none", markersize=5)
-        hollow.set_label("not significant")
+        hollow.set_label("not significant" if found.tested else "not worse")
         keys.append(hollow)
     if found.bound is not None:
         keys.append(Line2D([], [], color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, label=BOUND))

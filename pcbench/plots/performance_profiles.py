@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.labels import describe_metric
+from pcbench.plots.labels import describe_metric, describe_runs
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import on, pale, styles
@@ -98,8 +98,7 @@ def profiles(
     chances = rank_probabilities(result, found, metric)
     ranked = not chances.empty
     words = describe_metric(result.ranks(metric), " or ".join(found.signals))
-    runs = f", {found.runs:,} runs" if found.runs else ", exact values"
-    title = f"{words} [-]: {result.study.name}, {len(found.situations)} situations{runs}"
+    title = f"{words} [-]: {result.study.name}, {len(found.situations)} situations, {describe_runs(found.runs)}"
     title += f", ranks by a paired bootstrap ({REPEATS:,} draws)" if ranked else ""
     ranks = len(chances.columns)
     largest = found.rows.ratio[np.isfinite(found.rows.ratio)].max()

@@ -18,7 +18,7 @@ from matplotlib.transforms import offset_copy
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import describe_metric, title_of_scenario
+from pcbench.plots.labels import describe_metric, describe_runs, title_of_scenario
 from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import GRID, SOFT, on
 from pcbench.statistics.aggregate import Row
@@ -59,6 +59,16 @@ class Regrets(NamedTuple):
     levels: list[Level]  # of the labels of the columns, the outermost first
 
     @property
+    def ties(self) -> pd.Series:
+        """Return which rows are hatched: neither the best nor significantly worse."""
+        return ~(self.rows.best | self.rows.worse)
+
+    @property
+    def tie(self) -> str:
+        """Return what hatched cells are, in words."""
+        return "not significant" if self.runs else "equal"
+
+    @property
     def largest(self) -> dict[str, float]:
         """Return the largest ratio of each observer."""
         return {o: float(self.rows.ratio[self.rows.observer == o].max()) for o in self.observers}
@@ -93,7 +103,7 @@ def regrets_of(
             ]
             parts.append(rows[(least > ROUNDING).to_numpy()])
             chosen[signal] = None
-            runs = max(runs, int((part.n + part.diverged).max()))
+            runs = max(runs, frames.runs_of(part))
     whole = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
     situations, observers = (list(dict.fromkeys(whole[name])) for name in ("situation", "observer"))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
@@ -170,15 +180,16 @@ def regrets(
         below = max(paper.width_of(label, 1) for label in _labels(found.levels)) + paper.em
     else:
         below = len(found.levels) * LINE * paper.em + 0.5 * paper.em
-    runs = f"{found.runs:,} runs, hatched: not significant (paired t-test, Holm, 5 %)" if found.runs > 1 else "exact"
-    runs = "one run" if found.runs == 1 else runs
+    test = " (paired t-test, Holm, 5 %)" if found.runs > 1 else ""
     subject = describe_metric(result.ranks(metric), " or ".join(found.signals))
     titles = [level.name for level in found.levels if level.name and upright]
-    about = [f"{subject} / least of the column [-]", _shared_title(result, found), runs]
+    about = [f"{subject} / least of the column [-]", _shared_title(result, found), describe_runs(found.runs)]
+    about += [f"hatched: {found.tie}{test}"] * bool(found.ties.any())
     about += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
             for v in KEYS if v <= darkest]  # fmt: skip
-    keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label="not significant"))
+    if found.ties.any():
+        keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label=found.tie))
     with sheet(
         paper,
         ", ".join(about),
@@ -233,7 +244,7 @@ def _draw_panel(ax: Axes, found: Regrets, columns: range, norm: LogNorm, paper: 
         ties = not (row["best"] or row["worse"])
         patch = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor=GRID, linewidth=0.6)
         text = number(row["ratio"])
-        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{', not significant' if ties else ''}")
+        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{f', {found.tie}' if ties else ''}")
         ax.add_patch(patch)
         if ties:
             ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=HATCH, hatch="/////", linewidth=0.0))

@@ -32,6 +32,7 @@ NINE = 1.6448536269514722  # standard deviations on both sides of the mean, with
 TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
 BINS = 40
 DIGITS = 9  # of a second: what is less is rounding
+SIGMA = "_sigma"  # label of lines that are assumed standard deviations; the legend leaves it out
 DROP = 12.0  # of a log-likelihood below its maximum that is shown
 
 
@@ -148,7 +149,7 @@ def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log
         mine = dict(iter(part[part.series == observer].groupby("kind")))
         for k in ((1,) if log else (-3, 3)) if "sigma" in mine else ():  # of the standard deviations it believes
             ax.plot(mine["sigma"].t, np.maximum(k * mine["sigma"].value, floor), color=line["color"], linewidth=0.6,
-                    alpha=0.8, zorder=1.4)  # fmt: skip
+                    alpha=0.8, zorder=1.4, label=SIGMA)  # fmt: skip
         if "low" in mine and len(look) <= BANDS and not log:
             ax.fill_between(mine["low"].t, mine["low"].value, mine["high"].value, color=line["color"], alpha=0.14,
                             linewidth=0)  # fmt: skip
@@ -217,14 +218,15 @@ def nees(
             f"plots.nees: got runs of {scenario} without NEES, expected consistency = true in [options.scenario] and an "
             "observer with a covariance, such as kf; run the study with both."
         )
-    return drawn_nees(result, whole, scenario, cell, paper)
+    seed = result.study.first_seed if seed is None else seed
+    return drawn_nees(result, whole, scenario, cell, seed, paper)
 
 
-def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, paper: Paper) -> Figure:
+def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
     """Draw the NEES of a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
     at = (frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items())
-    title = ", ".join([title_of_scenario(result, scenario), *at])
+    title = ", ".join([title_of_scenario(result, scenario), *at, one_run.describe_seeds(whole, seed)])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])

@@ -9,41 +9,29 @@ from typing import cast
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
-from pcbench.plots.labels import times
+from pcbench.plots.labels import describe_runs, quantity, times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
-from pcbench.plots.time_series import BANDS, over
+from pcbench.plots.time_series import SIGMA, over
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import Answer
 from pcbench.statistics.ranking import most_often
 
-WINNERS = (
-    "An observer wins a grid point if it is significantly better than every other (paired t-test, Holm, 5 %). The number is "
-    "the error of the second divided by that of the winner. Pale: the difference is not significant."
-)
 CONVERGENCE = "Half the 95 % interval divided by the mean. Four times as many runs halve it."
-COSTS = "Lower left is better. Operations are counted in the observers' functions. An observer without samples is not shown."
+COSTS = "Lower left is better. Operations are counted in the observers' functions."
+INTERVALS = "Bars: 95 % intervals of the mean."
 BEARING = "Above 1, model-only is better. One axis varies at a time, and the others have their first value."
-BANDS_OF_RUNS = (
-    f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs, and the assumed standard deviation (dashed), which a "
-    "consistent filter has at about its 68 % point."
-)
 CALIBRATION = (
     "Below the diagonal, or with a peak of the PIT at 1, a filter is optimistic; the band contains 95 % of the results of a "
     "true covariance."
-)
-PROFILES = (
-    "Higher is better above; long dark bars below are ranks that new runs would not change (paired bootstrap over runs, mean "
-    "over situations)."
-)
-HONESTY = (
-    f"NEES: the squared error divided by the observer's covariance, as a mean over runs ({one_run.RUNS} if they differ). "
-    "Above the band an observer is optimistic, below it pessimistic."
 )
 NINETY_FIVE = 0.95
 TIMES = 2.0  # the default limit divided by the least mean of the axis
@@ -69,6 +57,8 @@ def ratios(found: Ratios) -> str:
 def best(found: Ratios) -> str:
     """Return which observer is the best, and which are significantly worse, in a sentence with runs and method."""
     others, runs = found.rows[found.rows.observer != found.best], int(found.rows.n.max())
+    methods = ["95 % paired intervals"] * found.intervals
+    methods += ["paired t-test with Holm's correction at 5 %"] if found.tested else ["runs do not vary"]
     worse = others.observer[others.worse].to_list()
     beaten = (
         "every other observer is"
@@ -76,9 +66,9 @@ def best(found: Ratios) -> str:
         else f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}"
     )
     beaten = beaten if worse else "no other observer is"
-    method = f"{runs:,} runs, 95 % paired intervals, paired t-test with Holm's correction at 5 %"
+    method = ", ".join([f"{runs:,} runs", *methods])
     if found.exact:
-        method = "exact values"
+        return f"{found.best} has the least error, and {beaten} worse (exact values)."
     elif runs < 2:
         return f"{found.best} has the least error; one run shows no significance."
     return f"{found.best} has the least error, and {beaten} significantly worse ({method})."
@@ -88,9 +78,10 @@ def regrets(found: Regrets) -> tuple[str, str]:
     """Return the largest ratio of each observer, and which has the smallest, in a sentence."""
     largest = found.largest
     text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
-    first, method = found.observers[0], "exact values" if not found.runs else f"{found.runs:,} runs"
-    if found.runs > 1:
-        method += ", hatched: not significant by the paired t-test with Holm's correction at 5 %"
+    first, method = found.observers[0], describe_runs(found.runs)
+    if found.ties.any():
+        test = " by the paired t-test with Holm's correction at 5 %" if found.runs > 1 else ""
+        method += f", hatched: {found.tie}{test}"
     if not np.isfinite(largest[first]):
         return text, f"Each observer diverges in a situation ({method})."
     many = f"{len(found.situations)} situations"
@@ -112,7 +103,9 @@ def medians(part: pd.DataFrame, unit: str) -> str:
 
 def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     """Return the first and the last value of each observer's curve."""
-    words = any(isinstance(v, str) or v is None or v != v for v in part[axis])
+    words = any(
+        isinstance(v, str) or v is None or not isfinite(v) for v in part[axis]
+    )  # then they are drawn in their order
     first = part if words else part.sort_values(axis, kind="stable")
     said = []
     for observer, mine in first.groupby("observer", sort=False):
@@ -129,7 +122,7 @@ def ranges(part: pd.DataFrame, unit: str) -> str:
         found = means[np.isfinite(means)]
         known = f"{number(found.min())} to {number(found.max())}" if len(found) else "diverged in every run"
         said.append(f"{observer} {known}")
-    return f"Ranges [{unit}]: {', '.join(said)}."
+    return f"Ranges{f' [{unit}]' if unit not in ('', '1') else ''}: {', '.join(said)}."
 
 
 def winners(found: pd.DataFrame) -> str:
@@ -147,18 +140,95 @@ def convergence(part: pd.DataFrame) -> str:
     return f"{', '.join(said)}." if said else "No mean has an interval."
 
 
-def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
-    """Return the last values of one run, and how to read its figure; the errors of `exact` observers are exact over time."""
+def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
+    """Return the last values of one run, and how to read its `figure`; the errors of `exact` observers are exact over time."""
     kinds = (
         ["truth", "estimate", "target"] if (run.kind == "truth").any() else ["error"]
     )  # of a user's own there is no more
     ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.last()
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
-    of = frozenset(run.series[run.kind == "rms"])
-    runs = "" if of <= exact else ", this one and the next seeds"
-    band = f" Bands: 90 % of the errors over {over(of, exact)}{runs}." if 0 < len(of) <= BANDS else ""
-    thin = " Thin lines: three standard deviations from the observer's covariance; one if the axis is logarithmic."
-    return text, f"Values outside the range are cut off.{band}{thin if (run.kind == 'sigma').any() else ''}"
+    errors, of = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
+    log, said = errors.get_yscale() == "log", []
+    if any(_leaves(ax) for ax in figure.axes):
+        said.append("Values outside the range are cut off.")
+    if errors.collections:
+        said.append(f"Bands: 90 % of the errors over {over(of, exact)}.")
+    if of - exact and (errors.collections or log):
+        said.append(f"The {one_run.RUNS} runs are this one and those of the next seeds.")
+    if any(line.get_label() == SIGMA for line in errors.get_lines()):
+        said.append(f"Thin lines: {'the' if log else 'three times the'} standard deviation that the observer assumes.")
+    return text, " ".join(said)
+
+
+def _leaves(ax: Axes) -> bool:
+    """Return whether a line of a panel leaves its range."""
+    low, high = sorted(ax.get_ylim())
+    values = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
+    return any(bool(((each < low) | (each > high)).any()) for each in values)
+
+
+def _has_bars(figure: Figure) -> bool:
+    """Return whether an interval is drawn."""
+    bars = [c for ax in figure.axes for c in ax.collections if isinstance(c, LineCollection)]
+    segments = [np.asarray(segment) for each in bars for segment in each.get_segments()]
+    return any(len(each) and np.ptp(each[:, 1]) > 0 for each in segments)  # one without a value is empty
+
+
+def winners_note(found: pd.DataFrame, figure: Figure, runs: int) -> str:
+    """Return how to read a map of winners, from the frame of `frames.standings`; runs 0: the values are exact."""
+    better = (
+        "significantly better than every other (paired t-test, Holm, 5 %)" if runs > 1 else "better than every other"
+    )
+    said = [f"An observer wins a grid point if it is {better}."]
+    if any("×" in text.get_text() for ax in figure.axes for text in ax.texts):
+        said.append("The number is the error of the second divided by that of the winner.")
+    if ((found.winner == "") & (found.best != "")).any():
+        said.append("Pale: the difference is not significant." if runs else "Pale: others are equal to the best.")
+    return " ".join(said)
+
+
+def map_note(figure: Figure) -> str:
+    """Return how to read maps of errors."""
+    return "Darker is worse; all maps have the same scale." if len(figure.axes) > 1 else "Darker is worse."
+
+
+def curves_note(figure: Figure, limit: str) -> str:
+    """Return how to read curves, after a sentence of `describe_limit`."""
+    return " ".join(filter(None, [limit, INTERVALS if _has_bars(figure) else ""]))
+
+
+def costs_note(figure: Figure, found: pd.DataFrame) -> str:
+    """Return how to read errors against operations, a frame of `observer_costs.of`."""
+    absent = "An observer without samples is not shown." if (found["sample"] == 0).any() else ""
+    return " ".join(filter(None, [COSTS, absent, INTERVALS if _has_bars(figure) else ""]))
+
+
+def bands_note(figure: Figure) -> str:
+    """Return how to read the bands of |e| over time."""
+    assumed = "assumed std" in keys_of(figure)
+    dashed = ", and the assumed standard deviation (dashed), which a consistent filter has at about its 68 % point"
+    return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{dashed if assumed else ''}."
+
+
+def profiles_note(figure: Figure) -> str:
+    """Return how to read performance profiles."""
+    if len(figure.axes) == 1:
+        return "Higher is better."
+    ranks = "long dark bars below are ranks that new runs would not change (paired bootstrap over runs, mean over situations)"
+    return f"Higher is better above; {ranks}."
+
+
+def honesty_note(run: pd.DataFrame) -> str:
+    """Return how to read the NEES over time, of a frame of `one_run.of`."""
+    many = one_run.runs_of(run)
+    mean = f", as a mean over {many} runs" if many > 1 else ""
+    band = "Above the band an observer is optimistic, below it pessimistic."
+    return f"NEES: the squared error divided by the observer's covariance{mean}. {band}"
+
+
+def keys_of(figure: Figure) -> list[str]:
+    """Return the texts of a figure's legend."""
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def bands(part: pd.DataFrame, unit: str) -> str:
@@ -205,8 +275,10 @@ def borne(found: pd.DataFrame) -> str:
 
     said = []
     for axis, mine in found.groupby("axis", sort=False):
-        each = [f"{row['observer']} {most(row['most'])}" for row in mine.to_dict("records")]
-        said.append(f"{frames.label(str(axis))}: {', '.join(each)}")
+        by_size = bool((mine.most < 0).any()) and not (mine.most > 0).any()
+        sizes = mine.assign(most=mine.most.abs()) if by_size else mine
+        each = [f"{row['observer']} {most(row['most'])}" for row in sizes.to_dict("records")]
+        said.append(f"{'size of ' if by_size else ''}{frames.label(str(axis))}: {', '.join(each)}")
     return f"Better than model-only: {'; '.join(said)}."
 
 
@@ -214,7 +286,10 @@ def fair(table: pd.DataFrame) -> str:
     """Return each observer's metric on held-out runs, by kind of gains."""
     first = table[table.cell == table.cell.iloc[0]]
     unit = first.unit.iloc[0]
-    said = [f"{r['observer']} {WORDS[r['tuning']]} {number(r['held_out'])} {unit}" for r in first.to_dict("records")]
+    said = [
+        f"{r['observer']} {WORDS[r['tuning']]} {quantity(number(r['held_out']), unit)}"
+        for r in first.to_dict("records")
+    ]
     return ", ".join(said) + "."
 
 
@@ -224,13 +299,14 @@ def where(part: pd.DataFrame, cell: int) -> str:
 
 
 def _format_value(value: float, unit: str) -> str:
-    return f"{number(value)} {unit}" if np.isfinite(value) else "(diverged in every run)"
+    return quantity(number(value), unit) if np.isfinite(value) else "(diverged in every run)"
 
 
 def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:
     """Return the values that suffice, from the rows of stats along an axis; empty if it has no numbers or no error is finite.
 
-    `threshold` is the limit, in the unit of the rows; None: TIMES their least mean.
+    `threshold` is the limit, in the unit of the rows; None: TIMES their least mean. Of an axis of negative values, such as an
+    offset, the size counts.
     """
     if not all(isinstance(v, int | float) and isfinite(v) for v in part[axis]):
         return ""
@@ -238,10 +314,12 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
     limit = TIMES * least if threshold is None else threshold
     if not limit > 0:
         return ""
-    found = limit_verdicts.points(part, axis, limit)
+    by_size = bool((part[axis] < 0).any() and (part[axis] <= 0).all())
+    found = limit_verdicts.points(part.assign(**{axis: part[axis].abs()}) if by_size else part, axis, limit)
     each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in found.items())
-    which = f"{number(limit)} {unit}".strip() + (" (twice the least mean)" if threshold is None else "")
-    return f"Significantly below {which}: {each}."
+    which = quantity(number(limit), unit) + (" (twice the least mean)" if threshold is None else "")
+    below = "Significantly below" if frames.runs_of(part) else "Below"
+    return f"{below} {which}{f', by the size of {frames.label(axis)}' if by_size else ''}: {each}."
 
 
 def _words(a: Answer) -> str:

@@ -106,16 +106,16 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     if found := ratios_of(result, scenario, signal, shown.metric, cell):
         figure, text, note = plots.ratios(result, cell=cell, **here), captions.ratios(found), captions.best(found)
         yield Picture(f"{name}-ratios", f"{title} relative to the best", figure, text, note)
+    seed = result.study.first_seed if shown.seed is None else shown.seed
     if run is not None:
-        seed = result.study.first_seed if shown.seed is None else shown.seed
         figure = time_series.draw_run(result, run, scenario, signal, cell, seed, shown.paper)
         exact = time_series.exactly(result, scenario, cell)
-        text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
+        text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), figure, exact)
         yield Picture(f"{name}-time", "One run over time", figure, text, note)
     if run is not None and errors_over_time.has_bands(run, signal):
-        figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, shown.paper)
+        figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, seed, shown.paper)
         text = captions.bands(run[run.signal == signal], unit_of_signal(result, scenario, signal))
-        yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.BANDS_OF_RUNS)
+        yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.bands_note(figure))
     if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
         alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
         text = captions.borne(fault_tolerance.borne(alone))
@@ -124,24 +124,24 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(every)
         over = f"{frames.label(x, units)} and {frames.label(y, units)}"
-        text = captions.winners(frames.standings(result, scenario, signal, shown.metric))
-        yield Picture(f"{name}-winners", f"Winners over {over}", plots.winners(result, **here), text, captions.WINNERS)
+        figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, shown.metric)
+        note = captions.winners_note(standings, figure, frames.runs_of(every))
+        yield Picture(f"{name}-winners", f"Winners over {over}", figure, captions.winners(standings), note)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
         text = captions.ranges(frames.fix_axes(every, [x, y], rest), unit)
-        yield Picture(
-            f"{name}-map", f"{title} over {over}", figure, text, "Darker is worse; all maps have the same scale."
-        )
+        yield Picture(f"{name}-map", f"{title} over {over}", figure, text, captions.map_note(figure))
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
         values = frames.fix_axes(every, [axis], rest)
         limit = captions.describe_limit(values, axis, unit, shown.threshold)
+        figure = plots.curves(result, axis, at=rest, **here)
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
             title=f"{title} over {frames.label(axis, units)}",
-            figure=plots.curves(result, axis, at=rest, **here),
+            figure=figure,
             text=captions.curve(values, axis, unit),
-            note=f"{limit} Bars: 95 % intervals of the mean.".strip(),
+            note=captions.curves_note(figure, limit),
         )
     if frames.has_spread(part):
         figure, heading = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"
@@ -157,7 +157,8 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         )
     if costs is not None and (costs["sample"] > 0).sum() > 1:
         figure = plots.cost(result, costs, cell=cell, **here)
-        yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), captions.COSTS)
+        note = captions.costs_note(figure, costs)
+        yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), note)
 
 
 def of_all_signals(place: Place) -> Iterator[Picture]:
@@ -173,8 +174,12 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     if run is not None and one_run.has_nees(run):
-        figure = time_series.drawn_nees(result, run, scenario, cell, shown.paper)
-        yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), captions.HONESTY)
+        seed = result.study.first_seed if shown.seed is None else shown.seed
+        figure, note = (
+            time_series.drawn_nees(result, run, scenario, cell, seed, shown.paper),
+            captions.honesty_note(run),
+        )
+        yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), note)
     if found := calibration_curves.transforms_of(result, scenario, cell):
         figure, text = (
             plots.calibration(result, scenario=scenario, cell=cell, paper=shown.paper),
@@ -192,7 +197,13 @@ def of_study(result: Result, shown: FigureOptions) -> Iterator[Picture]:
         figure = plots.regrets(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
         yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(found))
         figure = plots.profiles(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
-        yield Picture("profiles", "Performance profile and ranks", figure, captions.profiles(found), captions.PROFILES)
+        yield Picture(
+            "profiles",
+            "Performance profile and ranks",
+            figure,
+            captions.profiles(found),
+            captions.profiles_note(figure),
+        )
 
 
 def unit_of_signal(result: Result, scenario: str, signal: str) -> str:

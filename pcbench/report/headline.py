@@ -96,7 +96,7 @@ def _cell(
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.format_axis(a, first[a]) for a in frames.varying(part))
-    unit, n = stats[stats.metric == "rmse"].unit.iloc[0], int((part.n + part.diverged).max())
+    unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
     heads = ["observer", f"{metric} [{first.unit}]", f"diff. to best [{first.unit}]"]
     heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged"]
     kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-") for row in rows)]
@@ -107,7 +107,7 @@ def _cell(
         else "One run each: no intervals, and no significant differences."
     )
     some_diverge = heads.index("diverged") in kept
-    note += " Means are over the runs that did not diverge." if some_diverge else " No run diverged."
+    note += " Means are over the runs that did not diverge." if some_diverge else " None of them diverged."
     note = note if n else "Exact expected values over all noise."
     title = f"At {at}" if at else ""
     return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
@@ -127,8 +127,10 @@ def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
     rows = [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
     heads = ["observer", "grid points won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((found.winner == "").sum())
+    runs = frames.runs_of(part) > 0
+    better, test = ("significantly better", " (paired t-test, Holm, 5 %)") if runs else ("better", "")
     note = (
-        f"An observer wins a grid point if it is significantly better than every other (paired t-test, Holm, 5 %). {ties} of "
-        f"{len(found)} grid points have no winner. An observer is as good as the best if none is significantly better."
+        f"An observer wins a grid point if it is {better} than every other{test}. {ties} of {len(found)} grid points have no "
+        f"winner. An observer is as good as the best if none is {better}."
     )
     return Headline(f"All {len(found)} grid points", heads, rows, f"{note} {result.unproven(stood.scenario)}".strip())

@@ -110,6 +110,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         metric=shown.metric,
         metric_means=meaning[shown.metric],
         sure=_how_sure(result),
+        method=_method(result),
         head=head,
         tally=won,
         summary=rows,
@@ -179,7 +180,8 @@ def _what(result: Result) -> str:
     many = f", {cells} combinations of axis values" if cells > scenarios else ""
     seeds = f"with up to {runs:,} runs each" if runs else "exact expected values over all noise"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
-    return f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, {seeds}."
+    several = "s" if len(observers) > 1 else ""
+    return f"{len(observers)} observer{several} ({', '.join(observers)}) in {where}{many}, {seeds}."
 
 
 def _how_sure(result: Result) -> str:
@@ -188,6 +190,12 @@ def _how_sure(result: Result) -> str:
     if int((result.stats.n + result.stats.diverged).max()) < 2:
         return "One run each: no difference is significant."
     return "Scenarios with noise come first, then those in which the best observer has the largest lead."
+
+
+def _method(result: Result) -> str:
+    """Return what is averaged over, for all numbers that have an interval."""
+    runs = "Intervals are 95 % over runs. All observers use the same random numbers."
+    return runs if frames.runs_of(result.stats) else "The values are exact over all noise."
 
 
 def _provenance(result: Result) -> list[tuple[str, str]]:

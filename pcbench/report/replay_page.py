@@ -13,6 +13,7 @@ from pcbench.plots.labels import inline
 from pcbench.plots.layout import PAPER, Paper, number
 from pcbench.plots.palette import styles
 from pcbench.plots.replay_frames import Replayed
+from pcbench.report import captions
 from pcbench.report import page as study_page
 from pcbench.report.captions import number as short
 from pcbench.report.figures import FigureOptions, Picture, put_figures
@@ -157,9 +158,9 @@ def _states(r: Replayed, signal: str, paper: Paper) -> Picture:
     low, high = replays.excerpt_of(r)
     text = f"{signal.replace('_', ' ')} as estimated by {', '.join(r.observers)}, over all {number(r.end)} s and from "
     text += replays.span(low, high) + (f", and its difference from the {known}." if known else ".")
-    return Picture(
-        f"state-{signal}", signal.replace("_", " "), replays.states(r, signal, paper), text, f"{BANDS} {THINNED}"
-    )
+    figure = replays.states(r, signal, paper)
+    note = f"{BANDS} {THINNED}" if any("band" in key for key in captions.keys_of(figure)) else THINNED
+    return Picture(f"state-{signal}", signal.replace("_", " "), figure, text, note)
 
 
 def _channel(

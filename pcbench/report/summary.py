@@ -9,7 +9,7 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.labels import times, title_of_scenario
+from pcbench.plots.labels import quantity, times, title_of_scenario
 from pcbench.plots.palette import styles
 from pcbench.report.captions import number
 from pcbench.statistics import number_format
@@ -100,16 +100,16 @@ def _row(result: Result, stood: Stood) -> Row:
     unit, own = part.unit.iloc[0], part[part.observer == best]
     value = "-"
     if len(own) and not several:
-        value = f"{number_format.interval(own.iloc[0])} {unit}"
+        value = quantity(number_format.interval(own.iloc[0]), unit)
     elif len(own) and np.isfinite(own["mean"].min()):
-        value = f"{number(own['mean'].min())} to {number(own['mean'].max())} {unit}"
+        value = quantity(f"{number(own['mean'].min())} to {number(own['mean'].max())}", unit)
     return Row(
         scenario=scenario,
         title=title_of_scenario(result, scenario),
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),
-        won=_significance(found, won, best, deterministic, int((part.n + part.diverged).max())),
+        won=_significance(found, won, best, deterministic, frames.runs_of(part)) if multiples[1:] else "one observer",
         value=value,
         others=[(o, look[o].colour, times(m)) for o, m in multiples if several or o != best][:MOST],
         tells=(0 if deterministic else 100)

@@ -16,7 +16,7 @@ from pcbench.cli.render.tables import Screen
 from pcbench.dataset import columns, compare, moments_tables, parquet_io, storage, verify
 from pcbench.dataset.result import open_result
 from pcbench.errors import UserError
-from pcbench.plots import time_series
+from pcbench.plots import layout, time_series
 from pcbench.report import captions, page
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -235,4 +235,8 @@ def test_a_picture_in_time_says_over_what_errors_are_taken(exact, of):
     assert time_series.over(frozenset("ab"), frozenset(exact)) == of
     rows = [(series, kind, 1.0) for series in "ab" for kind in ("estimate", "rms")]
     run = pd.DataFrame(rows, columns=["series", "kind", "value"])
-    assert f"90 % of the errors over {of}" in captions.time(run, "m", frozenset(exact))[1]
+    with layout.sheet(layout.PAPER, "") as (figure, (ax,)):
+        ax.fill_between([0, 1], [0, 0], [1, 1])
+    note = captions.time(run, "m", figure, frozenset(exact))[1]
+    assert f"90 % of the errors over {of}" in note
+    assert ("those of the next seeds" in note) == ("32" in of)

@@ -56,12 +56,13 @@ def test_the_picture_has_a_line_for_each_that_says_so_and_the_band(result, run):
 
 @pytest.mark.ci
 def test_errors_in_time_stand_between_three_standard_deviations(result, run):
-    below = plots.time(result, signal="a").axes[1]
+    figure = plots.time(result, signal="a")
+    below = figure.axes[1]
     sigma = run[(run.series == "kf") & (run.kind == "sigma") & (run.signal == "a")].value.to_numpy()
     drawn = [np.asarray(line.get_ydata()) for line in below.get_lines()]
     for side in (-3, 3):
         assert any(len(y) == len(sigma) and np.allclose(y, side * sigma) for y in drawn)
-    assert "three standard deviations" in captions.time(run[run.signal == "a"], "")[1]
+    assert "three times the standard deviation" in captions.time(run[run.signal == "a"], "", figure)[1]
 
 
 @pytest.mark.ci

@@ -55,6 +55,21 @@ def test_an_error_that_falls_again_is_said():
     )
 
 
+def test_of_a_negative_fault_the_size_counts():
+    """An offset of -1.6 s is larger than one of -0.1 s."""
+    offset = rows(("kf", -1.6, 0.9, 0.01, 0), ("kf", -0.1, 0.015, 0.001, 0), ("kf", 0.0, 0.01, 0.001, 0))
+    assert captions.describe_limit(offset, "delay", "m", None) == (
+        "Significantly below 0.02 m (twice the least mean), by the size of delay [s]: kf up to 0.1, not at 1.6."
+    )
+
+
+def test_exact_values_and_numbers_without_a_unit():
+    exact = PART.assign(n=0, diverged=0)
+    assert captions.describe_limit(exact, "delay", "1", 0.045).startswith(
+        "Below 0.045: kf everywhere; chain up to 0.1,"
+    )
+
+
 def test_an_axis_of_words_and_errors_that_are_0_have_no_answer():
     assert captions.describe_limit(PART.assign(delay="interval"), "delay", "m", None) == ""
     assert captions.describe_limit(PART.assign(delay=None), "delay", "m", None) == ""

@@ -290,7 +290,9 @@ def test_a_run_in_time_says_in_words_where_it_ends():
     rows = [("plant", "truth", t, float(t)) for t in range(3)]
     rows += [("kfbo", "estimate", t, 0.5 * t) for t in range(3)] + [("measured", "measured", 2, 9.0)]
     run = pd.DataFrame(rows, columns=["series", "kind", "t", "value"])
-    assert captions.time(run, "m")[0] == "At the end: plant 2 m, kfbo 1 m."
+    with layout.sheet(plots.Paper(), "") as (drawn, _):
+        pass
+    assert captions.time(run, "m", drawn)[0] == "At the end: plant 2 m, kfbo 1 m."
 
 
 GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 2}

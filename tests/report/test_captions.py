@@ -1,0 +1,164 @@
+"""The words of each figure say what is drawn: no band, bar, mark, test or number of runs that is not in the picture."""
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.patches import Patch
+from walked import STUDIES as SHORT
+
+import pcbench
+from pcbench.plots import layout, one_run
+from pcbench.plots.time_series import SIGMA
+from pcbench.report import captions, figures, page
+from pcbench.report.figures import Picture
+from pcbench.study import STUDIES
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+CONSISTENT = {"scenario": {"random_initial_state": True, "consistency": True}}
+SMALL = {
+    "white": {"scenarios": ["cart/nominal", "cart/white"], "observers": ["pccebo", "kf", "model-only"], "seeds": 6},
+    "faults": {
+        "scenarios": ["cart/gaussian"],
+        "observers": ["kf", "pccebo", "model-only"],
+        "seeds": 6,
+        "vary": "one-at-a-time",
+        "axes": {"process_std": [[0.02, 0.1]], "timestamp_offset": [0.0, -0.1, -0.4], "student_t_dof": [np.inf, 3.0]},
+        "options": CONSISTENT,
+    },
+    "exact": {
+        "scenarios": ["cart/gaussian"],
+        "observers": ["kf", "pccebo", "kfbo"],
+        "evaluation": "exact",
+        "axes": {"delay": [0.0, 0.2], "sampling_period": [0.1, 0.2]},
+    },
+    "diverging": {
+        "scenarios": ["cart/slow"],
+        "observers": ["pccebo", "kfbo"],
+        "seeds": 6,
+        "axes": {"noise_std": [0.1, 0.5], "delay": [0.2, 0.4]},
+        "options": {"kfbo": {"sampled_innovation": True, "R": 1e-6}},
+    },
+    "alone": {"scenarios": ["intermittent/scalar"], "observers": ["kf"], "seeds": 6},
+}
+SAID = {
+    "white": "every other observer is significantly worse",
+    "faults": "by the size of timestamp offset",
+    "exact": "better than every other.",
+    "diverging": "Bars",
+}
+OF_ONE_RUN = ("-time", "-bands", "-nees")  # figures of simulated runs, in an exact study too
+TESTED = r"95 %|interval|Holm|t-test|signific|seed|\bruns?\b"
+
+
+def pictures(result):
+    for place in figures.places(result, result.scenarios, figures.SHOWN).values():
+        for _, each in figures.of_scenario(place):
+            yield from each
+    yield from figures.of_study(result, figures.SHOWN)
+
+
+def faults(picture, result, seeds):
+    """What the words of a figure say that is not drawn, and what is drawn that they do not say."""
+    figure, note = picture.figure, picture.note
+    keys, title = captions.keys_of(figure), figure.legends[0].get_title().get_text().replace("\n", " ")
+    words = " ".join([title, note, picture.text, *keys])
+    collections = [c for ax in figure.axes for c in ax.collections]
+    shaded = any(isinstance(c, PolyCollection) for c in collections)
+    segments = [s for c in collections if isinstance(c, LineCollection) for s in c.get_segments() if len(s)]
+    lines = [line for ax in figure.axes for line in ax.get_lines()]
+    beyond = any(map(leaves, lines))
+    patches = figure.findobj(lambda a: isinstance(a, Patch) and a.get_hatch() and a.axes)
+    hollow = any(line.get_markerfacecolor() == "white" for line in lines)
+    is_run, is_curve = picture.name.endswith("-time"), "-over-" in picture.name or picture.name.endswith("-cost")
+    checks = {
+        "bands of a run": not is_run or ("Bands:" in note) == shaded,
+        "values outside": not is_run or ("cut off" in note) == beyond,
+        "assumed deviations": not is_run or ("Thin lines" in note) == any(line.get_label() == SIGMA for line in lines),
+        "assumed deviation of bands": "dashed" not in note or any(line.get_linestyle() == "--" for line in lines),
+        "dashed line of bands": not picture.name.endswith("-bands") or ("assumed std" in keys) == ("dashed" in note),
+        "bars": not is_curve or ("Bars" in note) == any(np.ptp(s[:, 1]) > 0 for s in segments),
+        "hatched": ("hatched" in title) == ("hatched" in note) == bool(patches),
+        "not significant": not {"not significant", "not worse", "equal"} & set(keys) or bool(patches) or hollow,
+        "zone": "not distinguishable (95 %)" not in keys or any(np.ptp(s[:, 0]) > 0 for s in segments),
+        "ranks": "bars below" not in note or len(figure.axes) == 2,
+        "all maps": "all maps" not in note or len(figure.axes) > 1,
+        "no unit": not re.search(r"\d 1(?:\.(?!\d)|[,;)]| at | \()", f"{note} {picture.text}"),
+        "size of a fault": not re.search(r"up to -|not at -", words),
+        "exact": not result.exact
+        or picture.name.endswith(OF_ONE_RUN)
+        or not re.search(TESTED, re.sub("pooled over runs|of one run", "", words)),
+        "runs or seed": picture.name == "fair" or re.search(r"\bruns\b|seed \d|exact values", title),
+        "number of runs": {int(n.replace(",", "")) for n in re.findall(r"(\d[\d,]*) runs", words)}
+        <= {seeds, one_run.RUNS},
+    }
+    return [f"{picture.name}: {name}: {words}" for name, holds in checks.items() if not holds]
+
+
+def leaves(line):
+    """Whether a line goes beyond its axis, up or down."""
+    low, high = line.axes.get_ylim()
+    values = np.asarray(line.get_ydata(), float)
+    return bool((values < low).any() or (values > high).any())
+
+
+@pytest.fixture(scope="module")
+def results():
+    made = {}
+
+    def result(name):
+        if name not in made:
+            made[name] = pcbench.run({"name": name} | SMALL[name])
+        return made[name]
+
+    return result
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", SMALL)
+def test_words_of_a_figure_are_those_of_what_is_drawn(results, name):
+    every = list(pictures(results(name)))
+    assert [fault for picture in every for fault in faults(picture, results(name), SMALL[name].get("seeds", 0))] == []
+    assert SAID.get(name, "") in " ".join(picture.note for picture in every)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", [n for n in STUDIES if n != "all"])
+def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
+    short = [word for word in SHORT.get(name, []) if "=" in word]
+    result = pcbench.run(name, seeds=4, overrides=short)
+    assert [fault for picture in pictures(result) for fault in faults(picture, result, 4)] == []
+
+
+@pytest.mark.ci
+def test_pages_of_exact_values_and_of_one_observer_have_no_tests(results):
+    exact, alone = (re.sub(r"<script.*", "", page.page(results(name)), flags=re.S) for name in ("exact", "alone"))
+    section = exact.partition('<section id="repeat">')[0]
+    assert "The values are exact over all noise." in section
+    assert "Intervals are 95 %" not in section
+    assert "Holm" not in section
+    assert "1 observer (kf)" in alone
+    assert '<td data-of="significance">one observer</td>' in alone
+
+
+@pytest.mark.ci
+def test_words_that_are_not_drawn_are_seen(results):
+    """The measure itself."""
+    with layout.sheet(layout.PAPER, "cart/white, 6 runs") as (figure, (ax,)):
+        layout.set_range(ax, "y", [0.0, 1.0])
+        ax.plot([0, 1], [0, 1], label="kf")
+    for name, note in (
+        ("x-time", "Bands: 90 % of the errors over 32 runs."),
+        ("x-time", "Values outside the range are cut off."),
+        ("x-bands", "the assumed standard deviation (dashed)"),
+        ("x-over-delay", "Bars: 95 % intervals of the mean."),
+        ("x-over-delay", "up to -0.1"),
+        ("x-over-delay", "below 2.39 1 (twice the least mean)"),
+        ("regrets", "hatched: not significant"),
+        ("x-cost", "11 runs"),
+    ):
+        assert faults(Picture(name, "", figure, "", note), results("white"), 6), note
+    assert faults(Picture("x-time", "", figure, "", ""), results("white"), 6) == []
+    assert faults(Picture("x-cost", "", figure, "", ""), results("exact"), 6), "it names runs"
