@@ -14,6 +14,7 @@ from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
+from pcbench.statistics.limit_verdicts import COUNTS
 from pcbench.statistics.number_format import estimate
 from pcbench.statistics.ranking import standing
 
@@ -39,7 +40,12 @@ class Entry(NamedTuple):
     @property
     def lost(self) -> bool:
         """Whether runs diverged, which the mean leaves out."""
-        return bool(self.row["diverged"])
+        return bool(self.row["diverged"]) and self.row["metric"] not in COUNTS
+
+    @property
+    def runs(self) -> int:
+        """Return the number of its runs; 0: it is exact."""
+        return int(self.row["n"] + self.row["diverged"] * self.lost)
 
 
 class Table(NamedTuple):
@@ -61,7 +67,7 @@ class Table(NamedTuple):
     @property
     def notes(self) -> list[str]:
         """Return what a reader has to know of it, a sentence each."""
-        runs = {int(e.row["n"] + e.row["diverged"]) for e in self.entries} or {0}
+        runs = {e.runs for e in self.entries} or {0}
         each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; skewed intervals by their ends" if any(" .. " in e.text for e in self.entries) else ""
         half = ", ± half a 95 % interval" if any("±" in e.text for e in self.entries) else ""

@@ -32,7 +32,7 @@ def result(whole):
 
 
 def row(mean, low, high, n=16, diverged=0, **more):
-    return {"mean": mean, "ci_low": low, "ci_high": high, "n": n, "diverged": diverged} | more
+    return {"metric": "rmse", "mean": mean, "ci_low": low, "ci_high": high, "n": n, "diverged": diverged} | more
 
 
 def alone(*entries):
@@ -143,6 +143,14 @@ def test_marks_units_and_special_letters_in_latex_and_markdown():
     assert "| o_1 | **1.00 ± 0.10** | 2.00 ± 0.10 † |" in text.markdown([alone(best, lost)])
     assert "siunitx" not in latex.latex([alone(best, best)], plain=True)
     assert "unit" not in latex.latex([alone(best, best)], plain=True)
+
+
+def test_notes_name_the_runs_and_no_test_of_exact_values():
+    rate = row(0.25, 0.1, 0.5, n=8, diverged=2, metric="divergence_rate")
+    (note,) = alone(Entry(rate, False), Entry(rate, False)).notes
+    assert note == "Means over 8 runs; skewed intervals by their ends.", "a rate of diverged runs is over all of them"
+    notes = alone(*[Entry(row(0.25, 0.25, 0.25, n=0), True)] * 2).notes
+    assert notes == ["Exact expected values.", "Bold: the best, and each that is equal to it."]
 
 
 def test_csv_holds_the_numbers_in_full(result):
