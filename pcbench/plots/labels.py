@@ -32,7 +32,12 @@ WORDS = {
 
 def title_of(metric: str, signal: str, unit: str) -> str:
     """Return a metric of a signal as an axis' title, with its unit."""
-    return describe_metric(metric, signal) + (f" [{unit}]" if unit not in ("", "1") else "")
+    return with_unit(describe_metric(metric, signal), unit)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a text with a unit in brackets: [-] of what has none, nothing if the unit is not known."""
+    return f"{text} [{'-' if unit == '1' else unit}]" if unit else text
 
 
 def describe_metric(metric: str, signal: str) -> str:

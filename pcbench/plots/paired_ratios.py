@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import about, describe_metric, unit_of
+from pcbench.plots.labels import about, describe_metric, unit_of, with_unit
 from pcbench.plots.layout import NARROW, PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.palette import GRID, INK, SOFT, Style, styles
 from pcbench.statistics import COMPARED, POOLED
@@ -157,7 +157,7 @@ def ratios(
         keys.append(Line2D([], [], color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, label=BOUND))
     names = [mark_uncertified(str(o), [c]) for o, c in zip(rows.observer, rows.certified, strict=True)]
     names += [] if found.bound is None else [BOUND]
-    least = f"{layout.number(float(f'{found.value:.3g}'))} [{unit_of(whole)}]"
+    least = with_unit(layout.number(float(f"{found.value:.3g}")), unit_of(whole))
     with sheet(paper, title, height=ROW * len(names) + 0.1, keys=keys) as (figure, (ax,)):
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.set_yticks(range(len(names)), names)

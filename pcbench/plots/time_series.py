@@ -16,7 +16,7 @@ from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.playback.delay_search import ChannelDelay
 from pcbench.plots import frames, layout, one_run
-from pcbench.plots.labels import title_of_scenario
+from pcbench.plots.labels import title_of_scenario, with_unit
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import GRID, LOOKS, MEASURED, PLANT, SOFT, LineLook, pale
@@ -82,10 +82,10 @@ def draw_run(
         log = _set_errors_range(below, part)
         exact = exactly(result, scenario, cell)
         error = "error (true minus estimated)" if has_truth else signal.replace("_", " ")
-        below.set(title=_size(part, unit, exact) if log else f"{error} [{unit}]", xlabel="t [s]")
+        below.set(title=_size(part, unit, exact) if log else with_unit(error, unit), xlabel="t [s]")
         if has_truth:
             set_limits(axes[0], "y", *_range(part))
-            axes[0].set_title(f"{signal.replace('_', ' ')} [{unit}]")
+            axes[0].set_title(with_unit(signal.replace("_", " "), unit))
             _draw_states(axes[0], part, look)
         _draw_errors(below, part, look, log)
     return figure
@@ -162,7 +162,7 @@ def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log
 def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
     """Return what a logarithmic axis of errors shows."""
     observers = frozenset(part.series[part.kind == "rms"])
-    return (f"rms error over {over(observers, exact)}" if observers else "|error|") + f" [{unit}]"
+    return with_unit(f"rms error over {over(observers, exact)}" if observers else "|error|", unit)
 
 
 def _range(part: pd.DataFrame) -> tuple[float, float]:

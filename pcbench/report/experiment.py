@@ -13,7 +13,7 @@ from pcbench.dataset.result import Result
 from pcbench.fields import FIELDS
 from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
 from pcbench.plots import frames
-from pcbench.plots.labels import LTI
+from pcbench.plots.labels import LTI, quantity
 from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORD_OF, has_rows
@@ -90,7 +90,7 @@ def _field_rows(s: Scenario) -> list[Row]:
         if np.ndim(values) > 1:
             return _plain(values)
         named = zip(np.ravel(values), signals, strict=False)
-        return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
+        return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in named)
 
     def times(values: str | Sequence[float | str]) -> str:
         return values if isinstance(values, str) else _each(values, ["s"] * len(values))
@@ -210,7 +210,7 @@ def _one_source(part: Source) -> str:
 def _each(values: Sequence[float | str], units: list[str]) -> str:
     """Return one number if all channels are equal, otherwise all numbers."""
     pairs = zip(values, units, strict=False)
-    words = [f"{number(v)} {unit}".strip() if not isinstance(v, str) else "one interval" for v, unit in pairs]
+    words = [quantity(number(v), unit) if not isinstance(v, str) else "one interval" for v, unit in pairs]
     return words[0] if len(set(words)) == 1 else ", ".join(words)
 
 

@@ -7,11 +7,17 @@ import pandas as pd
 
 from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout
+from pcbench.plots.labels import with_unit
 from pcbench.plots.palette import styles
 from pcbench.report.summary import Stood, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
 
+MARKS = {
+    "±": "± is half a 95 % interval",
+    "..": "(a .. b) is a 95 % interval",
+    "=": "= is not significant (paired t-test, Holm, 5 %)",
+}
 MOST = 4  # grid points that have their own table; of more, wins are counted
 COSTS = {"sample": "multiplications per sample", "tick": "multiplications per tick", "memory": "bytes of memory"}
 BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # columns after the metric that ranks
@@ -97,12 +103,14 @@ def _cell(
     first = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.format_axis(a, first[a]) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
-    heads = ["observer", f"{metric} [{first.unit}]", f"diff. to best [{first.unit}]"]
-    heads += [m if m == "rms_efficiency" else f"{m} [{unit}]" for m in beside] + ["diverged"]
-    kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-") for row in rows)]
+    heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
+    heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]
+    kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
     rows = [row._replace(cells=[row.cells[i] for i in kept]) for row in rows]
+    written = " ".join(text for row in rows for text in row.cells[1:])
+    explained = [words for mark, words in MARKS.items() if mark in written]
     note = (
-        f"{n:,} runs each; ± is half a 95 % interval; = is not significant (paired t-test, Holm, 5 %)."
+        "; ".join([f"{n:,} runs each", *explained]) + "."
         if n > 1
         else "One run each: no intervals, and no significant differences."
     )
@@ -125,7 +133,13 @@ def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
         cells.append(f"{share:.3g} %" if share else "none")
         ranked.append(((-t.won, median), HeadlineRow(cells, t.colour, best=False)))
     rows = [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
-    heads = ["observer", "grid points won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
+    heads = [
+        "observer",
+        "grid points won",
+        "as good as the best",
+        with_unit(f"median {metric}", part.unit.iloc[0]),
+        "diverged",
+    ]
     ties = int((found.winner == "").sum())
     runs = frames.runs_of(part) > 0
     better, test = ("significantly better", " (paired t-test, Holm, 5 %)") if runs else ("better", "")

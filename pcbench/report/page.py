@@ -21,7 +21,7 @@ from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.plots import frames
-from pcbench.plots.labels import inline, title_of_scenario
+from pcbench.plots.labels import inline, title_of_scenario, with_unit
 from pcbench.report import captions, explorer, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
@@ -165,7 +165,7 @@ def _section(place: figures.Place, anchor: str) -> Section:
         tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, None if parts else place.costs)
         at = captions.where(frames.rows(result, scenario, signal, shown.metric), place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
-        parts.append(Part(f"Error of {signal.replace('_', ' ')} [{unit}]", tables, at, drawn))
+        parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, drawn))
     return Section(anchor, title_of_scenario(result, scenario), of_scenario.experiment(result, scenario), parts)
 
 

@@ -134,13 +134,20 @@ def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
 
 @pytest.mark.ci
 def test_pages_of_exact_values_and_of_one_observer_have_no_tests(results):
-    exact, alone = (re.sub(r"<script.*", "", page.page(results(name)), flags=re.S) for name in ("exact", "alone"))
+    exact, alone = (
+        re.sub(r"<script.*?</script>|<style.*?</style>", "", page.page(results(name)), flags=re.S)
+        for name in ("exact", "alone")
+    )
     section = exact.partition('<section id="repeat">')[0]
     assert "The values are exact over all noise." in section
     assert "Intervals are 95 %" not in section
     assert "Holm" not in section
     assert "1 observer (kf)" in alone
     assert '<td data-of="significance">one observer</td>' in alone
+    assert "diff. to best" not in alone
+    assert "6 runs each; (a .. b) is a 95 % interval. None of them diverged." in alone
+    assert "steady_rmse [-]" in alone
+    assert not re.search(r"[\d.]+ 1<|\[1\]", alone.partition('<section id="repeat">')[0])
 
 
 @pytest.mark.ci
