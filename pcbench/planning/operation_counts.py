@@ -9,7 +9,7 @@ that is not full yet are shorter; floats are those of the start, and a loop that
 Not claimed: time. What a processor does with so many products is for a clock to say.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
 from pcbench.engine import jaxpr_compat
-from pcbench.engine.jaxpr_compat import Eqn, Jaxpr
+from pcbench.engine.jaxpr_compat import ClosedJaxpr, Eqn, Jaxpr
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Gains, Memory, Observer
 from pcbench.simulation.types import GridPointParams, present
@@ -42,82 +42,109 @@ class Cost(NamedTuple):
 
 def costs(p: Plan) -> dict[str, Cost]:
     """Return the cost of every observer of a cell by label."""
-    return {label: _of(p, name, o) for label, (name, o) in zip(p.labels, p.layout.observers, strict=True)}
-
-
-def _of(p: Plan, name: str, o: Observer) -> Cost:
-    problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
-    gains, q, clocks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.clocks
+    clocks = p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     period = max(clock.period for clock in clocks)
-    last = max((p.cell.times.ticks - age) // period, 1)
-    memory = _worn(o, problem, last, age, period, name, q)
-    k = jnp.asarray(age + last * period)
-    snapshot = o.snapshot(gains, memory, present(problem, k - age, False))
-    decided, open_ = (present(problem, k, known) for known in (True, False))
-
-    def sample(gains: Gains, memory: Memory, value: Array) -> PyTree:
-        told = o.on_sample(gains, memory, open_, jnp.ones(q, bool)) if o.on_sample else memory
-        return o.snapshot(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, snapshot))
-
-    def tick(gains: Gains, memory: Memory) -> PyTree:
-        return o.flow(gains, memory, decided), o.estimate(gains, memory)
-
-    size = sum(np.size(leaf) * np.asarray(leaf).dtype.itemsize for leaf in jax.tree.leaves(memory))
-    return Cost(
-        count_multiplications(sample, gains, memory, jnp.ones(q)), count_multiplications(tick, gains, memory), size
-    )
+    return {label: counter(p, *one)(age, period) for label, one in zip(p.labels, p.layout.observers, strict=True)}
 
 
-def _arrival(value: Array, age: int, snapshot: Array) -> Arrival:
+def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
+    """Return the cost of an observer of a cell over the age of samples and the ticks between them; it is traced once."""
+    problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
+    gains, q, ticks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.ticks
+    start, one, worn = jax.tree.map(jnp.asarray, o.init(gains, problem.xhat0)), jnp.ones(q), _worn(o, problem, name, q)
+
+    def snapshot(memory: Memory, k: Array) -> PyTree:
+        return o.snapshot(gains, memory, present(problem, k, False))
+
+    def sample(gains: Gains, memory: Memory, value: Array, k: Array, age: Array, snapshot: PyTree) -> PyTree:
+        now = present(problem, k, False)
+        told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
+        return o.snapshot(gains, told, now), o.jump(gains, told, now, _arrival(value, age, snapshot))
+
+    def tick(gains: Gains, memory: Memory, k: Array) -> PyTree:
+        return o.flow(gains, memory, present(problem, k, True)), o.estimate(gains, memory)
+
+    k = jnp.asarray(1)
+    of_sample = jax.make_jaxpr(sample)(gains, start, one, k, k, snapshot(start, k))
+    of_tick = jax.make_jaxpr(tick)(gains, start, k)
+    size = sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(start))
+    clock = count_multiplications(lambda k: present(problem, k, True).t, k)  # not the observer's
+
+    @cache
+    def cost(age: int, period: int) -> Cost:
+        last = max((ticks - age) // period, 1)
+        memory, k = worn(last, age, period), jnp.asarray(age + last * period)
+        arrived = one, k, jnp.asarray(age), snapshot(memory, k - age)
+        many = _count(of_sample, (gains, memory, *arrived)), _count(of_tick, (gains, memory, k))
+        return Cost(many[0] - clock, many[1] - clock, size)
+
+    return cost
+
+
+def _arrival(value: Array, age: Array, snapshot: PyTree) -> Arrival:
     q = len(value)
     return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), snapshot, jnp.asarray(1))
 
 
-def _worn(o: Observer, p: GridPointParams, last: int, age: int, period: int, name: str, q: int) -> Memory:
-    """The memory of the start, its whole numbers as they are before sample number `last` arrives."""
+def _worn(o: Observer, p: GridPointParams, name: str, q: int) -> Callable[[int, int, int], Memory]:
+    """The memory of the start, its whole numbers as they are before sample number `last` of an age and a period arrives."""
     gains = p.gains[name]
     leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, o.init(gains, p.xhat0)))
     whole = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     if not any(whole):
-        return jax.tree.unflatten(tree, leaves)
+        return lambda last, age, period: jax.tree.unflatten(tree, leaves)
 
     def with_(ticks: Sequence[Array]) -> Memory:
         new = iter(ticks)
         return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(whole, leaves, strict=True)])
 
-    def after(number: Array, ticks: Sequence[Array]) -> list[Array]:
+    def after(age: Array, period: Array, number: Array, ticks: Sequence[Array]) -> list[Array]:
         memory, now = with_(ticks), present(p, age + number * period, False)
         snapshot = o.snapshot(gains, memory, present(p, number * period, False))
         told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
         new = jax.tree.leaves(o.jump(gains, told, now, _arrival(jnp.ones(q), age, snapshot)))
         return [a.astype(b.dtype) for a, b, w in zip(new, leaves, whole, strict=True) if w]
 
-    before = [a for a, w in zip(leaves, whole, strict=True) if w]
-    return with_(jax.jit(lambda before: lax.fori_loop(0, last, after, before))(before))
+    @jax.jit
+    def until(last: Array, age: Array, period: Array) -> list[Array]:
+        before = [a for a, w in zip(leaves, whole, strict=True) if w]
+        return lax.fori_loop(0, last, partial(after, age, period), before)
+
+    return lambda last, age, period: with_(until(last, age, period))
 
 
 def count_multiplications(f: Callable[..., PyTree], *args: PyTree) -> int:
     """Return the multiplications of a function at these arguments."""
-    closed = jax.make_jaxpr(f)(*args)
-    return _walk_jaxpr(
-        closed.jaxpr, [*map(_constant_value, closed.consts)], [*map(_constant_value, jax.tree.leaves(args))]
-    )[0]
+    return _count(jax.make_jaxpr(f)(*args), args)
+
+
+def _count(closed: ClosedJaxpr, args: PyTree) -> int:
+    consts, given = ([*map(_constant_value, each)] for each in (closed.consts, jax.tree.leaves(args)))
+    return _walk_jaxpr(closed.jaxpr, consts, given)[0]
 
 
 def _constant_value(value: ArrayLike) -> Value:
     return lambda: value
 
 
-def _walk_jaxpr(jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
-    """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed."""
-    env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+def _walk_jaxpr(
+    jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value], only: Container[int] | None = None
+) -> tuple[int, list[Value]]:
+    """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed.
+
+    Of `only` some of its equations, what the others make is not to be asked for.
+    """
+    env: dict[Any, Value] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+    left_out = _constant_value(np.nan)
 
     def read(v: Any) -> Value:
-        return _constant_value(v.val) if isinstance(v, jaxpr_compat.Literal) else env[v]
+        return _constant_value(v.val) if _literal(v) else env.get(v, left_out)
 
     total = 0
-    for eqn in jaxpr.eqns:
+    for i, eqn in enumerate(jaxpr.eqns):
+        if only is not None and i not in only:
+            continue
         many, out = _step(eqn, [*map(read, eqn.invars)])
         total += many
         env.update(zip(eqn.outvars, out, strict=True))
@@ -150,15 +177,66 @@ def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
 
 
 def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
+    """Count a loop. Where all rounds cost the same, one is counted, and only what decides their number is computed."""
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
-    asked, fixed, state = given[:first], given[first : first + second], given[first + second :]
+    asked, fixed, start = given[:first], given[first : first + second], given[first + second :]
     held, inside = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
-    total, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
-    while bool(goes_on[0]()):
-        each, state = _walk_jaxpr(body.jaxpr, inside, [*fixed, *state])
-        more, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
-        total += each + more
-    return total, state
+
+    def rounds(only: set[int] | None, kept: set[int]) -> tuple[int, list[Value]]:
+        state = start
+        total, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
+        while bool(goes_on[0]()):
+            each, moved = _walk_jaxpr(body.jaxpr, inside, [*fixed, *state], only)
+            state = [new if i in kept else old for i, (new, old) in enumerate(zip(moved, state, strict=True))]
+            more, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
+            total += (each if only is None else one) + more
+        return total, state
+
+    every = set(range(len(start)))
+    if _chooses(cond.jaxpr) or _chooses(body.jaxpr):
+        return rounds(None, every)
+    one = _walk_jaxpr(body.jaxpr, inside, [*fixed, *start])[0]
+    kept, only = _deciding(cond.jaxpr, body.jaxpr, first, second)
+    total, state = rounds(only, kept)
+    whole = cache(lambda: rounds(None, every)[1])
+    return total, [state[i] if i in kept else partial(lambda i: whole()[i](), i) for i in range(len(start))]
+
+
+def _chooses(jaxpr: Jaxpr) -> bool:
+    """Whether the cost of a program depends on numbers."""
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        inner = jaxpr_compat.callee(eqn.params) if name in jaxpr_compat.CALLS else None
+        inner = jaxpr_compat.scan(eqn.params).body if name == "scan" else inner
+        if name in ("cond", "while") or (inner and _chooses(inner.jaxpr)):
+            return True
+    return False
+
+
+def _deciding(cond: Jaxpr, body: Jaxpr, first: int, second: int) -> tuple[set[int], set[int]]:
+    """Return which places of a loop's state its condition depends on, and which equations of its body make them."""
+
+    def needed(jaxpr: Jaxpr, places: set[int]) -> tuple[set[int], set[Any]]:
+        equations, wanted = set[int](), {v for i in places if not _literal(v := jaxpr.outvars[i])}
+        for i, eqn in reversed([*enumerate(jaxpr.eqns)]):
+            if wanted & {*eqn.outvars}:
+                equations.add(i)
+                wanted |= {v for v in eqn.invars if not _literal(v)}
+        return equations, wanted
+
+    def state(jaxpr: Jaxpr, before: int, wanted: set[Any]) -> set[int]:
+        return {i for i, v in enumerate(jaxpr.invars[before:]) if v in wanted}
+
+    new, places, equations = state(cond, first, needed(cond, {0})[1]), set[int](), set[int]()
+    while new - places:
+        places |= new
+        equations, wanted = needed(body, places)
+        new = state(body, second, wanted)
+    return places, equations
+
+
+def _literal(v: Any) -> bool:
+    return isinstance(v, jaxpr_compat.Literal)
 
 
 def _products(eqn: Eqn) -> int:
