@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -211,6 +212,11 @@ def simulate(
             raise UserError(
                 f"{study.name}: got {len(cell.options)} observers in a closed loop, expected one: each drives its own "
                 "plant; simulate them one at a time."
+            )
+        if isfinite(cell.scenario.sampling.processor_speed) and len(cell.options) > 1:
+            raise UserError(
+                f"{study.name}: got {len(cell.options)} observers with a processor_speed, expected one: each uses the samples "
+                "that its own processor has time for; simulate them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         import pandas as pd

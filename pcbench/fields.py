@@ -326,6 +326,16 @@ FIELDS = (
         search=(0.0, "tail"),
     ),
     Field(
+        "processor_speed",
+        "multiplications/s",
+        "speed of the processor of each observer, which computes one sample at a time and makes estimates late; inf: no "
+        "limit",
+        title="speed of each observer's processor",
+        form="{} multiplications/s",
+        word="inf",
+        limit=Limit(lambda n: n > 0, "a speed greater than 0; write inf for no limit."),
+    ),
+    Field(
         "timestamp_offset",
         "s",
         "timestamp minus true sampling time of every sample; the design does not include it",

@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.export import c_files, c_replay, numbers, observer_to_c, recording, structs
 from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
-from pcbench.planning import alone, draft, loop_setup, padding, setting
+from pcbench.planning import alone, draft, loop_setup, padding, setting, slowed
 from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
 from pcbench.playback.setup import PlaybackSetup, open_playback
@@ -80,6 +80,7 @@ def export_observer(
                 "an observer that draws none; export another one."
             )
         if log is None:
+            cell = slowed(cell, next(iter(cell.options)))
             (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
             ((name, _),), known = p.layout.observers, setting(p.cell)
             rows = _rows(cell, p.labels[0], known)

@@ -1,6 +1,7 @@
 """The runs of a cell without any observer: where the state is, what is measured, and when it arrives."""
 
 from collections.abc import Iterator
+from math import isfinite
 from typing import NamedTuple
 
 import jax
@@ -43,6 +44,11 @@ def plan_without_observers(cell: Cell) -> Plan:
     if s.sampling.continuous:
         raise UserError(
             f"{s.name}: got continuous measurement, expected samples; take a scenario with a sampling period."
+        )
+    if isfinite(speed := s.sampling.processor_speed):
+        raise UserError(
+            f"{s.name}: got processor_speed = {speed:g}, expected inf: the arithmetic of another program is not counted here; "
+            "leave it out, and write a longer delay for its computing time."
         )
     (p,) = padding.fit(list(planning.drafts([cell], ())))
     return p

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pcbench.errors import UserError, unknown
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
-from pcbench.planning import run_design, setting
+from pcbench.planning import run_design, setting, slowed
 from pcbench.runtime import config
 from pcbench.study import Study
 from pcbench.study.grid import Cell
@@ -49,7 +49,7 @@ def design(
         if gain not in valid:
             raise unknown("--gain", f"way to find gains of {label}", gain, valid)
         study, cell = one_cell(replace_options(study, label, {way: gain}), [label], [])
-    return study, cell, run_design(label, cell.entry(label), setting(cell), cell.options[label])
+    return study, cell, run_design(label, cell.entry(label), setting(slowed(cell, label)), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> TomlTable:
@@ -170,9 +170,8 @@ def _proven_again(study: Study, cell: Cell, observer: str, chosen: TomlTable) ->
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
             here = replace_options(study.model_copy(update={"options": {}}), observer, each)
-            run_design(
-                observer, cell.entry(observer), setting(cell), one_cell(here, [observer], [])[1].options[observer]
-            )
+            known = setting(slowed(cell, observer))
+            run_design(observer, cell.entry(observer), known, one_cell(here, [observer], [])[1].options[observer])
         except UserError:
             continue
         return each

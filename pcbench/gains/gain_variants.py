@@ -254,7 +254,8 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
         return False
     here = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(here, [observer], [])[1]
-    entry, known, chosen = cell.entry(observer), planning.setting(cell), cell.options[observer]
+    entry, chosen = cell.entry(observer), cell.options[observer]
+    known = planning.setting(planning.slowed(cell, observer))
     designed = planning.run_design(observer, entry, known, chosen)
     try:
         return bool(tune.free_parameters(observer, entry, known, chosen, designed, only, study.name))

@@ -100,7 +100,7 @@ def tune(
         history.load_kept(target, whole, about, basis)
         if done := history.load_finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
-        known = planning.setting(cell)
+        known = planning.setting(planning.slowed(cell, observer))
         designed = planning.run_design(observer, cell.entry(observer), known, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain found for a rate stands at its edge, where another proof of the same rate may fail

@@ -302,6 +302,11 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
         )
     s = scenarios_of(study)[study.scenarios[0]]
     axis = axis_of(named, s, study.axes.get(named.partition("[")[0].strip().replace("-", "_")), where)
+    if axis.name == "processor_speed":
+        raise UserError(
+            f"{where}: got the axis processor_speed, of which more is better, expected one of which the largest value is "
+            "looked for; run a study with several speeds as axes.processor_speed."
+        )
     for name, values in study.axes.items():
         if name != axis.name and len(values) > 1:
             raise UserError(

@@ -5,6 +5,7 @@ The least error that any causal estimator can have in a cell.
 
 from collections.abc import Callable, Container, Iterable, Iterator
 from functools import partial
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.observers.parts import assumed_noise
-from pcbench.planning import loop_setup, memo, padding
+from pcbench.planning import loop_setup, memo, operation_counts, padding, processor
 from pcbench.planning.design_context import prepare_params, setting
 from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
@@ -26,8 +27,8 @@ from pcbench.simulation.measurements import Outliers, Rounding
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
-from pcbench.study.grid import Cell, cells_of
-from pcbench.study.times import to_ticks
+from pcbench.study.grid import Cell, cells_of, identity, options_digest
+from pcbench.study.times import times_of, to_ticks
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import DesignContext, power_of_2
 from pcbench.toml_text import TomlTable
@@ -87,29 +88,61 @@ def drafts(
 ) -> Iterator[Plan]:
     """Yield a draft of every cell but the first `skip`; in a closed loop one for each observer, whose plant is its own.
 
-    If they are to be `apart`, each expensive observer has a draft of its own too.
+    If they are to be `apart`, each expensive observer has a draft of its own too; and each where processors have a speed.
 
     Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
     `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
     """
     ask = ask or memo.once()
     most: dict[str, DesignContext] = {}
-    settings = [setting(cell, ask) for cell in every]
-    for cell, known in zip(every, settings, strict=True):
+    limited = any(isfinite(cell.scenario.sampling.processor_speed) for cell in every)
+    each = [_groups(cell, ask, limited, apart, wanted is None or cell.key in wanted) for cell in every]
+    settings = [{tuple(own.times.clocks): setting(own, ask) for own, _ in groups} for groups in each]
+    for cell, known in ((cell, known) for cell, found in zip(every, settings, strict=True) for known in found.values()):
         if not cell.times.random:
             most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
-    for cell, known in zip(every[skip:], settings[skip:], strict=True):
-        if cell.times.random:  # then room for all would cost more than a program
-            known = known._replace(spare=power_of_2(known.overtaking))
-        else:
-            known = known.roomier(most[cell.scenario.plant])
-        loop = bool(cell.scenario.loop.controller)
-        own = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]  # each has a program of its own
-        others = {o: given for o, given in cell.options.items() if o not in own}
-        groups = [group for group in (others, *({o: cell.options[o]} for o in own)) if group] or [{}]
-        for options in groups if wanted is None or cell.key in wanted else [{}]:
+    for groups, found in zip(each[skip:], settings[skip:], strict=True):
+        for cell, options in groups:
+            known = found[tuple(cell.times.clocks)]
+            if cell.times.random:  # then room for all would cost more than a program
+                known = known._replace(spare=power_of_2(known.overtaking))
+            else:
+                known = known.roomier(most[cell.scenario.plant])
             p = draft(cell, options, known, ask)
             yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell), options))) if runs else p
+
+
+Group = tuple[Cell, dict[str, BaseModel]]
+
+
+def _groups(cell: Cell, ask: memo.Once, limited: bool, apart: bool, asked: bool) -> list[Group]:
+    """Return the options of the observers that share a program, each with the cell whose samples they have time for.
+
+    If some processor has a speed (`limited`), none is shared. If they are not `asked` for, there are no options.
+    """
+    alone = limited or bool(cell.scenario.loop.controller)
+    own = [o for o in cell.options if alone or (apart and cell.entry(o).expensive)]  # each has a program of its own
+    others = {o: given for o, given in cell.options.items() if o not in own}
+    groups = [(cell, others), *((slowed(cell, o, ask), {o: cell.options[o]}) for o in own)]
+    if not asked:
+        return [(each, {}) for each, _ in (groups if limited else groups[:1])]
+    return [group for group in groups if group[1]] or [(cell, {})]
+
+
+def slowed(cell: Cell, label: str, ask: memo.Once = memo.anew) -> Cell:
+    """Return a cell with the samples that an observer has time for on its processor (`processor`)."""
+    s, speed, usual = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
+    if not isfinite(speed):
+        return cell
+    free = cell.having(processor_speed=inf)
+
+    def count() -> Callable[[int, int], operation_counts.Cost]:
+        p = draft(free, {label: cell.options[label]})
+        return operation_counts.counter(p, *p.layout.observers[0])
+
+    key = identity(free, 0), label, options_digest(cell.options[label], cell.own.get(label))
+    load = processor.load_of(ask("counters", key, count), usual.clocks[0], usual.ticks, speed, s.dt)
+    return cell._replace(times=processor.slowed(usual, load))
 
 
 def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
@@ -197,7 +230,7 @@ def draft(
         layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
-        bound=bound(cell, known, ask) if options else None,
+        bound=bound(cell._replace(times=times_of(s)), known, ask) if options else None,  # of any processor
         predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,

@@ -11,6 +11,7 @@ from pcbench.plants import (
     cart,
     coordinated_turn,
     csth,
+    double_well,
     falling_body,
     flexible_joint,
     growth,
@@ -84,6 +85,9 @@ PLANTS: dict[str, PlantSpec] = {
         errors=coordinated_turn.ERRORS,
         drifts=False,
         tick=coordinated_turn.TICK,
+    ),
+    "double-well": _of(double_well, "particle in a double well, pushed by noise, 1 state")._replace(
+        model=double_well.model, residual=double_well.residual, positive=("rate",), drifts=False
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

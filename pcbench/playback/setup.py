@@ -4,6 +4,7 @@ Designers are told of the study's own period, delay, noise and horizon, which is
 many samples overtake, are on their way, how old they get. So on a log of a simulated run gains are those of that run.
 """
 
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -78,6 +79,11 @@ def open_playback(
         study, cell = all_observers.one_cell(plant, observers, overrides or [])
         excluded = study.excluded
     opened, s = readers.open_log(log, delay), cell.scenario
+    if isfinite(speed := s.sampling.processor_speed):
+        raise UserError(
+            f"{opened.name}: got processor_speed = {speed:g} in {s.name}, expected inf: a recording says itself when its "
+            "samples arrive; leave it out."
+        )
     offsets = np.zeros(len(opened.channels)) if clock_offsets is None else clock_offsets
     opened = shift_stamps(opened, offsets - s.belief.assumed_delay_error)
     known, remarks = survey(opened), all_observers.sentences(excluded)

@@ -165,7 +165,8 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
 
     for i, (signal, _) in enumerate(estimated_of(scenario)):
-        yield frame(signal, plant, "truth", made.x[:, i, 0])
+        if first or closed:
+            yield frame(signal, plant, "truth", made.x[:, i, 0])
         for label, name in names.items():
             estimates = made.estimates[name]
             if i >= estimates.shape[1]:
@@ -179,7 +180,7 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
                 yield frame(signal, label, "sigma", made.sigma[name][:, i, 0])
         if first and i < made.target.shape[1]:
             yield frame(signal, "target", "target", made.target[:, i])
-        if signal in shown and not closed:
+        if signal in shown and first and not closed:
             yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
     if first and not closed:
         held = made.held[:, :, 0]

@@ -4,6 +4,7 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.coordinated_turn import COORDINATED_TURN
 from pcbench.scenarios.csth import CSTH
+from pcbench.scenarios.double_well import DOUBLE_WELL
 from pcbench.scenarios.falling_body import FALLING_BODY
 from pcbench.scenarios.flexible_joint import FLEXIBLE_JOINT
 from pcbench.scenarios.growth import GROWTH
@@ -28,6 +29,7 @@ _EVERY = (
         *FLEXIBLE_JOINT,
         *FALLING_BODY,
         *COORDINATED_TURN,
+        *DOUBLE_WELL,
     ),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}

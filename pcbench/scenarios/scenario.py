@@ -85,6 +85,7 @@ class Sampling(NamedTuple):
     sampling_phase: PerChannel = 0.0
     outage_start: PerChannel = 0.0
     outage_duration: PerChannel = 0.0
+    processor_speed: float = inf  # of each observer's own, which makes it late
     timestamp_offset: float = 0.0
     clock_skew: float = 0.0
     timestamp_jitter: float = 0.0

@@ -20,6 +20,7 @@ CHANNELS = fields.names(per="channel")  # one value, or one for each output chan
 SENSORS = fields.names(per="sensor")  # likewise; where channels differ, a scenario has one for each
 STATES = fields.names(per="state")  # one value, or one for each state
 OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
+UNBOUNDED = fields.names(word="inf")
 TIMES = fields.names(ticks=True)
 SIGNED = fields.names(signed=True)
 LISTS = fields.names(listed=True)  # a value may be a list
@@ -108,7 +109,7 @@ def _of_each_channel(name: str, value: Sequence[object], base: Scenario, where: 
 
 def _single(name: str, value: object, base: Scenario, where: str) -> float:
     """A number of an axis that is one."""
-    if name == "student_t_dof" and value == math.inf:
+    if name in UNBOUNDED and value == math.inf:
         return math.inf
     n = number(value, where, None if name in SIGNED or name.startswith("plant.") else 0.0)
     if name in TIMES:

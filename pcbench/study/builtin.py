@@ -28,6 +28,7 @@ QUESTIONS = {  # that each study answers
     "flexible-joint": "Up to which period do filters follow the joint?",
     "coordinated-turn": "Which filter follows a turning target, and at which delay?",
     "outage": "How far does the error grow during an outage?",
+    "processor": "On which processor does a particle filter lose to a Kalman filter?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }
@@ -269,6 +270,13 @@ STUDIES = {
         },
         seeds=1024,
         axes={"outage_start": [25.0], "outage_duration": [0.0, 3.0, 6.0, 9.0]},
+        options={"scenario": {"random_initial_state": True}},
+    ),
+    "processor": Study(
+        name="processor",
+        scenarios=["double-well/sampled"],
+        seeds=128,
+        axes={"processor_speed": [5e3, 1e4, 2e4, 5e4, 1e5, 2e5, 5e5, 1e6, inf]},
         options={"scenario": {"random_initial_state": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),

@@ -27,7 +27,14 @@ REACH = 10  # times the horizon: no sample that is later ever arrives
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError if times do not fit together, or if a measurement error is impossible or has no effect."""
     misfits = itertools.chain(
-        _of_continuous(s), _of_loop(s), _of_clocks(s), _of_sensors(s), _of_correlation(s), _of_delays(s), _of_stamps(s)
+        _of_continuous(s),
+        _of_loop(s),
+        _of_clocks(s),
+        _of_sensors(s),
+        _of_correlation(s),
+        _of_delays(s),
+        _of_stamps(s),
+        _of_processor(s),
     )
     if sentence := next(misfits, ""):
         raise UserError(f"{where}: {sentence}")
@@ -264,6 +271,23 @@ def _of_stamps(s: Scenario) -> Iterator[str]:
                 "expected less than half the shortest interval, so that timestamps stay in order; write at most "
                 f"{max((least - 2) // 2, 0) * s.dt:g}."
             )
+
+
+def _of_processor(s: Scenario) -> Iterator[str]:
+    """Yield a sentence if samples are not the regular ones of one sensor, which the schedule of a processor takes in turn."""
+    speed, each = s.sampling.processor_speed, clocks(s)
+    if s.sampling.continuous or not np.isfinite(speed):
+        return
+    wrong = [name for name in DRAWN if s.value(name)]
+    wrong += ["sampling_pattern"] if s.sampling.sampling_pattern != "periodic" else []
+    wrong += ["delay_sequence"] if s.sampling.delay_sequence else []
+    wrong += ["prefilled"] if s.sampling.prefilled else []
+    wrong += ["channels that differ"] if len({(c.period, c.delay, c.phase) for c in each}) > 1 else []
+    if wrong:
+        yield (
+            f"got processor_speed = {speed:g} with {', '.join(wrong)} in {s.name}, expected regular samples of one sensor; "
+            "leave one of them out."
+        )
 
 
 def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:

@@ -29,6 +29,7 @@ PROGRAMS = {
     "quadruple-tank": 1,
     "flexible-joint": 1,
     "outage": 1,
+    "processor": 3,  # an observer has one of its own
     "variable-sampling": 2,
 }
 

@@ -57,7 +57,7 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
         if clock.plain:
             late = clock.period if clock.delay is None else clock.delay
             each = enumerate(range(0, ticks + 1, clock.period))
-            out += [Sample(j, i, taken, taken + late) for i, taken in each for j in clock.channels]
+            out += [Sample(j, i * clock.stride, taken, taken + late) for i, taken in each for j in clock.channels]
             continue
         due, last = instants(clock, ticks), None
         for i, taken in enumerate(due[:-1]):
@@ -73,7 +73,7 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
             if clock.outage[0] <= taken < clock.outage[1]:
                 arrives = NEVER
             ahead = clock.stamp.ahead(taken)
-            out += [Sample(channel, i, taken, arrives, ahead) for channel in clock.channels]
+            out += [Sample(channel, i * clock.stride, taken, arrives, ahead) for channel in clock.channels]
     return out
 
 
@@ -167,12 +167,13 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
     late = np.int32(clock.period if clock.delay is None else clock.delay)
     arrives = taken + late
     here = arrives <= ticks
-    number, at = np.arange(len(taken), dtype=np.int32), arrives[here]
+    packet, at = np.arange(len(taken), dtype=np.int32), arrives[here]
+    number = packet * np.int32(clock.stride)
     out = at_no_tick(ticks, channels)
-    out.sense[taken] = out.snapshot[taken] = number
+    out.sense[taken] = out.snapshot[taken] = packet
     out.sample[taken[:, None], q] = number[:, None]
     out.arrive[at, 0], out.believed[at, 0], out.ticks_since_arrival[at, 0] = (
-        number[here],
+        packet[here],
         taken[here],
         np.diff(at, prepend=0),
     )

@@ -34,6 +34,7 @@ class Clock(NamedTuple):
     jitter: int = 0  # a sample (but the first) is taken up to this much early or late
     spread: int = 0  # jitter of the delay: a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
+    stride: int = 1  # samples are numbered 0, stride, 2 stride, ...: those between are not used, and draw nothing
     early: bool = False  # measuring began before tick 0: `period` is between arrivals, the first of them at tick 0
     swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
     steps: tuple[int, ...] = ()  # a sample arrives later by one of them, which a Markov chain chooses; empty: by none
@@ -53,7 +54,7 @@ class Clock(NamedTuple):
     @property
     def plain(self) -> bool:
         """Whether samples are a period apart, each as late as the others, and stamped when they are taken."""
-        return self == Clock(self.channels, self.period, self.delay)
+        return self == Clock(self.channels, self.period, self.delay, stride=self.stride)
 
     @property
     def latest(self) -> int:
