@@ -35,6 +35,7 @@ class Field(NamedTuple):
     # channel, sensor, state, output, value: one, or one for each (outputs: where there is any; of delay_values)
     per: str = ""
     word: str = ""  # that may stand for a number; *: any, a name
+    infinite: str = ""  # what inf means
     ticks: bool = False  # whole ticks
     signed: bool = False  # may be below 0
     listed: bool = False  # one value may be a list
@@ -252,6 +253,7 @@ FIELDS = (
         title="distribution of the measurement noise",
         form="Student's t, {} degrees of freedom",
         word="inf",
+        infinite="Gaussian",
         limit=Limit(
             lambda n: n > 2,
             "more than 2 degrees of freedom, so that Student's t has a variance; write 2.5 or more, or inf for Gaussian noise.",
@@ -333,6 +335,7 @@ FIELDS = (
         title="speed of each observer's processor",
         form="{} multiplications/s",
         word="inf",
+        infinite="no limit",
         limit=Limit(lambda n: n > 0, "a speed greater than 0; write inf for no limit."),
     ),
     Field(

@@ -27,6 +27,7 @@ from pcbench.plots.palette import GRID, INK, SOFT
 WIDE = 30.0  # values whose largest is so many times the least are drawn on a logarithmic axis
 NARROW = 3.0  # a ratio of the ends of a logarithmic axis, below which ticks are at even steps
 DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower edge
+BEYOND = 2.5  # margins between the largest number of an axis and infinity
 MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -243,12 +244,27 @@ def set_limits(ax: Axes, side: str, low: float, high: float, log: bool = False) 
     axis.set_minor_locator(NullLocator())
 
 
-def set_values(ax: Axes, side: str, values: Sequence[Any]) -> Callable[[Any], float]:
+def ends_in_infinity(values: Sequence[Any]) -> bool:
+    """Say whether values are numbers over more than a decade and a half, and infinity."""
+    numbers = all(isinstance(v, int | float) and v == v and v > 0 for v in values)
+    return numbers and sum(isinf(v) for v in values) == 1 and is_wide(values)
+
+
+def set_values(ax: Axes, side: str, values: Sequence[Any], infinite: str = "∞") -> Callable[[Any], float]:
     """Give an axis, x or y, a tick at each value of a study's axis; return a function that says where a value stands.
 
-    Words, and what has no order, stand evenly.
+    Words, and what has no order, stand evenly. Infinity, which is called `infinite`, stands beyond the numbers of a wide axis,
+    which then has ticks at powers of ten.
     """
     words = [word(value).replace(", ", ",\n") for value in values]
+    if ends_in_infinity(values):
+        numbers = sorted(float(v) for v in values if isfinite(v))
+        step = 10 ** (MARGIN * log10(numbers[-1] / numbers[0]))
+        beyond = numbers[-1] * step**BEYOND
+        set_limits(ax, side, numbers[0] / step, beyond * step, log=True)
+        tens = [10.0**n for n in range(ceil(log10(numbers[0]) - 1e-9), floor(log10(numbers[-1]) + 1e-9) + 1)]
+        getattr(ax, f"set_{side}ticks")([*tens, beyond], [*map(number, tens), infinite])
+        return lambda value: float(value) if isfinite(value) else beyond
     if any(isinstance(v, str) or v is None or not isfinite(v) for v in values):
         places = {word(value): float(i) for i, value in enumerate(values)}
         set_limits(ax, side, -0.5, len(values) - 0.5)

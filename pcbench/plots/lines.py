@@ -15,12 +15,25 @@ from scipy.special import ndtri
 from pcbench.dataset.result import Result
 from pcbench.dataset.validate_exact import ExactValidation
 from pcbench.errors import UserError, unknown
-from pcbench.plots import frames
+from pcbench.fields import FIELDS
+from pcbench.plots import crossings, frames
 from pcbench.plots.labels import about, title_of, unit_of
-from pcbench.plots.layout import PAPER, Paper, is_positive, is_wide, set_limits, set_range, set_values, sheet
+from pcbench.plots.layout import (
+    PAPER,
+    Paper,
+    ends_in_infinity,
+    is_positive,
+    is_wide,
+    set_limits,
+    set_range,
+    set_values,
+    sheet,
+)
 from pcbench.plots.palette import SOFT, LineLook, styles
+from pcbench.toml_text import TomlTable
 
 APART = 2.2  # points of the page, between points of observers at one value that is a word
+CROSSED = ("processor_speed",)  # axes along which crossings are marked
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed
 
 
@@ -65,9 +78,10 @@ def curves(
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.
 
     The other axes have their first value, or that in `at`. The axis of positive values is logarithmic. Points of one value are
-    drawn side by side if it is a word. Raises UserError if no
-    axis varies, or for an unknown name.
+    drawn side by side if it is a word. Along `processor_speed`, dotted lines show where the best observer changes
+    significantly, with 95 % intervals (`crossings`). Raises UserError if no axis varies, or for an unknown name.
     """
+    named: TomlTable = {"scenario": scenario, "signal": signal, "metric": metric, "at": at}
     whole = frames.rows(result, scenario, signal, metric)
     axis = axis or next(iter(frames.varying(whole)), None)
     if axis is None or axis not in frames.varying(whole):
@@ -80,9 +94,9 @@ def curves(
     others = {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
-        place = set_values(ax, "x", every)
+        place = set_values(ax, "x", every, next((f.infinite for f in FIELDS if f.name == axis and f.infinite), "∞"))
         set_range(ax, "y", ends, is_positive(ends))
-        numeric = all(isinstance(v, int | float) and np.isfinite(v) for v in every)
+        numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
         ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
         ax.set_xlabel(frames.label(axis, frames.units(result, whole)))
         look = styles(whole.observer)
@@ -94,8 +108,14 @@ def curves(
             beside = offset_copy(ax.transData, figure, by, units="points")
             ax.vlines(where, mine.ci_low, mine.ci_high, color=style.colour, linewidth=1.3, transform=beside)
             faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
-            ax.plot(where, mine["mean"], label=observer, color=faint, linestyle=style.line, linewidth=1.1, transform=beside,
-                    marker=style.marker, markersize=4, mfc=style.colour, mec=style.colour)  # fmt: skip
+            look_of: TomlTable = {"marker": style.marker, "markersize": 4, "mfc": style.colour, "mec": style.colour}
+            joined = len(mine) - ends_in_infinity(every)  # what is beyond all numbers is not
+            ax.plot(where[:joined], mine["mean"][:joined], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
+                    transform=beside, **look_of)  # fmt: skip
+            ax.plot(where[joined:], mine["mean"][joined:], linestyle="none", transform=beside, **look_of)
+        for one in crossings.changes(result, axis, **named) if axis in CROSSED else []:
+            ax.axvspan(one.low, one.high, color=SOFT, alpha=0.25, linewidth=0, zorder=0.5)
+            ax.axvline(one.value, color=SOFT, linestyle=":", linewidth=0.9, zorder=0.6)
     return figure
 
 

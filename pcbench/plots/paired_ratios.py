@@ -77,7 +77,7 @@ def ratios_of(
          for row in met if stood.best in (row["observer_a"], row["observer_b"])}  # fmt: skip
     exact = bool((part.method == "exact").any())
     means = part.iloc[np.lexsort((part["mean"], part["mean"].isna()))]
-    over = _of_means(mine, stood.best) if exact else _of_runs(result, scenario, signal, metric, cell, stood.best)
+    over = _of_means(mine, stood.best) if exact else ratios_to(result, scenario, signal, metric, cell, stood.best)
     rows = pd.DataFrame({"observer": means.observer.to_list()}).join(over, on="observer")
     rows["p"] = rows.observer.map(p)
     rows["worse"] = [o not in stood.leaders and o not in stood.alike and o != stood.best for o in rows.observer]
@@ -92,8 +92,8 @@ def ratios_of(
     return Ratios(rows, stood.best, float(mine["mean"][stood.best]), bound.iloc[0] if has_bound else None, exact)
 
 
-def _of_runs(result: Result, scenario: str, signal: str, metric: str, cell: int, best: str) -> pd.DataFrame:
-    """Return ratio, ci_low, ci_high and n of each observer, from the runs."""
+def ratios_to(result: Result, scenario: str, signal: str, metric: str, cell: int, best: str) -> pd.DataFrame:
+    """Return ratio, ci_low, ci_high and n of each observer, relative to one of them, on the same runs."""
     column = POOLED.get(metric, metric)
     runs = result.runs_of(scenario, [column], cell)
     runs = runs[runs.signal == signal]

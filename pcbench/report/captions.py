@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
+from pcbench.plots.crossings import Crossing
 from pcbench.plots.labels import describe_runs, quantity, times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
@@ -113,6 +114,15 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
         ends = [f"{_format_value(row['mean'], unit)} at {layout.word(row[axis])}" for row in (a, b)]
         said.append(f"{observer}: {' to '.join(ends)}")
     return "; ".join(said) + "."
+
+
+def crossed(found: list[Crossing]) -> str:
+    """Return where the best observer changes, with 95 % intervals; empty if it does not."""
+    each = (
+        f"{c.above} is better than {c.below} above {number(c.value)} ({number(c.low)} to {number(c.high)})"
+        for c in found
+    )
+    return f"Dotted lines, with 95 % intervals: {'; '.join(each)}." if found else ""
 
 
 def ranges(part: pd.DataFrame, unit: str) -> str:

@@ -102,9 +102,9 @@ def _field_rows(s: Scenario) -> list[Row]:
     def percent(values: ArrayLike) -> str:
         return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
 
-    def by_text(text: str) -> Callable[[Any], str]:
+    def by_text(text: str, infinite: str = "") -> Callable[[Any], str]:
         def one(v: float) -> str:
-            return "Gaussian" if v == np.inf else text.format(number(v))  # degrees of freedom
+            return infinite if v == np.inf else text.format(number(v))
 
         return lambda values: ", ".join(dict.fromkeys(map(one, np.atleast_1d(values))))
 
@@ -134,7 +134,9 @@ def _field_rows(s: Scenario) -> list[Row]:
         return lambda values: " | ".join(map(say, values)) if has_rows(values) else say(values)
 
     varied = [
-        Row(f.name, f.title, (each_row if f.rows else lambda say: say)(forms.get(f.form) or by_text(f.form)))
+        Row(
+            f.name, f.title, (each_row if f.rows else lambda say: say)(forms.get(f.form) or by_text(f.form, f.infinite))
+        )
         for f in FIELDS
     ]
     last = [

@@ -14,6 +14,7 @@ from pcbench.errors import unknown
 from pcbench.plants import signals_of
 from pcbench.plots import (
     calibration_curves,
+    crossings,
     errors_over_time,
     fault_tolerance,
     frames,
@@ -23,6 +24,7 @@ from pcbench.plots import (
 )
 from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
 from pcbench.plots.layout import PAPER, Paper
+from pcbench.plots.lines import CROSSED
 from pcbench.plots.paired_ratios import ratios_of
 from pcbench.plots.regret_matrix import regrets_of
 from pcbench.report import captions
@@ -136,12 +138,14 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         values = frames.fix_axes(every, [axis], rest)
         limit = captions.describe_limit(values, axis, unit, shown.threshold)
         figure = plots.curves(result, axis, at=rest, **here)
+        where: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "at": rest}
+        crossed = captions.crossed(crossings.changes(result, axis, **where)) if axis in CROSSED else ""
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
             title=f"{title} over {frames.label(axis, units)}",
             figure=figure,
             text=captions.curve(values, axis, unit),
-            note=captions.curves_note(figure, limit),
+            note=captions.curves_note(figure, " ".join(filter(None, [limit, crossed]))),
         )
     if frames.has_spread(part):
         figure, heading = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"

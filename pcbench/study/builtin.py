@@ -276,7 +276,7 @@ STUDIES = {
         name="processor",
         scenarios=["double-well/sampled"],
         seeds=128,
-        axes={"processor_speed": [5e3, 1e4, 2e4, 5e4, 1e5, 2e5, 5e5, 1e6, inf]},
+        axes={"processor_speed": [5e3, 1e4, 2e4, 5e4, 2e5, 3e5, 4e5, 5e5, 7e5, 1e6, 2e6, inf]},
         options={"scenario": {"random_initial_state": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),

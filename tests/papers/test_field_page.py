@@ -35,6 +35,7 @@ def test_every_study_and_scenario_of_the_tables_exists():
         "growth-model",
         "falling-body",
         "coordinated-turn",
+        "double-well",
     }
 
 
