@@ -18,15 +18,16 @@ Not claimed: optimality, nor that a parameter can be found where the motion does
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
-from pcbench.observers.parts.common import no_snapshot
+from pcbench.observers.parts.common import no_snapshot, whole_if_large
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
@@ -164,7 +165,24 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     return total
 
 
-OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)
+def _whole(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of the filter, vectorized as a whole where the covariance is large."""
+
+    def called(gains: Gains, memory: Memory, now: Now, *arrival: Arrival) -> Any:
+        return whole_if_large(gains.P0, lambda memory, *arrival: f(gains, memory, now, *arrival))(memory, *arrival)
+
+    return called
+
+
+OBSERVER = Observer(
+    init,
+    no_snapshot,
+    _whole(jump),
+    _whole(flow),
+    estimate,
+    covariance=_whole(covariance),
+    innovation=_whole(innovation),
+)
 
 
 def design(setting: DesignContext, options: Options) -> Design:

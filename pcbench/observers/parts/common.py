@@ -1,14 +1,16 @@
 """What observers do alike: what they take off a measurement, y = C x + D u, note of it, and estimate."""
 
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from pcbench.protocols import Gains, Leaf, Memory, Now
+from pcbench.protocols import Gains, Leaf, Memory, Now, vmap_as_unit
 
+LARGE = 100  # entries of a covariance from which functions of it are vectorized as a whole
 State = TypeVar("State")
 
 
@@ -31,3 +33,8 @@ def select_memory(which: Array, after: State, before: State) -> State:
     """Return the memory after an event where any of `which` holds, else the one before."""
     there = jnp.any(which)
     return jax.tree.map(lambda a, b: jnp.where(there, a, b), after, before)
+
+
+def whole_if_large(P: Array, f: Callable[..., Any]) -> Callable[..., Any]:
+    """Return f, vectorized over runs as a whole if P is large: entry by entry it would compile for minutes."""
+    return vmap_as_unit(f) if P.size >= LARGE else f
