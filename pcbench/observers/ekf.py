@@ -19,7 +19,7 @@ Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -168,6 +168,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 def _whole(f: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of the filter, vectorized as a whole where the covariance is large."""
 
+    @wraps(f)
     def called(gains: Gains, memory: Memory, now: Now, *arrival: Arrival) -> Any:
         return whole_if_large(gains.P0, lambda memory, *arrival: f(gains, memory, now, *arrival))(memory, *arrival)
 

@@ -11,6 +11,7 @@ from pcbench.plants import (
     cart,
     coordinated_turn,
     csth,
+    digester,
     double_well,
     falling_body,
     flexible_joint,
@@ -88,6 +89,14 @@ PLANTS: dict[str, PlantSpec] = {
     ),
     "double-well": _of(double_well, "particle in a double well, pushed by noise, 1 state")._replace(
         model=double_well.model, residual=double_well.residual, positive=("rate",), drifts=False
+    ),
+    "digester": _of(digester, "anaerobic digester with gas sensors and a laboratory, 12 states")._replace(
+        heavy=True,
+        successor=digester.successor,
+        sensor=digester.sensor,
+        residual=digester.residual,
+        positive=("kF", "kS", "kp", "kl", "kd", "kla", "Kch4", "Kco2", "flow", "p0", "Vl", "Vg"),
+        drifts=False,
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -4,6 +4,7 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.coordinated_turn import COORDINATED_TURN
 from pcbench.scenarios.csth import CSTH
+from pcbench.scenarios.digester import DIGESTER
 from pcbench.scenarios.double_well import DOUBLE_WELL
 from pcbench.scenarios.falling_body import FALLING_BODY
 from pcbench.scenarios.flexible_joint import FLEXIBLE_JOINT
@@ -30,6 +31,7 @@ _EVERY = (
         *FALLING_BODY,
         *COORDINATED_TURN,
         *DOUBLE_WELL,
+        *DIGESTER,
     ),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}

@@ -56,7 +56,8 @@ EVERY = {"cart/white": {"axes"}, "csth/10s-noise": set(), "arm/sampled": set(), 
          "reactor/batch": set(), "cart/unknown-delay": {"axes"}, "ncs-two-state/held": set(),
          "ncs-reactor/round-robin": set(), "growth-model/gordon": {"rest", "seen"}, "intermittent/scalar": set(),
          "quadruple-tank/delayed": set(), "flexible-joint/sampled": set(), "falling-body/radar": set(),
-         "coordinated-turn/radar": set(), "double-well/sampled": set()}  # fmt: skip
+         "coordinated-turn/radar": set(), "double-well/sampled": set(),
+         "digester/multirate": set()}  # fmt: skip
 
 KNOWN = {
     "reactor/batch": {"tick"},  # its tick of 0.1 s is wrong by 2e-5 of a state

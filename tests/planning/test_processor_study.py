@@ -13,7 +13,7 @@ from pcbench import plots
 from pcbench.plots import crossings
 from pcbench.report import captions
 
-PAGE = (Path(pcbench.__file__).parent / "guide" / "the_field.md").read_text()
+PAGE = (Path(pcbench.__file__).parent / "guide" / "processor.md").read_text()
 PAIRS = [("ekf", "ukf"), ("ekf", "particle"), ("ukf", "particle")]
 pytestmark = pytest.mark.ci
 

@@ -13,7 +13,7 @@ sample that has no clone any more is lost.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,12 +23,12 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
+from pcbench.observers.parts.common import whole_if_large
 from pcbench.observers.parts.linear_filter import Gains
-from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room, vmap_as_unit
+from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
-LARGE = 256  # entries of P from which functions are vectorised in one piece
 Gain = Callable[
     [Array, Array, Array], Array
 ]  # (h [joint], s, which rows are of now or of the sample's time) -> K [joint]
@@ -94,12 +94,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
             made=memory.made + there,
         )
 
-    return _in_one_piece(memory, cloned)(memory, mask)
-
-
-def _in_one_piece(memory: Memory, f: Callable[..., Any]) -> Callable[..., Any]:
-    """Vectorise f in one piece if P is large: entry by entry it would compile for minutes."""
-    return vmap_as_unit(f) if memory.P.size >= LARGE else f
+    return whole_if_large(memory.P, cloned)(memory, mask)
 
 
 def observer(gain: Gain) -> Observer:
@@ -123,7 +118,7 @@ def observer(gain: Gain) -> Observer:
                 P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
             return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
-        return _in_one_piece(memory, jumped)(memory, arrival)
+        return whole_if_large(memory.P, jumped)(memory, arrival)
 
     return Observer(
         init,
@@ -155,7 +150,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
             z, P = z + K * nu, kalman.covariance(P, K, there, r)
         return total
 
-    return _in_one_piece(memory, judged)(memory, arrival)
+    return whole_if_large(memory.P, judged)(memory, arrival)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:

@@ -10,6 +10,7 @@ from pcbench.papers.claim import FINDING, Claim
 from pcbench.papers.field import (
     batch_reactor,
     coordinated_turn,
+    digester,
     falling_body,
     flexible_joint,
     growth,
@@ -33,6 +34,7 @@ RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
     "growth model": growth.rows,
     "falling body": falling_body.rows,
     "coordinated turn": coordinated_turn.rows,
+    "digester": digester.rows,
 }
 
 

@@ -33,7 +33,7 @@ MISSING = {  # by source: what is missing, and what the table has instead
         "constants seen in wengjn/MatlabDBN, errors of an independent program",
     ),
     "Gopalakrishnan, Kaisare, Narasimhan 2011": ("equations, parameters, tables", ""),
-    "Hellmann et al., arXiv 2512.20354": ("model, delays, tables", ""),
+    "Hellmann et al., arXiv 2512.20354": ("model, delays, tables", "an earlier program of the first author"),
     "Xiao, Chen 2020": ("camera period, latency, target model", ""),
     "Ferrante, Seuret, arXiv 2102.10652": ("matrices and intervals of the example", ""),
     "Sferlazza, Tarbouriech, Zaccarian 2019": ("matrices and intervals of the example", ""),
