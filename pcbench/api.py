@@ -14,7 +14,7 @@ from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
 from pcbench.gains import gain_variants
-from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, samples_of
+from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, processor, samples_of
 from pcbench.planning import operation_counts as counts
 from pcbench.plants import signals_of
 from pcbench.playback import run_as_log
@@ -267,7 +267,8 @@ def operation_counts(
 
     Returns:
         A frame with one row per grid point and observer: `sample` and `tick` are multiplications per measurement and per
-        tick of one run, `memory` is bytes kept from tick to tick (see `planning/operation_counts`).
+        tick of one run, `memory` is bytes kept from tick to tick (see `planning/operation_counts`). With a `processor_speed`
+        also `computing_time` [s] of a measurement (inf: too long for a run), and `every`: one of how many is used.
 
     Raises:
         UserError: a mistake in the study or an argument, in one sentence.
@@ -277,6 +278,7 @@ def operation_counts(
     with config.float64():
         names = [observers] if isinstance(observers, str) else observers
         grid = all_observers.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or [])
+        limited = any(isfinite(cell.scenario.sampling.processor_speed) for cell in grid.cells)
         rows = [
             {
                 "scenario": p.cell.scenario.name,
@@ -284,6 +286,7 @@ def operation_counts(
                 **p.cell.values,
                 "observer": label,
                 **found._asdict(),
+                **(dict(zip(("computing_time", "every"), processor.times_in(p.cell), strict=True)) if limited else {}),
             }
             for p in drafts(grid.cells)
             for label, found in counts.costs(p).items()

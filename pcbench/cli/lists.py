@@ -114,6 +114,9 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     columns = [Column(name, table[name].to_list(), left=True) for name in ("scenario", "observer")]
     cells = [Column("grid point", [str(v) for v in table.cell])] if table.cell.nunique() > 1 else []
     counts = [Column(name, [f"{v:,}" for v in table[name]]) for name in ("sample", "tick", "memory")]
+    if "computing_time" in table:
+        counts += [Column("computing time [s]", [f"{v:.3g}" for v in table.computing_time])]
+        counts += [Column("one used of", [str(v) for v in table.every])]
     screen.fit(f"operations of {study}", [*columns, *cells, *counts])
     screen.print(COSTS)
 

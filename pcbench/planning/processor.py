@@ -23,12 +23,13 @@ counted. A w below half a tick is 0: a shorter tick resolves it.
 """
 
 from collections.abc import Callable
-from math import floor
+from math import floor, inf
 from typing import NamedTuple
 
 from pcbench.planning.operation_counts import Cost
 from pcbench.simulation.schedule.sampling import Clock
-from pcbench.study.times import Timing
+from pcbench.study.grid import Cell
+from pcbench.study.times import Timing, times_of
 
 
 class Load(NamedTuple):
@@ -45,7 +46,7 @@ IDLE = Load(0, 1)
 def computing_time(sample: float, tick: int, speed: float, dt: float) -> float:
     """Return how long a sample takes [s] beside a tick's multiplications; inf where they leave no time for it."""
     left = speed - tick / dt
-    return sample / left if left > 0 else float("inf")
+    return sample / left if left > 0 else inf
 
 
 def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: float, dt: float) -> Load:
@@ -80,3 +81,12 @@ def _slowed(clock: Clock, load: Load, ticks: int) -> Clock:
         return clock._replace(outage=(0, ticks + 1))
     delay = clock.period if clock.delay is None else clock.delay
     return clock._replace(period=load.every * clock.period, delay=delay + load.wait, stride=load.every)
+
+
+def times_in(cell: Cell) -> tuple[float, int]:
+    """Return how long a sample takes an observer in its slowed cell [s], inf if too long; and of how many one is used."""
+    (usual, mine), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
+    if mine.outage == (0, N + 1):
+        return inf, mine.stride
+    delays = (each.period if each.delay is None else each.delay for each in (mine, usual))
+    return (next(delays) - next(delays)) * cell.scenario.dt, mine.stride

@@ -134,6 +134,15 @@ def test_the_time_of_an_observer_is_that_of_its_operations():
 
 
 @pytest.mark.ci
+def test_a_table_of_operations_says_how_long_a_sample_takes():
+    (once, w), (third, later) = slow(1), slow(3)
+    table = pcbench.operation_counts(at(inf, once, third, 100.0)).set_index("processor_speed")
+    assert table.computing_time.tolist() == pytest.approx([0.0, 0.1 * w, 0.1 * later, inf])
+    assert table.every.tolist() == [1, 1, 3, 1]
+    assert "computing_time" not in pcbench.operation_counts(having())
+
+
+@pytest.mark.ci
 def test_without_a_limit_all_bits_are_those_of_a_study_without_the_axis():
     axis = pcbench.run(at(inf, 1e12, observers=["kf", "ekf", "pccebo"])).runs
     plain = pcbench.run(having(["kf", "ekf", "pccebo"])).runs
