@@ -52,7 +52,8 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
     """Return the cost of an observer of a cell over the age of samples and the ticks between them; it is traced once."""
     problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains, q, ticks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.ticks
-    start, one, worn = jax.tree.map(jnp.asarray, o.init(gains, problem.xhat0)), jnp.ones(q), _worn(o, problem, name, q)
+    one, start = jnp.ones(q), jax.tree.map(jnp.asarray, jax.jit(o.init)(gains, problem.xhat0))
+    worn = _worn(o, problem, gains, start, q)
 
     def snapshot(memory: Memory, k: Array) -> PyTree:
         return o.snapshot(gains, memory, present(problem, k, False))
@@ -87,10 +88,9 @@ def _arrival(value: Array, age: Array, snapshot: PyTree) -> Arrival:
     return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), snapshot, jnp.asarray(1))
 
 
-def _worn(o: Observer, p: GridPointParams, name: str, q: int) -> Callable[[int, int, int], Memory]:
+def _worn(o: Observer, p: GridPointParams, gains: Gains, start: Memory, q: int) -> Callable[[int, int, int], Memory]:
     """The memory of the start, its whole numbers as they are before sample number `last` of an age and a period arrives."""
-    gains = p.gains[name]
-    leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, o.init(gains, p.xhat0)))
+    leaves, tree = jax.tree.flatten(start)
     whole = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     if not any(whole):
         return lambda last, age, period: jax.tree.unflatten(tree, leaves)
