@@ -36,7 +36,7 @@ MULTIRATE = Scenario(
     summary="gas each 2 h, laboratory each day, 21 h late",
     source="Hellmann, Wilms, Streif, Weinrich 2025",
     plant="digester",
-    observers=("ekf", "kf", "kf-ignore-delay", "kf-drop-delayed", "model-only"),
+    observers=("ekf", "kf", "kf-ignore-delay", "model-only"),
     truth=Truth(x0=(0.0,) * 12),
     loop=Loop(input=_fed(42.0, 18.0)),
     sampling=Sampling(

@@ -270,7 +270,6 @@ STUDIES = {
             "kf-larsen",
             "kf-shifted-innovation",
             "kf-ignore-delay",
-            "kf-drop-delayed",
             "model-only",
         ],
         seeds=32,

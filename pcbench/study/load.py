@@ -5,7 +5,7 @@ from copy import deepcopy
 from pathlib import Path
 
 from pcbench import toml_text
-from pcbench.errors import UserError, short, unknown
+from pcbench.errors import UserError, nearest_name, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
@@ -44,7 +44,11 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
             "results holds."
         )
     else:
-        raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
+        near = nearest_name(name, known := [*STUDIES, *SCENARIOS])
+        hint = f"did you mean '{near}'? " if near else ""
+        raise UserError(
+            f"study: '{short(name)}' is no study, scenario or TOML file; {hint}pcbench list shows all {len(known)} names."
+        )
     for text in overrides:
         override(raw, text)
     return normalize_raw(raw, where_of(what, raw), folder, gate)

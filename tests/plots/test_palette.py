@@ -1,10 +1,13 @@
 """Observers of a study are told apart: by readers of normal sight, by those who lack a kind of cone, and on grey paper."""
 
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import pcbench
 from pcbench.observers import OBSERVERS, base_of
 from pcbench.plots import palette
 from pcbench.study import STUDIES, observers_of
@@ -81,3 +84,11 @@ def test_words_are_read_on_every_colour_and_its_pale_form():
         for ground in (colour, palette.pale(colour)):
             light, ink = (XYZ[1] @ linear(c) for c in (ground, palette.on(ground)))
             assert (max(light, ink) + 0.05) / (min(light, ink) + 0.05) > 3.4, ground
+
+
+def test_the_interactive_figure_draws_every_marker():
+    """A marker without a path was drawn as nothing: that of finite-time."""
+    script = (Path(pcbench.__file__).parent / "report" / "explorer.js").read_text()
+    table = script.partition("const MARKERS = {")[2].partition("};")[0]
+    drawn = set(re.findall(r"(?:^|[\s,])[\"']?([\w^<>*])[\"']?: ", table)) | {"x"}
+    assert {style.marker for style in palette.LOOKS.values()} | set(palette.SIBLINGS) <= drawn
