@@ -113,7 +113,8 @@ def _metric(name: str) -> Table:
 
 
 def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
-    signals = result.signals(scenario)
+    first = frames.signals_by_default(result, scenario)  # the figure shows the first at first
+    signals = [*first, *(s for s in result.signals(scenario) if s not in first)]
     stats = pd.concat([result.stats_of(scenario, signal) for signal in signals])
     grid = Grid(list(dict.fromkeys(stats.observer)), sorted(set(stats.cell)))
     points = stats.drop_duplicates("cell").sort_values("cell").reset_index(drop=True)

@@ -66,6 +66,13 @@ def test_numbers_of_figure_are_those_of_tables(result):
                     )
 
 
+def test_first_signal_is_that_of_the_headline():
+    """A figure of twelve signals began with one that nobody asks for."""
+    named = {"name": "named", "scenario": {"base": "cart/gaussian", "headline": ["velocity"]}, "observers": ["kf"]}
+    (scenario,) = number_of(pcbench.run(named, seeds=2))["scenarios"]
+    assert [each["name"] for each in scenario["signals"]][:2] == ["velocity", "position"]
+
+
 def test_best_and_verdicts_are_those_of_standings(result):
     (scenario,) = number_of(result)["scenarios"]
     names = [STUDY["observers"][i] for i in scenario["observers"]]
