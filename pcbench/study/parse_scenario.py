@@ -73,6 +73,13 @@ def experiment_on(
     for key, (size, _) in SIZES.items():
         if key in given and not isinstance(given[key], list):
             given[key] = [float(given[key])] * many[size]
+    for key in ("process_std", "assumed_process_std"):
+        if key in given and (
+            wrong := [i for i, row in enumerate(given[key]) if isinstance(row, list) and len(row) != many["n"]]
+        ):
+            got = len(given[key][wrong[0]])
+            raise UserError(f"{where}.{key}[{wrong[0]}]: got {got} numbers, expected {many['n']}, one for each state.")
+        given |= {key: [tuple(row) if isinstance(row, list) else row for row in given[key]]} if key in given else {}
     s = s.having(**{key: tuple(given[key]) for key in (*SIZES, "delay_sine", "headline") if key in given})
     if is_new:
         s = with_defaults(s, many["n"], many["s"], len(entry.errors)).having(

@@ -101,8 +101,10 @@ class Experiment(BaseModel):
     noise_correlation: NumberRows | None = Field(
         None, description="[q, q] correlation of the channels' noise; default: independent"
     )
-    assumed_process_std: Size | list[Size] | None = Field(
-        None, description="[n] process noise that designs assume [unit of the state]; default: process_std"
+    assumed_process_std: Size | list[Size] | NumberRows | None = Field(
+        None,
+        description="[n] process noise that designs assume [unit of the state], or [n, n] a root of the covariance of a tick; "
+        "default: process_std",
     )
     input: object = Field(
         None,
@@ -136,7 +138,7 @@ class Experiment(BaseModel):
         return {key: value for key, value in said.items() if value is not None}
 
 
-@takes_axes()
+@takes_axes(without=("process_std",))
 class ScenarioTable(Experiment):
     """Your own scenario, or `base` with some fields changed; other keys have the value of the base, or their default."""
 
@@ -149,6 +151,11 @@ class ScenarioTable(Experiment):
     plant: str | None = Field(None, description="name of a plant (pcbench list plants), or MODULE:NAME")
     dt: Positive | None = Field(None, description="duration of a tick [s]; default: 0.001")
     # what is true of the plant and told to no observer
+    process_std: Size | list[Size] | NumberRows | None = Field(
+        None,
+        description="standard deviation of the noise added to each state at every tick; a list if the states differ, or "
+        "[n, n] a root of its covariance if the noises are correlated",
+    )
     parameters: TomlTable | None = Field(None, description="true parameters of the plant that differ from its defaults")
     # what drives the plant
     controller: str | None = Field(None, description="control law of a closed loop; empty: open loop")
