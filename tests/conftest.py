@@ -80,6 +80,18 @@ def _in_a_hurry(request):
         yield
 
 
+MAPPINGS = 20_000  # of memory, of the 65,530 that Linux allows a process; beyond, the compiler crashes
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_mappings():
+    """Drop jax's compiled programs after a module where the process has many: each small one has 14 mappings."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MAPPINGS:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _no_kept_tunings():
     """Tune whatever is to be tuned, instead of finding it in the cache; the test of the cache asks for it again."""
