@@ -70,7 +70,11 @@ def main() -> None:
 def _of_usage(error: Exception) -> str:
     """A usage error as one sentence, with the help that tells more."""
     text = str(error.format_message()).strip()  # type: ignore[attr-defined]
-    text = text.replace(". Did you mean", "; did you mean").replace(" Did you mean", "; did you mean")
+    text = (
+        text.replace("Value error, ", "")
+        .replace(". Did you mean", "; did you mean")
+        .replace(" Did you mean", "; did you mean")
+    )
     context = getattr(error, "ctx", None)
     return f"{text.rstrip('.?')}; see {context.command_path if context else 'pcbench'} --help."
 

@@ -60,8 +60,8 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
 
     def sample(gains: Gains, memory: Memory, value: Array, k: Array, age: Array, snapshot: PyTree) -> PyTree:
         now = present(problem, k, False)
-        told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
-        return o.snapshot(gains, told, now), o.jump(gains, told, now, _arrival(value, age, snapshot))
+        sampled = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
+        return o.snapshot(gains, sampled, now), o.jump(gains, sampled, now, _arrival(value, age, snapshot))
 
     def tick(gains: Gains, memory: Memory, k: Array) -> PyTree:
         return o.flow(gains, memory, present(problem, k, True)), o.estimate(gains, memory)

@@ -44,7 +44,7 @@ IDLE = Load(0, 1)
 
 
 def computing_time(sample: float, tick: int, speed: float, dt: float) -> float:
-    """Return how long a sample takes [s] beside a tick's multiplications; inf where they leave no time for it."""
+    """Return how long a sample takes [s] when each tick needs its own multiplications; inf if they leave no time."""
     left = speed - tick / dt
     return sample / left if left > 0 else inf
 

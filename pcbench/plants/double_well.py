@@ -3,7 +3,7 @@
     x' = 4 x (1 - x^2) + u
 
 Noise, which is in the scenario, moves the particle from one well to the other now and then; the wall between them is at 0. A
-filter that is linearised in a well believes itself certain, and follows such a transition late. u is 0 in the experiment.
+filter that is linearised in a well has a small covariance, and follows such a transition late. u is 0 in the experiment.
 Source: Miller, Ghil, Gauthiez 1994, of which the abstract was read. The drift is that of Miller, Carter, Blue 1999, as public
 programs for this example have it. A tick is one Runge-Kutta step under the held input.
 """

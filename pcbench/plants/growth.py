@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import Float
 
 from pcbench.dynamics.linear import Model
-from pcbench.errors import UserError
+from pcbench.plants.nonlinear import require_tick
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("x", "1"),)
@@ -42,10 +42,7 @@ class Params(NamedTuple):
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the constants; raise UserError if a tick is not one step."""
-    if abs(dt - TICK) > 1e-9:
-        raise UserError(
-            f"plant: got a tick of {dt:g} s, expected {TICK:g} s, one step of the growth model; write dt = {TICK:g}."
-        )
+    require_tick(dt, TICK)
     return Params(np.asarray(numbers.growth), np.asarray(numbers.forcing), np.asarray(numbers.phase))
 
 

@@ -81,13 +81,19 @@ def user_numbers(equations: Equations, numbers: PyTree) -> PyTree:
     return equations.numbers(**{name: np.asarray(said[name], float) for name in equations.numbers._fields})
 
 
+def require_tick(dt: float, step: float) -> None:
+    """Raise UserError if a tick of `dt` is not the time step of a plant that is given by its `step` [s]."""
+    if abs(dt - step) > 1e-9 * step:
+        raise UserError(
+            f"plant: got a tick of {dt:g} s where step moves by {step:g} s, expected the same; write dt = {step:g}."
+        )
+
+
 def prepare(equations: Equations, numbers: PyTree, dt: float, ticks: int) -> Params:
     """Return the numbers for ticks 0 .. `ticks` of `dt` seconds; raise UserError where `step` is of another tick."""
     e = equations
-    if e.tick is not None and abs(dt - e.tick) > 1e-9 * e.tick:
-        raise UserError(
-            f"plant: got a tick of {dt:g} s where step moves by {e.tick:g} s, expected the same; write dt = {e.tick:g}."
-        )
+    if e.tick is not None:
+        require_tick(dt, e.tick)
     f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1.0), len(e.inputs)) if e.inputs else np.zeros((1, 0))
     return Params(user_numbers(e, numbers), np.array(e.x0), np.array(e.u0), np.array(e.y0), f)
 

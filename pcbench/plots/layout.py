@@ -251,10 +251,10 @@ def ends_in_infinity(values: Sequence[Any]) -> bool:
 
 
 def set_values(ax: Axes, side: str, values: Sequence[Any], infinite: str = "∞") -> Callable[[Any], float]:
-    """Give an axis, x or y, a tick at each value of a study's axis; return a function that says where a value stands.
+    """Give an axis, x or y, a tick at each value of a study's axis; return a function from a value to its place.
 
-    Words, and what has no order, stand evenly. Infinity, which is called `infinite`, stands beyond the numbers of a wide axis,
-    which then has ticks at powers of ten.
+    Words, and what has no order, are spaced evenly. Infinity, which is called `infinite`, lies beyond the numbers of a wide
+    axis, which then has ticks at powers of ten.
     """
     words = [word(value).replace(", ", ",\n") for value in values]
     if ends_in_infinity(values):

@@ -285,7 +285,7 @@ def _of_processor(s: Scenario) -> Iterator[str]:
     wrong += ["channels that differ"] if len({(c.period, c.delay, c.phase) for c in each}) > 1 else []
     if wrong:
         yield (
-            f"got processor_speed = {speed:g} with {', '.join(wrong)} in {s.name}, expected regular samples of one sensor; "
+            f"got processor_speed = {speed:g} with {', '.join(wrong)}, expected regular samples of one sensor; "
             "leave one of them out."
         )
 
