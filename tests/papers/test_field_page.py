@@ -10,6 +10,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study.builtin import STUDIES
 
 PAGE = (Path(pcbench.__file__).parent / "guide" / "the_field.md").read_text()
+SIGNALS = ("inorganic_nitrogen", "biomass")
 LEDGER = (Path(__file__).parents[2] / "REPRODUCTION.md").read_text().partition("\n## field\n")[2]
 
 
@@ -68,3 +69,28 @@ def test_findings_of_the_page_come_out(study, metric, signal, heading):
             shown = [shown[metric == "steady_tracking_rmse"]]
         for text, (_, row) in zip(shown, found.iterrows(), strict=True):
             assert float(text) == pytest.approx(row["mean"], abs=3 * row["se"] + 0.05 * row["mean"])
+
+
+@pytest.mark.nightly
+def test_errors_of_the_digester_come_out():
+    stats = pcbench.run("digester").stats
+    stats = stats[stats.metric == "steady_pooled_rmse"]
+    hours = stats.delay.map(lambda delay: delay[5] / 3600)
+    for first, *shown in rows("delay [h]"):
+        here = stats[hours == float(first)]
+        nitrogen, biomass = (here[here.signal == signal].set_index("observer")["mean"] for signal in SIGNALS)
+        for observer, text in zip(["ekf", "kf", "kf-ignore-delay", "model-only"], shown, strict=True):
+            assert float(text) == pytest.approx(nitrogen[observer], rel=0.01)
+        assert biomass.min() > 0.975 * biomass["model-only"]
+
+
+@pytest.mark.nightly
+def test_errors_of_the_coordinated_turn_come_out():
+    runs = pcbench.run("coordinated-turn").runs
+    runs = runs[runs.signal == "position"].set_index(["observer", "delay"])
+    for delay, ukf, ekf, lost in rows("delay [s] | `ukf`"):
+        kept = runs.loc[("ekf", float(delay))]
+        assert int(lost) == pytest.approx((kept.steady_max_abs_error > 500).sum(), abs=1)
+        kept = kept[kept.steady_max_abs_error <= 500]
+        for text, each in ((ukf, runs.loc[("ukf", float(delay))]), (ekf, kept)):
+            assert float(text.split()[0]) == pytest.approx(each.steady_mse.mean() ** 0.5, rel=0.01)
