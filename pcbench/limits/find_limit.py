@@ -32,7 +32,7 @@ from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.limit_verdicts import NULL, REFUSED, Point
-from pcbench.study import fits, grid, observers_of
+from pcbench.study import fits, grid, observers_of, title_of_scenario
 from pcbench.study.grid import Cell, Grid
 from pcbench.study.load import Described, raw_of, where_of
 from pcbench.study.parse import FROM_HERE, build_study, scenario_in
@@ -126,6 +126,7 @@ def find_limit(
     table.attrs |= {
         "study": q.study.name,
         "scenario": q.scenario.name,
+        "title": title_of_scenario(q.study, q.scenario.name),
         "over": q.axis.called,
         "over_unit": q.axis_unit,
         "metric": metric,

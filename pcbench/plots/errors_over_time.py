@@ -13,11 +13,11 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run
-from pcbench.plots.labels import title_of_scenario, with_unit
+from pcbench.plots.labels import with_unit
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import INK, SOFT
-from pcbench.study import scenarios_of
+from pcbench.study import scenarios_of, title_of_scenario
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
 POINTS = 60  # of a line, at most
@@ -66,7 +66,7 @@ def draw_bands(
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
     at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result, scenario), *at, one_run.describe_seeds(whole, seed)])
+    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
     title = f"{with_unit('|error| of ' + signal.replace('_', ' '), unit)}: {title}"
     spread = part[part.kind.isin(one_run.SIZES) & part.series.isin([*look])].value
     keys = [

@@ -18,8 +18,8 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
 from pcbench.plots.layout import TIMES, number
+from pcbench.study import title_of_scenario
 
-LTI = "lti"  # the scenario of a table [lti]
 WORDS = {
     "mae": "mean |error|",
     "rmse": "rms error",
@@ -53,16 +53,11 @@ def unit_of(part: pd.DataFrame) -> str:
     return str(part.unit.iloc[0]) if len(part) else ""
 
 
-def title_of_scenario(result: Result, scenario: str) -> str:
-    """Return the title of a scenario: the study's name for a plant of the study."""
-    return result.study.name if scenario == LTI else scenario
-
-
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return the title of a figure: the scenario, the values of the axes it does not show, and the number of runs."""
     return ", ".join(
         [
-            title_of_scenario(result, part.scenario.iloc[0]),
+            title_of_scenario(result.study, part.scenario.iloc[0]),
             *(frames.format_axis(axis, value) for axis, value in at.items()),
             describe_runs(frames.runs_of(part)),
         ]

@@ -18,11 +18,12 @@ from matplotlib.transforms import offset_copy
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import describe_metric, describe_runs, title_of_scenario
+from pcbench.plots.labels import describe_metric, describe_runs
 from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import GRID, SOFT, on
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import ROUNDING
+from pcbench.study import title_of_scenario
 
 COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
@@ -118,7 +119,7 @@ def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the name of a scenario at a grid point: what differs from others of the study."""
     words = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, part, cell).items()]
     several = len(result.scenarios) > 1
-    return ", ".join([title_of_scenario(result, part.scenario.iloc[0])] * (several or not words) + words)
+    return ", ".join([title_of_scenario(result.study, part.scenario.iloc[0])] * (several or not words) + words)
 
 
 def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tuple[str, int]]) -> list[Level]:
@@ -129,7 +130,7 @@ def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tup
     if result.study.vary != "all":
         return [Level("", list(situations))]
     by = {part.scenario.iloc[0]: part for part in parts}
-    titles = [title_of_scenario(result, scenario) for scenario, _ in situations.values()]
+    titles = [title_of_scenario(result.study, scenario) for scenario, _ in situations.values()]
     found = [Level("", [title.removeprefix(_shared(titles)) for title in titles])]
     values = [frames.values_at(by[scenario], cell) for scenario, cell in situations.values()]
     for axis in result.study.axes:
@@ -209,7 +210,7 @@ def regrets(
 
 def _shared_title(result: Result, found: Regrets) -> str:
     """Return the study's name, with the scenario or the begin of the names of all scenarios."""
-    scenarios = [title_of_scenario(result, name) for name in dict.fromkeys(found.rows.scenario)]
+    scenarios = [title_of_scenario(result.study, name) for name in dict.fromkeys(found.rows.scenario)]
     shared = scenarios[0] if len(scenarios) == 1 else _shared(scenarios).rstrip("/")
     return ", ".join(dict.fromkeys(filter(None, [result.study.name, shared])))
 

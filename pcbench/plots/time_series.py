@@ -16,12 +16,12 @@ from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.playback.delay_search import ChannelDelay
 from pcbench.plots import frames, layout, one_run
-from pcbench.plots.labels import title_of_scenario, with_unit
+from pcbench.plots.labels import with_unit
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import GRID, LOOKS, MEASURED, PLANT, SOFT, LineLook, pale
 from pcbench.recordings.survey import Survey
-from pcbench.study import scenarios_of
+from pcbench.study import scenarios_of, title_of_scenario
 
 ROOM = 0.35  # of the plant's range, above and below it: an estimate that goes farther leaves the picture
 BANDS = 5  # observers, up to which bands are told apart
@@ -73,7 +73,7 @@ def draw_run(
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
     at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result, scenario), *at, f"seed {seed}"])
+    title = ", ".join([title_of_scenario(result.study, scenario), *at, f"seed {seed}"])
     plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
     has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
     with sheet(paper, title, 1 + has_truth, sharex=True, keys=[plant] * has_truth) as (figure, axes):
@@ -226,7 +226,7 @@ def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, se
     """Draw the NEES of a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
     at = (frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items())
-    title = ", ".join([title_of_scenario(result, scenario), *at, one_run.describe_seeds(whole, seed)])
+    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])

@@ -13,12 +13,12 @@ from pcbench.dataset.result import Result
 from pcbench.fields import FIELDS
 from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
 from pcbench.plots import frames
-from pcbench.plots.labels import LTI, quantity
+from pcbench.plots.labels import quantity
 from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORD_OF, has_rows
 from pcbench.scenarios.sources import Source, Sources, Table, Wave
-from pcbench.study import Study, axes, dashes, merge_options, observers_of, scenarios_of
+from pcbench.study import LTI, Study, axes, dashes, merge_options, observers_of, scenarios_of
 from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent

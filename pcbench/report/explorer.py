@@ -22,12 +22,13 @@ from pcbench.dataset.columns import MEANING, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import printable
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import describe_metric, title_of_scenario
+from pcbench.plots.labels import describe_metric
 from pcbench.plots.palette import Style, styles
 from pcbench.statistics import COMPARED, OF_RUN, POOLED, Row, ranking
 from pcbench.statistics.consistency import BANDS, INSIDE
 from pcbench.statistics.distributions import student_quantile
 from pcbench.statistics.number_format import ROUNDING
+from pcbench.study import title_of_scenario
 
 DIGITS = 5
 PAIR = ("observer_a", "observer_b", "n", "se", "p_holm", "prob_a_better", "mean_diff")
@@ -127,7 +128,7 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
         axes.append(_axis(name, values, points[name], units))
     lost = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
     return {
-        "title": printable(title_of_scenario(result, scenario)),
+        "title": printable(title_of_scenario(result.study, scenario)),
         "observers": [names.index(name) for name in grid.observers],
         "axes": axes,
         "cells": list(zip(*places, strict=True)) if places else [()],

@@ -21,12 +21,13 @@ from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.plots import frames
-from pcbench.plots.labels import inline, title_of_scenario, with_unit
+from pcbench.plots.labels import inline, with_unit
 from pcbench.report import captions, explorer, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
 from pcbench.report.figures import SHOWN, FigureOptions
 from pcbench.runtime.progress import SILENT, Progress
+from pcbench.study import title_of_scenario
 from pcbench.study.serialize import as_dict
 
 WORDS = {
@@ -166,7 +167,7 @@ def _section(place: figures.Place, anchor: str) -> Section:
         at = captions.where(frames.rows(result, scenario, signal, shown.metric), place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, drawn))
-    return Section(anchor, title_of_scenario(result, scenario), of_scenario.experiment(result, scenario), parts)
+    return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
 
 
 def _inline(p: figures.Picture) -> dict[str, str]:

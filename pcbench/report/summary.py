@@ -9,11 +9,12 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
-from pcbench.plots.labels import quantity, times, title_of_scenario
+from pcbench.plots.labels import quantity, times
 from pcbench.plots.palette import styles
 from pcbench.report.captions import number
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import most_often
+from pcbench.study import title_of_scenario
 
 MOST = 7  # others that are named in a row
 SURE = 1e-3  # a p-value below it is written as that
@@ -105,7 +106,7 @@ def _row(result: Result, stood: Stood) -> Row:
         value = quantity(f"{number(own['mean'].min())} to {number(own['mean'].max())}", unit)
     return Row(
         scenario=scenario,
-        title=title_of_scenario(result, scenario),
+        title=title_of_scenario(result.study, scenario),
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),

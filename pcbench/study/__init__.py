@@ -4,7 +4,7 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 from pcbench.study.builtin import STUDIES
-from pcbench.study.labels import LTI, labels_of, observers_of, scenarios_of
+from pcbench.study.labels import LTI, labels_of, observers_of, scenarios_of, title_of_scenario
 from pcbench.study.options import checked_options, choices_of, dashes, merge_options, options_of, underscore_keys
 from pcbench.study.pydantic_errors import sentence
 from pcbench.study.schema import KEYS, TUNINGS, Choices, Study, Tune, TunedCell, TunedOptions, Values
@@ -29,5 +29,6 @@ __all__ = [
     "options_of",
     "scenarios_of",
     "sentence",
+    "title_of_scenario",
     "underscore_keys",
 ]

@@ -134,6 +134,11 @@ def _free(label: str, name: str, where: str) -> None:
 LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
+def title_of_scenario(study: Study, scenario: str) -> str:
+    """Return what tables and figures call a scenario: the study's name for its own linear plant."""
+    return study.name if scenario == LTI else scenario
+
+
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
     """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and those of its own.
 

@@ -17,6 +17,7 @@ from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import COUNTS
 from pcbench.statistics.number_format import estimate
 from pcbench.statistics.ranking import standing
+from pcbench.study import title_of_scenario
 
 
 class Head(NamedTuple):
@@ -107,7 +108,14 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
     columns = [{str(e.row["observer"]): e for e in _entries(result, part, metric)} for part in parts.values()]
     observers = list(dict.fromkeys(o for column in columns for o in column))
     rows = [([o], [column.get(o) for column in columns]) for o in observers]
-    return Table(scenario, "", f"{scenario}: {metric} of the error", [Head("observer")], heads, rows)
+    return Table(
+        scenario,
+        "",
+        f"{title_of_scenario(result.study, scenario)}: {metric} of the error",
+        [Head("observer")],
+        heads,
+        rows,
+    )
 
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
@@ -129,7 +137,8 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
     values, groups = (list(dict.fromkeys(found)) for found in zip(*((at[-1], at[:-2]) for at in by), strict=True))
     places = sorted(dict.fromkeys(at[:-1] for at in by), key=lambda place: groups.index(place[:-1]))
     unit = part.unit.iloc[0]
-    about = f"{scenario}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
+    title = title_of_scenario(result.study, scenario)
+    about = f"{title}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
     return Table(
         scenario=scenario,
         signal=signal,

@@ -1,10 +1,11 @@
-"""Turn commands, TOML, Python and C from the names of before 0.1.0 into those of 0.1.0: `python translate_case.py FILE ...`.
+"""Turn commands, TOML, Python and C from the names of before 0.1.0 into those of 0.1.0: `python translate_case.py PATH ...`.
 
 Each file is rewritten in place. A name of one meaning (`dkf`) is replaced wherever it is a word; a word that is plain English
 too (`drift`) only as a name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names that a file
 gives to things of its own are left as they are, so read what comes out.
 """
 
+import argparse
 import re
 import sys
 from pathlib import Path
@@ -217,13 +218,20 @@ def translate(text: str) -> str:
 
 
 def main() -> int:
-    """Rewrite the files that are named; return the exit code."""
-    for name in sys.argv[1:]:
-        path = Path(name)
-        before = path.read_text(encoding="utf-8")
-        if (after := translate(before)) != before:
-            path.write_text(after, encoding="utf-8")
-            print(name)
+    """Rewrite the files that are named, and those of named folders that hold text; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("where", nargs="+", type=Path, help="files, or folders such as a copy of a case")
+    for place in parser.parse_args().where:
+        for path in sorted(each for each in place.rglob("*") if each.is_file()) if place.is_dir() else [place]:
+            try:
+                before = path.read_text(encoding="utf-8")
+            except UnicodeDecodeError:
+                if path == place:
+                    parser.error(f"{path} is no text in UTF-8; name files with commands, TOML, Python or C")
+                continue
+            if (after := translate(before)) != before:
+                path.write_text(after, encoding="utf-8")
+                print(path)
     return 0
 
 

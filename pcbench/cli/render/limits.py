@@ -26,7 +26,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
         Column(metric, means_beyond, spare=1),
     ]
     limit = f"{about['below']:g} {about['unit']}" if unit else f"{about['below']:g}"
-    title = f"{about['scenario']}: {about['metric']} of {about['signal']} below {limit}, over {about['over']}"
+    title = f"{about['title']}: {about['metric']} of {about['signal']} below {limit}, over {about['over']}"
     low, high = about["between"]
     screen.fit(f"{title} from {low:g} to {high:g}", columns)
     odd = [row for row in rows if row["answer"] != PLAIN or row["said"].count("; ") > 1]
@@ -43,9 +43,7 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
         rows = {row[first]: _largest(row) for row in part.to_dict("records")}
         columns.append(Column(f"{observer}\nup to{units[1]}", [rows.get(value, "-") for value in values]))
     limit = f"{about['below']:g} {about['unit']}".removesuffix(" 1").strip()
-    screen.fit(
-        f"{about['scenario']}: largest {second} with {about['metric']} of {about['signal']} below {limit}", columns
-    )
+    screen.fit(f"{about['title']}: largest {second} with {about['metric']} of {about['signal']} below {limit}", columns)
     odd = [row for row in table.to_dict("records") if row["answer"] not in (PLAIN, "every value", "no value")]
     screen.say(*(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}" for row in odd), *about["notes"])
 

@@ -17,7 +17,7 @@ from pcbench.scenarios import Scenario
 from pcbench.statistics.consistency import BANDS, Band, exact_band, verdict
 from pcbench.statistics.number_format import as_good, difference, fraction, interval, mark_uncertified
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
-from pcbench.study import scenarios_of
+from pcbench.study import scenarios_of, title_of_scenario
 
 LONGEST = 48  # rows of a closing table; beyond, wins are counted instead
 LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
@@ -77,9 +77,10 @@ def closing(
         for signal in [s for s in chosen if s in existing]:
             part = rows[rows.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            view = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
+            shown = known[name]._replace(name=title_of_scenario(result.study, name))
+            view = View(shown, part, met, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
-                screen.print(f"{name}: {signal} has no {metric}.")
+                screen.print(f"{title_of_scenario(result.study, name)}: {signal} has no {metric}.")
             else:
                 many = part.cell.nunique() * part.observer.nunique() > LONGEST
                 notes |= dict.fromkeys((_count_wins if many else _print_cells)(view, screen))
