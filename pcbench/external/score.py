@@ -42,9 +42,7 @@ from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import no_certificate
 
 KEYS = ("scenario", "cell", "seed", "tick")
-TRUSTED = (
-    "that estimates use only what had arrived by their tick cannot be checked of such made elsewhere, and is trusted."
-)
+TRUSTED = "pcbench cannot check that these estimates use only measurements that had arrived by their tick."
 Floats = NDArray[np.float64]
 
 

@@ -15,6 +15,7 @@ from pcbench.papers.field import (
     flexible_joint,
     growth,
     intermittent,
+    learned_filters,
     quadruple_tank,
     sampled_observers,
     two_state,
@@ -35,6 +36,7 @@ RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
     "falling body": falling_body.rows,
     "coordinated turn": coordinated_turn.rows,
     "digester": digester.rows,
+    "learned filter": learned_filters.rows,
 }
 
 
