@@ -193,13 +193,13 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "shapes": shapes,
     "purity": lambda t: jaxpr_checks.purity(functions(t), make_arguments(t)),
     "float64": lambda t: jaxpr_checks.float64(functions(t), make_arguments(t)),
-    "lanes": lanes,
+    "many runs": lanes,
     "held": check_hold,
     "settles": settles,
     "run": run,
 }
 BASIC = ("numbers", "shapes")
-NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "purity"), "run": (*BASIC, "lanes")}
+NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "purity"), "run": (*BASIC, "many runs")}
 
 
 def findings(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:

@@ -146,7 +146,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
 
     ways: dict[str, Callable[[Functions], PyTree]] = {
         "vmap over the last axis": lambda some: jax.jit(jax.vmap(every(some), -1, -1))(stacked),
-        "pcbench's lanes": entrywise,
+        "pcbench's batches": entrywise,
     }
     expected = jax.tree.map(lambda *a: jnp.stack(a, -1), *map(jax.jit(every(functions)), rows))
     for way, run in ways.items():
@@ -158,7 +158,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
                     run({name: f})
                 except Exception as error:
                     raise UserError(
-                        f"lanes: {name} under {way}: got {describe_exception(error)}, expected a batch of runs; write it in "
+                        f"many runs: {name} in {way}: got {describe_exception(error)}, expected a batch of runs; write it in "
                         "jax.numpy, "
                         "without callbacks into Python."
                     ) from None
@@ -167,8 +167,8 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
             pairs = zip(jax.tree.leaves(batch[name]), jax.tree.leaves(one), strict=True)
             if not all(a.shape == b.shape and np.allclose(a, b, CLOSE, CLOSE, equal_nan=True) for a, b in pairs):
                 raise UserError(
-                    f"lanes: {name} under {way}: got other numbers than one run at a time gives, expected the same; let no run "
-                    "depend on how many there are."
+                    f"many runs: {name} in {way}: got other numbers than one run at a time gives, expected the same to "
+                    f"{CLOSE:g}; let no run depend on how many there are, and keep gains of a moderate size."
                 )
     return f"{len(rows)} runs at once are the same as one at a time"
 

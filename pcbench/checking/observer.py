@@ -259,7 +259,7 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "purity": lambda t: jaxpr_checks.purity(functions(t, t.cases[0]), make_observer_arguments(t, t.cases[0])),
     "gains": gains,
     "float64": lambda t: jaxpr_checks.float64(functions(t, t.cases[0]), make_observer_arguments(t, t.cases[0])),
-    "lanes": lanes,
+    "many runs": lanes,
     "perfect start": perfect_start,
     "delay 0": delay_0,
     "no peeking": no_peeking,
@@ -267,7 +267,7 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
 }
 BASIC = ("shapes",)  # what must pass before another check is asked
 WHOLE_RUNS = ("perfect start", "delay 0", "no peeking", "after the jump", "closed loop")  # are carried over lanes
-NEEDS = {"": BASIC, "shapes": (), "gains": (*BASIC, "purity"), **dict.fromkeys(WHOLE_RUNS, (*BASIC, "lanes"))}
+NEEDS = {"": BASIC, "shapes": (), "gains": (*BASIC, "purity"), **dict.fromkeys(WHOLE_RUNS, (*BASIC, "many runs"))}
 
 
 def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:

@@ -379,7 +379,7 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "purity": lambda t: jaxpr_checks.purity(functions(t), points(t)[1]),
     "float64": lambda t: jaxpr_checks.float64(functions(t), points(t)[1]),
     "finite": finite,
-    "lanes": lambda t: jaxpr_checks.lanes(
+    "many runs": lambda t: jaxpr_checks.lanes(
         functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda own: PlantArguments(t.params, *own)
     ),
     "axes": axes,
@@ -391,7 +391,7 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
 }
 BASIC = ("shapes",)
 NEEDS = {"": BASIC, "shapes": (), "seen": (), **dict.fromkeys(("slopes", "rest", "tick"), (*BASIC, "finite")),
-         "perfect start": (*BASIC, "finite", "lanes")}  # fmt: skip
+         "perfect start": (*BASIC, "finite", "many runs")}  # fmt: skip
 
 
 def findings(label: str, scenario: Scenario) -> list[Finding]:

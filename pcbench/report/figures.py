@@ -30,7 +30,7 @@ from pcbench.plots.regret_matrix import regrets_of
 from pcbench.report import captions
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.study import scenarios_of
+from pcbench.study import scenarios_of, title_of_scenario
 from pcbench.toml_text import TomlTable
 
 
@@ -99,7 +99,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     """Yield the figures of one signal of a scenario, in the order of the page."""
     result, scenario, cell, run, costs, shown = place
     here: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
-    name = f"{scenario.replace('/', '-')}-{signal}"
+    name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
     every = frames.rows(result, scenario, signal, shown.metric)
     part, axes = every[every.cell == cell], frames.varying(every)
     at, units = frames.values_at(every, cell), frames.units(result, every)
@@ -168,7 +168,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
 def of_all_signals(place: Place) -> Iterator[Picture]:
     """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
     result, scenario, cell, run, _, shown = place
-    name = scenario.replace("/", "-")
+    name = title_of_scenario(result.study, scenario).replace("/", "-")
     lost = frames.rows(result, scenario, None, "divergence_rate")
     if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)

@@ -116,7 +116,7 @@ def _place(t: Table, words: list[str]) -> list[tuple[Head, str]]:
 def _table(t: Table, wide: bool, plain: bool) -> str:
     top, middle, bottom = (r"\hline",) * 3 if plain else (r"\toprule", r"\midrule", r"\bottomrule")
     heads = [_text(t.stub[-1].text), *(_stacked(_lines(h, _values_width(t, i)), plain) for i, h in enumerate(t.heads))]
-    label = re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.scenario, t.signal, *PART.findall(t.about)))))
+    label = re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.title, t.signal, *PART.findall(t.about)))))
     environment = "table*" if wide else "table"
     lines = [
         rf"\begin{{{environment}}}",

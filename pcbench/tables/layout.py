@@ -5,7 +5,7 @@ values of the longest axis, with rows grouped by the values of the other axes. A
 The best observer of a grid point is marked, and those that are not significantly worse.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import pandas as pd
@@ -15,7 +15,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import COUNTS
-from pcbench.statistics.number_format import estimate
+from pcbench.statistics.number_format import MARK, estimate, mark_uncertified
 from pcbench.statistics.ranking import standing
 from pcbench.study import title_of_scenario
 
@@ -52,7 +52,7 @@ class Entry(NamedTuple):
 class Table(NamedTuple):
     """One table; every row begins with as many words as `stub` has heads: the values of axes, and an observer."""
 
-    scenario: str
+    title: str  # of the scenario
     signal: str  # empty: all that are shown
     about: str  # what the numbers are
     stub: list[Head]
@@ -78,6 +78,8 @@ class Table(NamedTuple):
             notes += [f"Bold: the best, and each that is {test}."]
         if any(e.lost for e in self.entries):
             notes += ["Dagger: some runs diverged; the mean is over the others."]
+        if any(words[-1].endswith(MARK) for words, _ in self.rows):
+            notes += ["Asterisk: no certificate for its gains."]
         return notes
 
 
@@ -107,15 +109,9 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
     heads = [Head(_words(signal), part.unit.iloc[0]) for signal, part in parts.items()]
     columns = [{str(e.row["observer"]): e for e in _entries(result, part, metric)} for part in parts.values()]
     observers = list(dict.fromkeys(o for column in columns for o in column))
-    rows = [([o], [column.get(o) for column in columns]) for o in observers]
-    return Table(
-        scenario,
-        "",
-        f"{title_of_scenario(result.study, scenario)}: {metric} of the error",
-        [Head("observer")],
-        heads,
-        rows,
-    )
+    rows = [_row([o], [column.get(o) for column in columns]) for o in observers]
+    title = title_of_scenario(result.study, scenario)
+    return Table(title, "", f"{title}: {metric} of the error", [Head("observer")], heads, rows)
 
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
@@ -140,14 +136,20 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
     title = title_of_scenario(result.study, scenario)
     about = f"{title}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
     return Table(
-        scenario=scenario,
+        title=title,
         signal=signal,
         about=about,
         stub=[*(_axis(a, units) for a in others), Head("observer")],
         heads=[Head(value) for value in values],
-        rows=[(list(place), [by.get((*place, value)) for value in values]) for place in places],
+        rows=[_row(place, [by.get((*place, value)) for value in values]) for place in places],
         over=_axis(axis, units),
     )
+
+
+def _row(words: Iterable[str], entries: list[Entry | None]) -> tuple[list[str], list[Entry | None]]:
+    """Return a row with a mark behind the name of an observer whose gains have no certificate."""
+    *values, observer = words
+    return [*values, mark_uncertified(observer, [e.row.get("certified") for e in entries if e])], entries
 
 
 def _axis(name: str, units: dict[str, str]) -> Head:

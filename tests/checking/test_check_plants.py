@@ -116,7 +116,7 @@ BROKEN = {
     "finite": [
         (lambda: swing(output=lambda p, now, x: jnp.sqrt(0.05 + x[:1])), "got nan for output 1 in output at angle -0.0.*rate"),
     ],
-    "lanes": [(lambda: of(output=called_back), "output under vmap.*callback")],
+    "many runs": [(lambda: of(output=called_back), "output in vmap.*callback")],
     "slopes": [
         (
             lambda: swing(field=lambda p, now, x: field(p, now, x) - 0.3 * jnp.sign(x[1]) * jnp.array([0.0, 1.0])),

@@ -131,7 +131,7 @@ BROKEN = {
     ),
     "a matrix written in": ("gains", {"jump": written}, r"an array of shape \[2, 1\] written into jump"),
     "float32": ("float64", {"jump": narrow}, "got float32 in jump"),
-    "a callback": ("lanes", {"jump": called_back}, "jump under vmap"),
+    "a callback": ("many runs", {"jump": called_back}, "jump in vmap"),
     "an old input": (
         "perfect start",
         {"flow": lambda gains, memory, now: gains.Phi @ memory + gains.Gamma @ now.past_u(1)},

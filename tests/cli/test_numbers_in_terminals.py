@@ -134,7 +134,7 @@ def limits_table(screen):
     rows = rows.assign(answer="up to", said="")
     about = {"unit": "rad/s", "over_unit": "s", "metric": "steady_pooled_rmse", "below": 0.05, "between": (0.0, 1.0)}
     rows.attrs = about | {
-        "scenario": "cart/white",
+        "title": "cart/white",
         "signal": "angular_velocity",
         "over": "sampling_period",
         "notes": [],
@@ -154,7 +154,7 @@ def frontier_table(screen):
         "over": ("sampling_period", "delay"),
         "over_unit": ("s", "s"),
     }
-    rows.attrs |= {"scenario": "cart/white", "signal": "position", "notes": []}
+    rows.attrs |= {"title": "cart/white", "signal": "position", "notes": []}
     limits.frontier(rows, screen)
     return rows.largest
 

@@ -229,7 +229,7 @@ def test_the_command_says_what_it_found(tmp_path):
     ]
     done = call("tune", *words)
     assert "tuned - start" in done.stdout, done.stderr
-    assert "Run it: pcbench run" in done.stdout
+    assert "Compare it: pcbench run" in done.stdout
     again = json.loads(call("tune", *words, "--json").stdout)
     assert again["points"] == 2
     assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}

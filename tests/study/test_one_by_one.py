@@ -76,8 +76,8 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
     assert len(plots.bearing(result).axes) == 2
     where = figures.Place(result, "lti", 0, None, None, figures.SHOWN)
     names = {picture.name for picture in figures.of_signal(where, "a")}
-    assert {"lti-a-bearing", "lti-a-over-noise_std", "lti-a-over-assumed_noise_scale"} <= names
-    assert not {"lti-a-winners", "lti-a-map"} & names
+    assert {f"{EACH['name']}-a-{each}" for each in ("bearing", "over-noise_std", "over-assumed_noise_scale")} <= names
+    assert not {f"{EACH['name']}-a-{each}" for each in ("winners", "map")} & names
     assert figures.cell_of(result, "lti", figures.SHOWN) == 0
     others = SimpleNamespace(study=result.study.model_copy(update={"vary": "all"}), **{
         name: getattr(result, name) for name in ("stats", "stats_of", "scenarios", "signals", "ranks")})  # fmt: skip

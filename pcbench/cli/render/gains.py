@@ -77,7 +77,10 @@ def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Scr
     if found.kept_start:
         screen.print(f"The start is kept: {found.kept_start}.")
     if folder is not None:
-        screen.say(f"Run it: pcbench run {folder}/tuned.toml")
+        rival = "model-only" if observer == "kf" else "kf"
+        screen.say(
+            f"Compare it: pcbench run {folder}/tuned.toml --observers {observer},{rival} --out results/{observer}-tuned"
+        )
 
 
 def _option(value: object) -> str:

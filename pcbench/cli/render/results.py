@@ -278,8 +278,9 @@ def sentence(result: Result, folder: str) -> str:
         return f"No number in {folder} is exact: the column `reason` of stats.parquet explains why."
     if not result.cost.runs:
         return f"All runs were complete already: {p['blocks']} blocks in {folder}."
-    spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
-    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."
+    parts = f"compiling {p['compile_seconds']:.1f} s, writing {p['writing_seconds']:.1f} s, summed over threads"
+    runs = f"{p['runs_added']:,} run{'s' * (p['runs_added'] != 1)} added"
+    return f"{runs}; results in {folder} after {p['wall_seconds']:.1f} s ({parts})."
 
 
 def timings(result: Result, seconds: float) -> list[str]:
