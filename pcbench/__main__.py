@@ -1,5 +1,5 @@
 """Run the command line: python -m pcbench."""
 
-from pcbench.cli import main
+from pcbench.cli import program
 
-main()
+program()

@@ -1,5 +1,6 @@
 """The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
 
+import atexit
 import gc
 import os
 import signal
@@ -11,8 +12,23 @@ from pcbench.cli.interrupts import STOPPED, exit_code, interrupt, is_interrupted
 from pcbench.errors import UserError, first_sentence, missing, out_of_memory, printable
 from pcbench.runtime import ending, thread_pools
 
-__all__ = ["main"]
+__all__ = ["main", "program"]
 MANY = 100_000  # new objects before Python looks for cycles: by thousands it does so all the time that it imports
+
+
+def program() -> None:
+    """Run `main` in a process of its own, and end it without the destructors of compiled libraries.
+
+    While a thread of a library still waits, these abort now and then, after all is done. Files are closed and functions of
+    `atexit` called as always.
+    """
+    code = [1]  # of a fault of ours, which Python prints
+    atexit.register(lambda: ending.end(code[0]))  # the first that is registered is called last
+    try:
+        main()
+    except SystemExit as done:
+        code[0] = done.code if isinstance(done.code, int) else 1
+        raise
 
 
 def main() -> None:

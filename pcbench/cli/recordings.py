@@ -61,6 +61,7 @@ def info(
         if toml:
             text = contents.starter_toml(path, topics, Path(picture or "x").absolute().parent)
             write(text) if picture is None else write_new(Path(picture), text, "--out")
+            say(*(f"{path.name}: {c.problem}" for c in topics if c.problem))
         elif as_json:
             print(readable({"log": file, "fields": contents.rows_of(topics)}))
         else:

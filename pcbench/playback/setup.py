@@ -14,11 +14,11 @@ from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.planning import all_observers
-from pcbench.plants import estimated_of
+from pcbench.plants import estimated_of, output_units
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
 from pcbench.recordings.log import Floats, Log, shift_stamps
-from pcbench.recordings.survey import Survey, held_values, survey
+from pcbench.recordings.survey import Survey, held_values, limit_truth, require_units, survey
 from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import Clock
 from pcbench.recordings.windows import Room, stretches, with_stretch
@@ -92,10 +92,18 @@ def open_playback(
             f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
             f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
         )
+    require_units(opened, output_units(s))
+    opened, known, left_out = limit_truth(opened, known, [name for name, _ in estimated_of(s)])
+    remarks += left_out
     tables = list(known.tables.values())
     clock = Clock(min([known.start, *(t.least for t in tables)]) if start is None else start, s.dt)
     end = max([known.end, *(t.most for t in tables)])
     last = int(clock.ticks(np.array([end]))[0])
+    if last < 1 and start is None:
+        raise UserError(
+            f"{opened.name}: got samples at {clock.start:.10g} s alone, expected two times at least; see whether "
+            "rows are missing."
+        )
     if last < 1:
         raise UserError(
             f"{opened.name}: got nothing after {clock.start:g} s, expected samples there; give an earlier --start."
@@ -104,8 +112,8 @@ def open_playback(
     if last > HORIZONS * cell.times.ticks * rows:
         raise UserError(
             f"{opened.name}: {rows:,} rows cover {last:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to {end:.10g} s, "
-            f"more than {HORIZONS} horizons of {s.duration:g} s per row; check the units of the times and --start, or write a "
-            "longer horizon."
+            f"more than {HORIZONS} durations of {s.duration:g} s per row; check the unit of the times (time_unit) and "
+            "--start, or write a longer duration."
         )
     if opened.inputs is None:
         remarks.append(f"{opened.name} has no inputs: they are taken to be 0.")
@@ -139,8 +147,8 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     if room.apart + room.latest > cell.times.ticks:
         raise UserError(
             f"{where}: got {room.apart * s.dt:g} s without a sample before row {room.apart_row} and some up to "
-            f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; cut the log there, or "
-            "write a longer horizon."
+            f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; check the unit "
+            "of the times (time_unit), cut the log there, or write a longer duration."
         )
     known = planning.setting(cell)
     m, signals = known.model.B.shape[1], len(estimated_of(s))

@@ -345,7 +345,7 @@ def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | s
     if float(ljung_box_p) < UNLIKELY:
         out.append(
             f"innovations of the held-out part are not white (p = {ljung_box_p:.2g}): the model or a delay is wrong, "
-            "and intervals are too short."
+            "and intervals are too short; --find-delay looks for a delay."
         )
     return out
 

@@ -1,8 +1,8 @@
 """What is in a file before anything says what is a channel: topics with their fields, rates and ranges; a TOML to start from.
 
 A field is *constant* if all its numbers are one, and *repeats* where a row has the number of the row before. Stamps are the
-first times by type (a header's, timestamp_sample), else a column that rises and is called t, time or stamp, else the first
-column if it rises.
+first times by type (a header's, timestamp_sample), else a column that is called t, time or stamp, best one that rises, else
+the first column if it rises. If a column of times does not rise, is empty in some rows or holds text, a sentence says so.
 """
 
 import json
@@ -56,7 +56,7 @@ class Contents(NamedTuple):
     def span(self) -> tuple[float, float]:
         """The first and the last stamp [s]."""
         scale = SECONDS[self.unit or "s"]
-        spread = self.fields[self.stamp].spread if self.stamp else Spread()
+        spread = self.fields[self.stamp].spread if self.stamp in self.fields else Spread()
         return (scale * spread.least, scale * spread.most) if spread.many else (np.nan, np.nan)
 
 
@@ -80,7 +80,8 @@ def contents(path: Path) -> list[Contents]:
 def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
     fields = list(dict.fromkeys([*topic.times, *topic.numbers]))
     source = source._replace(topic=topic.name, frame=topic.frame, fields=fields, times=set(topic.times))
-    stats, problem = {field: FieldStats() for field in fields}, ""
+    stats, several = {field: FieldStats() for field in fields}, topic.kind.partition(" with ")[2]
+    problem = f"{several}: left out, as their names are the same; rename them." if several else ""
     try:
         for part in kind.columns(source) if fields else ():
             stats = {field: _more(stats[field], part[field]) for field in fields}
@@ -94,13 +95,28 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
         field for field in topic.numbers if stats[field].rows == stats[field].spread.many and not stats[field].falls
     ]
     first = [*topic.times, *(field for field in rising if field == fields[0] and len(fields) > 1)]
-    stamp = next((field for field in (*topic.times, *rising) if TIME.match(field)), next(iter(first), None))
-    if stamp in topic.times:
-        return Contents(topic, stats, stamp, None, problem)
+    called = [field for field in (*topic.times, *rising, *topic.numbers, *topic.words) if TIME.match(field)]
+    stamp = next(iter(called or first), None)
+    if stamp in topic.times or stamp in topic.words:
+        return Contents(
+            topic, stats, stamp, None, problem or (_time_problem(str(stamp), stats.get(str(stamp))) if called else "")
+        )
     unit = tables.name_and_unit(stamp)[1] if stamp else None
     if stamp and unit not in SECONDS:
         unit = next((unit for least, unit in EPOCHS if stats[stamp].spread.most > least), "s")
-    return Contents(topic, stats, stamp, unit, problem)
+    return Contents(topic, stats, stamp, unit, problem or _time_problem(stamp, stats[stamp]) if stamp else problem)
+
+
+def _time_problem(stamp: str, s: FieldStats | None) -> str:
+    """Return what is wrong with the times of a table; empty: nothing."""
+    if s is None:
+        return f"column '{stamp}' holds text that is no time, expected seconds or ISO 8601; convert its values."
+    empty, wrong = s.rows - s.spread.many, []
+    if falls := s.falls:
+        wrong.append(f"does not rise in {falls:,} row{'s' * (falls > 1)}: sort the rows, and remove doubled ones")
+    if empty:
+        wrong.append(f"is empty in {empty:,} row{'s' * (empty > 1)}: remove {'them' if empty > 1 else 'it'}")
+    return f"column '{stamp}' of times {', and '.join(wrong)}." if wrong else ""
 
 
 def _more(s: FieldStats, numbers: Floats) -> FieldStats:

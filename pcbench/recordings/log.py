@@ -95,6 +95,7 @@ class Topic(NamedTuple):
     numbers: list[str]
     times: Sequence[str] = ()  # fields that are times by their type, the first one the stamp
     frame: str = ""
+    words: Sequence[str] = ()  # fields of text
 
 
 def shift_stamps(log: Log, offsets: Floats) -> Log:

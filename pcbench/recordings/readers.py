@@ -139,6 +139,7 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     file = path.parent / toml.log
     kind = format_of(file, f"{path.name}: log")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
+    _require_one_time_axis(toml, kind, file, path.name)
     if kind not in MESSAGES and (named := next((c.frame for c in every if c.frame), None)):
         raise UserError(f"{path.name}: frame: got '{named}', expected it of bags and MCAP files alone; leave it out.")
     for c in every:
@@ -153,6 +154,33 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     inputs, truth = (_table(getattr(toml, what), kind, source, what) for what in ("inputs", "truth"))
     units = tuple(c.unit for c in toml.channels.values())
     return Log(path.name, tuple(toml.channels), measurements, inputs, truth, units)
+
+
+def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
+    """Raise UserError where a period has no effect, or is of rows whose times nobody has left out on purpose."""
+    each = {f"{what}.{name}": c for what in ("channels", "inputs", "truth") for name, c in getattr(toml, what).items()}
+    own = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
+    if toml.period and all(own):
+        raise UserError(
+            f"{where}: got a period and times of {next(iter(each))}, expected one of them; leave one out, or write the period "
+            "there."
+        )
+    with_period = next((name for name, c in each.items() if c.period or toml.period), None)
+    if kind is not TABLE or with_period is None:
+        return
+    if not toml.period and not all(own):
+        raise UserError(
+            f"{where}: got a period of {with_period} and no time of {list(each)[own.index(False)]}, expected both of one kind "
+            "for the rows of a table; write the period of the whole file, or name the column of times there."
+        )
+    named = {c.sampled or c.t for c in each.values()}
+    if kind.stamp not in named and any(
+        tables.name_and_unit(head)[0] == kind.stamp for head in tables.heads(file, toml.csv)
+    ):
+        raise UserError(
+            f"{where}: got a period and the column '{kind.stamp}' of times in {file.name}, expected one of them; leave the "
+            "period out, or rename the column."
+        )
 
 
 def format_of(file: Path, where: str) -> Format:
@@ -188,6 +216,10 @@ def _validated(model: type[M], raw: TomlTable, path: Path) -> M:
             *above, key = first["loc"]
             where = f"{path.name}: {'.'.join(map(str, above))}" if above else path.name
             raise unknown(where, "key", str(key), _keys(model, above)) from None
+        if place in ("channels", "log") and first["type"] in ("missing", "too_short"):
+            what = 'channel, expected one at least; write [channels.y1] with field = "NAME" and unit = "m"'
+            what = what if place == "channels" else "log, expected the name of the file; write log = NAME"
+            raise UserError(f"{path.name}: got no {what}, or remove the # before those that are meant.") from None
         what = first["msg"][0].lower() + first["msg"][1:]
         raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
 

@@ -9,6 +9,7 @@ A sample is *out of order* where one with a later stamp is before it, *doubled* 
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.recordings import readers
 from pcbench.recordings.lags import lags_of
-from pcbench.recordings.log import Batch, Floats, Log
+from pcbench.recordings.log import Batch, Floats, Log, Rows
 from pcbench.recordings.running_stats import Spread, add, largest, slope
 from pcbench.recordings.times import TimeColumn, require_one_clock, require_sound
 
@@ -164,6 +165,56 @@ def _more(c: Channel, batch: Batch) -> Channel:
         stds=c.stds + int(stated.sum()),
         without_std=without if c.without_std is None else c.without_std,
     )
+
+
+def limit_truth(log: Log, known: Survey, signals: list[str]) -> tuple[Log, Survey, list[str]]:
+    """Return a log with truth only where there are measurements, and what is left out, a sentence each.
+
+    Truth may begin and end five sampling periods of the slowest channel outside them.
+    Raises UserError where no truth is left.
+    """
+    if log.truth is None:
+        return log, known, []
+    out, table, times = [], log.truth, known.tables["truth"]
+    if unknown := [name for name in table.names if name not in signals]:
+        out.append(f"truth: {', '.join(unknown)}: no state of the plant ({', '.join(signals)}); left out.")
+    if not times.many:
+        out.append(f"{log.name} has a truth without any value; errors are not computed.")
+        return (
+            log._replace(truth=None),
+            known._replace(tables={k: v for k, v in known.tables.items() if k != "truth"}),
+            out,
+        )
+    margin = GAP * max((c.intervals.median for c in known.channels.values() if c.intervals.many), default=np.inf)
+    low, high = known.start - margin, known.end + margin
+    if low <= times.least and times.most <= high:
+        return log, known, out
+    if times.most < low or high < times.least:
+        raise UserError(
+            f"{log.name}: got truth from {times.least:.6g} to {times.most:.6g} s and measurements from {known.start:.6g} to "
+            f"{known.end:.6g} s, expected a common time; convert the times of the truth, or leave it out."
+        )
+
+    def read() -> Iterator[Rows]:
+        for part in table.read():
+            inside = (low <= part.t) & (part.t <= high)
+            yield Rows(part.t[inside], part.values[inside], part.row[inside])
+
+    inside = Spread()
+    for part in read():
+        inside = add(inside, part.row, part.t)
+    out.append(f"truth before {low:.6g} s and after {high:.6g} s is left out: there are no measurements.")
+    return log._replace(truth=table._replace(read=read)), known._replace(tables=known.tables | {"truth": inside}), out
+
+
+def require_units(log: Log, expected: list[str]) -> None:
+    """Raise UserError where a recording says another unit of a channel than the plant; 1 and empty are unknown units."""
+    for name, unit, own in zip(log.channels, log.units, expected, strict=False):
+        if unit not in ("", "1", own) and own not in ("", "1"):
+            raise UserError(
+                f"{log.name}: channels.{name}: got the unit {unit}, expected {own} as in the plant; write scale = FACTOR and "
+                f'unit = "{own}".'
+            )
 
 
 def held_values(log: Survey) -> list[str]:

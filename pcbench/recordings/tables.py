@@ -261,7 +261,7 @@ def topics(source: Source) -> Iterator[Topic]:
     counts = Counter(name for name, _ in types)
     types = [(name, kind) for name, kind in types if name and counts[name] == 1]
     several = "".join(f" with {many} columns '{name}'" for name, many in counts.items() if name and many > 1)
-    numbers, times = [], []
+    numbers, times, words = list[str](), list[str](), list[str]()
     while types:
         name, kind = types.pop(0)
         if pa.types.is_struct(kind):
@@ -270,7 +270,9 @@ def topics(source: Source) -> Iterator[Topic]:
             times.append(name)
         elif any(holds(kind) for holds in NUMBERS):
             numbers.append(name)
-    yield Topic("", f"table{several}", numbers[:MOST], times)
+        elif pa.types.is_string(kind) or pa.types.is_large_string(kind):
+            words.append(name)
+    yield Topic("", f"table{several}", numbers[:MOST], times, words=words)
 
 
 def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
@@ -294,7 +296,12 @@ def column_of(
 
     Raises UserError where it holds something else, or its unit is unknown or must be said.
     """
-    column, where, unit = part.column(head), f"{where}: {head}", unit or name_and_unit(head)[1]
+    column, where, own = part.column(head), f"{where}: {head}", name_and_unit(head)[1]
+    if time and unit and own in SECONDS and own != unit:
+        raise UserError(
+            f"{where}: got the time_unit {unit}, expected {own} as in the head; leave time_unit out, or correct it."
+        )
+    unit = unit or own
     for name in filter(None, inner.split(".")):
         column = _within(column, name, where)
     column = pc.cast(column, pa.timestamp("s")) if time and pa.types.is_date(column.type) else column

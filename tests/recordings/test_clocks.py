@@ -110,7 +110,7 @@ def test_a_start_of_another_clock_is_refused(tmp_path):
     folder = rows(tmp_path / "log", plain() | {k: plain()[k] + UNIX for k in ("sampled", "arrived")})
     with pytest.raises(
         UserError,
-        match=r"40 rows cover 169,999,999,705 ticks of 0\.01 s, from 5 s to 1700000002 s, more than 10 horizons",
+        match=r"40 rows cover 169,999,999,705 ticks of 0\.01 s, from 5 s to 1700000002 s, more than 10 durations",
     ):
         open_playback(folder, MOTOR, ["kf"], start=5.0)
 

@@ -1,0 +1,163 @@
+"""Times, units and truth of a table that cannot be right: each is said in one sentence, and nothing is guessed instead."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.recordings import contents, readers
+
+PLANT = {
+    "name": "cart",
+    "lti": {
+        "A": [[0.0, 1.0], [0.0, -0.5]],
+        "B": [[0.0], [1.0]],
+        "C": [[1.0, 0.0]],
+        "states": ["x [m]", "v [m/s]"],
+        "tick": 0.01,
+        "sampling_period": 0.05,
+        "delay": 0.0,
+        "noise_std": 0.02,
+        "process_std": [0.0, 0.01],
+        "duration": 20.0,
+    },
+}
+CHANNEL = {"field": "y", "unit": "m", "delay": 0.0}
+
+
+def table(folder, t, **columns):
+    """A CSV of times and a position."""
+    frame = pd.DataFrame({"t": t, "y": np.sin(np.arange(len(t))).round(4), "z": 1.5, **columns})
+    frame.to_csv(folder / "log.csv", index=False)
+    return folder / "log.csv"
+
+
+def toml(folder, channel=(), **whole):
+    """A TOML of that CSV with an input that it does not have."""
+    lines = [f"{key} = {value!r}" for key, value in {"log": "log.csv", **whole}.items()]
+    lines += ["[channels.y1]", *(f"{key} = {value!r}" for key, value in {**CHANNEL, **dict(channel)}.items())]
+    (folder / "log.toml").write_text("\n".join(lines) + "\n")
+    return folder / "log.toml"
+
+
+RISING = [round(0.05 * i, 2) for i in range(40)]
+WRONG = {
+    "swapped": ([*RISING[:9], RISING[10], RISING[9], *RISING[11:]], "does not rise in 1 row: sort"),
+    "doubled": ([*RISING[:9], *RISING[8:]], "does not rise in 1 row: sort"),
+    "reversed": (RISING[::-1], "does not rise in 39 rows"),
+    "empty": ([*RISING[:9], None, None, *RISING[11:]], "is empty in 2 rows: remove them"),
+    "durations": ([f"PT{t}S" for t in RISING], "holds text that is no time"),
+    "zone by its name": ([f"2026-03-01 12:00:{t:06.3f} CEST" for t in RISING], "holds text that is no time"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_column_of_times_is_named_and_never_replaced_by_a_period(name, tmp_path):
+    times, words = WRONG[name]
+    log = table(tmp_path, times)
+    (found,) = contents.contents(log)
+    assert found.stamp == "t"
+    assert words in found.problem
+    text = contents.starter_toml(log, [found], tmp_path)
+    assert "period" not in text
+    (tmp_path / "start.toml").write_text(text)
+    if name in ("swapped", "doubled", "reversed"):  # measurements may be out of order
+        assert pcbench.info(tmp_path / "start.toml").samples.tolist() == [len(times)]
+    else:
+        with pytest.raises(UserError):
+            pcbench.info(tmp_path / "start.toml")
+
+
+def test_columns_of_one_name_are_named(tmp_path):
+    (tmp_path / "log.csv").write_text("t,y,y,z\n" + "".join(f"{t},1,2,{t}\n" for t in RISING))
+    (found,) = contents.contents(tmp_path / "log.csv")
+    assert found.problem == "2 columns 'y': left out, as their names are the same; rename them."
+
+
+@pytest.mark.parametrize(
+    ("whole", "channel", "words"),
+    [
+        ({"period": 0.1}, {}, "got a period and the column 't' of times in log.csv"),
+        ({"period": 0.1}, {"sampled": "t"}, "got a period and times of channels.y1"),
+        ({}, {"period": 0.1}, "got a period and the column 't' of times"),
+    ],
+)
+def test_a_period_and_times_are_refused(whole, channel, words, tmp_path):
+    table(tmp_path, RISING)
+    with pytest.raises(UserError, match=words):
+        readers.open_log(toml(tmp_path, channel, **whole))
+
+
+def test_a_period_of_a_channel_alone_is_refused(tmp_path):
+    pd.DataFrame({"y": RISING, "u": RISING, "seconds": RISING}).to_csv(tmp_path / "log.csv", index=False)
+    file = toml(tmp_path, {"period": 0.05})
+    file.write_text(file.read_text() + '[inputs.u1]\nfield = "u"\nunit = "V"\n')
+    with pytest.raises(UserError, match=r"got a period of channels.y1 and no time of inputs.u1"):
+        readers.open_log(file)
+
+
+def test_a_period_alone_is_taken(tmp_path):
+    pd.DataFrame({"y": RISING}).to_csv(tmp_path / "log.csv", index=False)
+    assert pcbench.info(toml(tmp_path, period=0.05)).samples.tolist() == [40]
+
+
+@pytest.mark.parametrize("unit", ["mm", "rad"])
+def test_another_unit_than_the_plants_is_refused(unit, tmp_path):
+    table(tmp_path, RISING)
+    with pytest.raises(UserError, match=rf"channels.y1: got the unit {unit}, expected m as in the plant"):
+        pcbench.replay(toml(tmp_path, {"unit": unit}), PLANT, "kf")
+
+
+@pytest.mark.ci
+def test_an_unknown_unit_is_taken(tmp_path):
+    table(tmp_path, RISING)
+    assert len(pcbench.replay(toml(tmp_path, {"unit": "1"}), PLANT, "kf").innovations) == 1
+
+
+def frames(truth):
+    """A recording of 2 s with a truth."""
+    t = np.arange(0, 2.01, 0.05)
+    measured = pd.DataFrame({"channel": "y1", "sampled": t, "arrived": t, "value": np.sin(t)})
+    return {"measurements": measured, "truth": truth}
+
+
+def of_truth(t, name="x"):
+    return pd.DataFrame({"t": t, name: np.sin(t)})
+
+
+@pytest.mark.ci
+def test_truth_where_there_are_no_measurements_is_not_compared():
+    """A truth that goes on for 3 s after the last measurement gives the errors of one that ends with it."""
+    short, long = (pcbench.replay(frames(of_truth(np.arange(0, end, 0.01))), PLANT, "kf") for end in (2.255, 5.0))
+    pd.testing.assert_frame_equal(short.metrics, long.metrics)
+    assert any("truth before -0.25 s and after 2.25 s is left out" in each for each in long.summary["said"])
+    assert not any("truth" in each for each in short.summary["said"])
+
+
+@pytest.mark.ci
+def test_truth_of_another_time_or_name_or_without_values():
+    with pytest.raises(UserError, match=r"got truth from 1000 to 1002 s and measurements from 0 to 2 s"):
+        pcbench.replay(frames(of_truth(1000 + np.arange(0, 2.001, 0.01))), PLANT, "kf")
+    both = of_truth(np.arange(0, 2, 0.01)).assign(pos=1.0)
+    assert (
+        "truth: pos: no state of the plant (x, v); left out."
+        in pcbench.replay(frames(both), PLANT, "kf").summary["said"]
+    )
+    empty = of_truth(np.arange(0, 2, 0.01)).assign(x=np.nan)
+    found = pcbench.replay(frames(empty), PLANT, "kf")
+    assert any("a truth without any value" in each for each in found.summary["said"])
+    assert found.metrics.empty
+
+
+def test_a_toml_without_a_channel_says_so(tmp_path):
+    table(tmp_path, RISING)
+    (tmp_path / "log.toml").write_text('log = "log.csv"\n')
+    with pytest.raises(UserError, match=r"got no channel, expected one at least; write \[channels.y1\]"):
+        readers.open_log(tmp_path / "log.toml")
+
+
+def test_another_unit_of_time_than_the_heads_is_refused(tmp_path):
+    pd.DataFrame({"t [ms]": RISING, "y": RISING}).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(UserError, match=r"got the time_unit s, expected ms as in the head"):
+        pcbench.info(toml(tmp_path, time_unit="s"))
