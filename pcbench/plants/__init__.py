@@ -8,6 +8,7 @@ from jaxtyping import PyTree
 
 from pcbench.plants import (
     arm,
+    camera_target,
     cart,
     coordinated_turn,
     csth,
@@ -97,6 +98,9 @@ PLANTS: dict[str, PlantSpec] = {
         residual=digester.residual,
         positive=("kF", "kS", "kp", "kl", "kd", "kla", "Kch4", "Kco2", "flow", "p0", "Vl", "Vg"),
         drifts=False,
+    ),
+    "camera-target": _of(camera_target, "platform that follows a target seen by its camera, 3 states")._replace(
+        drifts=False
     ),
     "lti": _of(lti, "your own linear plant, in the table [lti] of a study")._replace(drifts=False),
 }

@@ -1,6 +1,7 @@
 """The published experiments, as data: one file a plant, one dict for all. SI units; no jax."""
 
 from pcbench.scenarios.arm import ARM
+from pcbench.scenarios.camera_target import CAMERA_TARGET
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.coordinated_turn import COORDINATED_TURN
 from pcbench.scenarios.csth import CSTH
@@ -32,6 +33,7 @@ _EVERY = (
         *COORDINATED_TURN,
         *DOUBLE_WELL,
         *DIGESTER,
+        *CAMERA_TARGET,
     ),
 )
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in _EVERY}

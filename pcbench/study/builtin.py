@@ -28,6 +28,7 @@ QUESTIONS = {  # that each study answers
     "flexible-joint": "Up to which period do filters follow the joint?",
     "coordinated-turn": "Which filter follows a turning target, and at which delay?",
     "digester": "How late may the values of a laboratory be?",
+    "camera-target": "How much does a filter that knows the camera's delay gain over visual servoing?",
     "outage": "How far does the error grow during an outage?",
     "processor": "On which processor does a particle filter lose to a Kalman filter?",
     "all": "Which observer is best in each published scenario?",
@@ -35,6 +36,7 @@ QUESTIONS = {  # that each study answers
 }
 PERIODS = (0.5, 1.0, 1.5, 1.7, 1.8)  # s: the loop of `ncs-two-state` is stable below 1.72941
 INTERVALS = (0.01, 0.05, 0.1, 0.2)  # s between two transmissions of `ncs-reactor`
+GAINS = (2.0, 4.0, 8.0)  # 1/s, of the visual servos of `camera-target`
 FIELD = (
     "eso",
     "cascade-predictor",
@@ -80,6 +82,12 @@ def _held(period: float) -> ScenarioTable:
 def _in_turn(interval: float) -> ScenarioTable:
     """Return a scenario of `ncs-reactor`: the outputs take turns, one every `interval` [s]."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": 2 * interval, "sampling_phase": [0.0, interval]}
+    return ScenarioTable.model_validate(table)
+
+
+def _servoing(gain: float) -> ScenarioTable:
+    """Return a scenario of `camera-target`: a velocity of `gain` [1/s] times the estimated offset."""
+    table = {"base": "camera-target/servoing", "control": {"K": [[-gain, 0.0, 0.0]]}}
     return ScenarioTable.model_validate(table)
 
 
@@ -274,6 +282,15 @@ STUDIES = {
         ],
         seeds=32,
         axes={"delay": [[0.0] * 3 + [3600.0 * hours] * 3 for hours in (0, 7, 14, 21)]},
+    ),
+    "camera-target": Study(
+        name="camera-target",
+        scenarios=["following", *(f"servo-{gain:g}" for gain in GAINS)],
+        tables={"following": ScenarioTable(base="camera-target/following")}
+        | {f"servo-{gain:g}": _servoing(gain) for gain in GAINS},
+        seeds=64,
+        axes={"delay": [[delay, 0.0] for delay in (0.0, 0.1, 0.2, 0.3)]},
+        options={"scenario": {"random_initial_state": True}},
     ),
     "outage": Study(  # the error grows by a factor of 1.25 per step
         name="outage",

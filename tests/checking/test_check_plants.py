@@ -57,7 +57,7 @@ EVERY = {"cart/white": {"axes"}, "csth/10s-noise": set(), "arm/sampled": set(), 
          "ncs-reactor/round-robin": set(), "growth-model/gordon": {"rest", "seen"}, "intermittent/scalar": set(),
          "quadruple-tank/delayed": set(), "flexible-joint/sampled": set(), "falling-body/radar": set(),
          "coordinated-turn/radar": set(), "double-well/sampled": set(),
-         "digester/multirate": set()}  # fmt: skip
+         "digester/multirate": set(), "camera-target/following": set()}  # fmt: skip
 
 KNOWN = {
     "reactor/batch": {"tick"},  # its tick of 0.1 s is wrong by 2e-5 of a state

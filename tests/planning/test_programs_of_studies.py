@@ -20,10 +20,11 @@ PROGRAMS = {
     "measurement-errors": 5,
     "reactor": 3,  # each expensive observer has one of its own
     "equal-tuning-reactor": 2,
-    "all": 27,
+    "all": 30,
     "growth-model": 2,
     "coordinated-turn": 1,
     "digester": 1,
+    "camera-target": 2,
     "ncs-two-state": 1,
     "ncs-reactor": 1,
     "intermittent": 1,
