@@ -105,6 +105,13 @@ METHODS = {
         "the model and one constant delay",
         "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
     ),
+    "communication-disturbance": Method(
+        "Communication disturbance observer (CDOB)",
+        "Reads the delay of a measurement as a disturbance of the input, estimates it with one bandwidth, and adds the motion "
+        "that it causes to the output. It tends to a Smith predictor as the bandwidth grows.",
+        "the model; ages are not used. The plant must be a chain of integrators with one input and one output, not unstable",
+        "Natori, Oboe, Ohnishi 2008, doi 10.1109/TII.2008.2002705 (not obtained)",
+    ),
     "super-twisting": Method(
         "Super-twisting observer",
         "A second-order sliding mode in position and rate. Corrects at the time of the measurement by an implicit step, which "

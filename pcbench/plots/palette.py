@@ -53,6 +53,7 @@ LOOKS = {
     "high-gain": Style("#B14DD0", (6.0, 1.6), "s"),
     "eso": Style("#CE44EB", (1.0, 1.0, 4.0, 1.0), "p"),
     "cascade-predictor": Style("#510015", (8.0, 1.2, 1.0, 1.2), "h"),
+    "communication-disturbance": Style("#A814A3", (3.0, 1.0, 1.0, 2.4), ">"),
     "super-twisting": Style("#040842", (2.0, 1.0, 2.0, 3.0), "*"),
     "finite-time": Style("#AEA709", (5.0, 3.0), "8"),
     "high-gain-predictor": Style("#895B51", (7.0, 1.4, 2.4, 1.4), "X"),

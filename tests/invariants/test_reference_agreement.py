@@ -40,6 +40,10 @@ def expected(case, observer, options, u, samples):
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer == "eso":
         return field_observers.eso(model, u, samples, xhat0, design.gains.L)
+    if observer == "communication-disturbance":
+        return field_observers.communication_disturbance(
+            model, u, samples, xhat0, np.vstack([design.gains.L, design.gains.l])
+        )
     if observer == "cascade-predictor":
         return field_observers.cascade(model, u, samples, xhat0, design.gains.K, design.gains.d)
     if observer == "super-twisting":

@@ -30,6 +30,28 @@ def eso(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -
     return z[:, : len(model.A)]
 
 
+def communication_disturbance(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array) -> Array:
+    """Return xhat [N+1, n] of the communication disturbance observer with L [n+1, 1]: z + P dh.
+
+    z is an observer of the plant and of the disturbance -dh of its input, which takes every value when it arrives. P dh is
+    summed up from all dh before each tick.
+    """
+    whole, n = with_disturbance(model), len(model.A)
+    F, G = discretise(whole.A, whole.B, model.h)
+    Ad, Bd = discretise(model.A, model.B, model.h)
+    response = [Bd[:, 0]]
+    z, inbox, dh, xhat = np.append(xhat0, 0.0), by_arrival(samples), [], []
+    for k in range(len(u)):
+        for _, y in whole_vectors(inbox.get(k, []), 1):
+            z = z + L[:, 0] * (y[0] - model.C[0] @ z[:n])
+        caused = sum((response[k - 1 - i] * dh[i] for i in range(k)), np.zeros(n))
+        xhat.append(z[:n] + caused)
+        dh.append(-z[n])
+        response.append(Ad @ response[-1])
+        z = F @ z + G @ u[k]
+    return np.array(xhat)
+
+
 def cascade(model: Model, u: Array, samples: list[Sample], xhat0: Array, K: Array, d: Array) -> Array:
     """Return xhat [N+1, n] of cascade predictors with K [n, q] and links of d [m] ticks, one after the other.
 
