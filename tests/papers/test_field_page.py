@@ -23,7 +23,7 @@ def rows(heading):
 def test_every_study_and_scenario_of_the_tables_exists():
     studies = [re.findall(r"`([\w-]+)`", row[2]) for row in rows("example | question")]
     named = [re.findall(r"`([\w/-]+)`", row[1]) for row in rows("example | scenarios")]
-    assert len(studies) == 11
+    assert len(studies) == 12
     assert {name for each in studies for name in each} <= STUDIES.keys()
     assert {name for each in named for name in each} <= SCENARIOS.keys()
     families = {name.split("/")[0] for each in named for name in each}
@@ -38,6 +38,7 @@ def test_every_study_and_scenario_of_the_tables_exists():
         "coordinated-turn",
         "digester",
         "double-well",
+        "camera-target",
     }
 
 
@@ -94,3 +95,22 @@ def test_errors_of_the_coordinated_turn_come_out():
         kept = kept[kept.steady_max_abs_error <= 500]
         for text, each in ((ukf, runs.loc[("ukf", float(delay))]), (ekf, kept)):
             assert float(text.split()[0]) == pytest.approx(each.steady_mse.mean() ** 0.5, rel=0.01)
+
+
+@pytest.mark.nightly
+def test_errors_of_the_camera_come_out():
+    stats = pcbench.run("camera-target").stats
+    stats = stats[(stats.metric == "steady_tracking_rmse") & (stats.signal == "offset")]
+    assert (stats.ci_high - stats.ci_low < 0.21 * stats["mean"])[stats["mean"].notna()].all()
+    delays = stats.delay.map(lambda delay: delay[0])
+    reductions = []
+    for first, *shown in rows("delay [s] | servo"):
+        here = stats[delays == float(first)].set_index(["observer", "scenario"])["mean"].unstack()
+        best = here[["servo-2", "servo-4", "servo-8"]].min(axis=1)
+        values = [best["kf-ignore-delay"], best["kf"], here.following["kf"]]
+        for text, value in zip(shown, values, strict=True):
+            assert float(text) == pytest.approx(value, abs=5.1e-4)  # to the printed digit
+        reductions.append(round(100 * (1 - values[2] / values[0])))
+        diverged = {name for name, value in here.loc["kf-ignore-delay"].items() if value != value}
+        assert diverged == ({"following", "servo-8"} if float(first) >= 0.2 else set())
+    assert "falls by {}, {} and {} %".format(*reductions) in PAGE

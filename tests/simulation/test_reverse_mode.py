@@ -87,6 +87,7 @@ SLOPES = {
     "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),
     "eso": ("cart/gaussian", {"pole": 0.6}, "steady_rmse"),
     "finite-time": ("cart/gaussian", {"pole": 0.5}, "mae"),
+    "communication-disturbance": ("cart/gaussian", {"pole": 0.6}, "rmse"),
     "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "steady_mse"),
     "no-delay": ("csth/10s-noise", {"pole": 0.3}, "max_abs_error"),
     "equal-delay": ("csth/10s-noise", {"pole": 0.3, "variant": "theorem1"}, "steady_mae"),

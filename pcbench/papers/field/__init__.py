@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pcbench.papers.claim import FINDING, Claim
 from pcbench.papers.field import (
     batch_reactor,
+    camera_target,
     coordinated_turn,
     digester,
     falling_body,
@@ -37,6 +38,7 @@ RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
     "coordinated turn": coordinated_turn.rows,
     "digester": digester.rows,
     "learned filter": learned_filters.rows,
+    "target and camera": camera_target.rows,
 }
 
 
