@@ -179,7 +179,7 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
             if name in made.sigma:
                 yield frame(signal, label, "sigma", made.sigma[name][:, i, 0])
         if first and i < made.target.shape[1]:
-            yield frame(signal, "target", "target", made.target[:, i])
+            yield frame(signal, "set point", "target", made.target[:, i])
         if signal in shown and first and not closed:
             yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
     if first and not closed:

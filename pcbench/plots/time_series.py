@@ -136,7 +136,7 @@ def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> 
             ax.step(mine.t, mine.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
         elif kind == "target":
             dotted = (0, (1.0, 1.6))
-            ax.plot(mine.t, mine.value, color=SOFT, linestyle=dotted, linewidth=1.2, zorder=1.5, label="target")
+            ax.plot(mine.t, mine.value, color=SOFT, linestyle=dotted, linewidth=1.2, zorder=1.5, label="set point")
         elif kind == "estimate":
             near = mine.value.where(mine.value.between(low - (high - low), high + (high - low)))
             ax.plot(mine.t, near, **look[observer])

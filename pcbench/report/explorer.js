@@ -299,6 +299,7 @@ function bar(group, p, place, log) { // the interval of a point, and the band of
 }
 
 // ---- words ----
+const exact = p => p.n === 0 && !p.lost;  // not: all runs diverged
 const losses = p => p.lost ? `${p.lost.toLocaleString("en")} of ${plural(p.n + p.lost, "run")}` : "";
 const range = (low, high) => {
   const [a, b] = [number(low, 3), number(high, 3)];
@@ -317,7 +318,7 @@ function verdict(p) { // significance, or consistency
   if (p.isBest) return "best";
   if (p.verdict === 2) return "diverges significantly more often";
   const size = finite(p.p) ? p.p < 0.001 ? ", p < 0.001" : `, p = ${number(p.p, 2)}` : "";
-  if (p.verdict === 1) return size ? `significantly worse${size}` : p.n === 0 ? "worse (exact)" : "worse (no noise)";
+  if (p.verdict === 1) return size ? `significantly worse${size}` : exact(p) ? "worse (exact)" : "worse (no noise)";
   return size ? `not significantly worse${size}` : Math.abs((p.ratio ?? 0) - 1) < 1e-9 ? "equal" : "not tested";
 }
 
@@ -343,7 +344,7 @@ function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q =>
     return k < 0 ? 0 : (metric().ranked || k < 2 ? 1 : 0) * (u[k] - v[k]);
   });
   const compared = here.some(q => q.best), judged = here.some(q => verdict(q)), lost = here.some(q => q.lost);
-  const same = here.every(q => q.n === p.n), many = p.n === 0 ? "exact values" : `${plural(p.n ?? 0, "run")}${here.length > 1 ? " each" : ""}`;
+  const same = here.every(q => q.n === p.n), many = exact(p) ? "exact values" : `${plural(p.n ?? 0, "run")}${here.length > 1 ? " each" : ""}`;
   caption.textContent = [where(p), ...(same ? [many] : [])].join(", ");
   const heads = ["observer", `${state.metric}${here.some(q => range(q.low, q.high)) ? " (95 % interval)" : ""}`, ...(same ? [] : ["runs"]), ...(lost ? ["diverged"] : []), ...(compared ? ["relative to the best"] : []),
     ...(judged ? [compared ? "significance" : "verdict"] : [])];
@@ -353,7 +354,7 @@ function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q =>
     const row = make(body, "tr", q === p ? {class: "active"} : {}), first = make(row, "td");
     make(first, "span", {class: "swatch", style: `background:${q.observer.colour}`});
     make(first, q.isBest || q.best && q.verdict === 0 ? "strong" : "span", {}, q.observer.name);
-    const cells = [valueOf(q), ...(same ? [] : [q.n === 0 ? "exact" : String(q.n ?? 0)]), ...(lost ? [losses(q) || "none"] : []), ...(compared ? [ratioOf(q)] : []),
+    const cells = [valueOf(q), ...(same ? [] : [exact(q) ? "exact" : String(q.n ?? 0)]), ...(lost ? [losses(q) || "none"] : []), ...(compared ? [ratioOf(q)] : []),
       ...(judged ? [verdict(q)] : [])];
     for (const [i, word] of cells.entries()) make(row, "td", {"data-of": heads[i + 1]}, word);
   }
@@ -361,7 +362,7 @@ function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q =>
 }
 
 function showTip(box, p) {
-  const runs = p.n === 0 ? "exact" : plural(p.n ?? 0, "run");
+  const runs = exact(p) ? "exact" : plural(p.n ?? 0, "run");
   const said = p.best && !p.isBest && p.ratio ? `${ratioOf(p)} times ${p.best.name}; ${verdict(p)}` : verdict(p);
   box.replaceChildren();
   make(box, "strong", {}, p.observer.name);

@@ -30,7 +30,7 @@ FOLLOWING = Scenario(
         settle_band=(0.1, 0.1, 0.3),
         divergence_threshold=100.0,
         steady_start=4.0,
-        headline=("offset", "target"),
+        headline=("offset",),
     ),
     dt=0.05,
     duration=12.0,

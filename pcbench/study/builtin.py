@@ -28,7 +28,7 @@ QUESTIONS = {  # that each study answers
     "flexible-joint": "Up to which period do filters follow the joint?",
     "coordinated-turn": "Which filter follows a turning target, and at which delay?",
     "digester": "How late may the values of a laboratory be?",
-    "camera-target": "How much does a filter that knows the camera's delay gain over visual servoing?",
+    "camera-target": "How much does a filter for a delayed camera gain over visual servoing?",
     "outage": "How far does the error grow during an outage?",
     "processor": "On which processor does a particle filter lose to a Kalman filter?",
     "all": "Which observer is best in each published scenario?",
