@@ -24,7 +24,7 @@ RECURSIVE = "Mortada et al., arXiv 2506.11639"
 RUNS = 400  # compared
 FLOOR, KNOWN_FLOOR = -1.922, 0.03683  # [V] dB; mean square
 TUNED = np.arange(1.0, 2.01, 0.1)  # times the standard deviation of the process noise
-SHORT, LONG = Training(steps=500), Training(steps=1000)
+LONG = Training(steps=1000)
 F = np.array([[1.0, 1.0], [0.0, 1.0]])  # of both linear cases
 WIDE, NARROW, SHARE = 1.25, 0.39528, 0.6  # standard deviations of the bimodal noise, and how often it is wide
 
@@ -188,7 +188,7 @@ def _lorenz() -> Iterator[Claim]:
 def _against_extended(system: System, model: str) -> Claim:
     """Compare with the extended filter, as it is given and with the Q that is best on other runs."""
     x, y = runs_of(system, 1, RUNS)
-    mine = square(partial(estimates, system, train(system, SHORT)), x, y)
+    mine = square(partial(estimates, system, train(system)), x, y)
     given = compare(mine, square(partial(extended, system), x, y))
     others, measured = runs_of(system, 2, RUNS)
     found = jax.jit(jax.vmap(lambda factor, y: extended(system, y, factor), (None, 0)))
