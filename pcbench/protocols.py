@@ -219,6 +219,14 @@ class Covariance(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "signals signals"]: ...
 
 
+class Bounds(Protocol):
+    """Return the least and the greatest possible value of all estimated signals at present."""
+
+    def __call__(
+        self, gains: Gains, memory: Memory, /
+    ) -> tuple[Float[Array, " signals"], Float[Array, " signals"]]: ...
+
+
 class DelayEstimate(Protocol):
     """Return the estimated mean delay of the first channel's samples and its standard deviation [s]."""
 
@@ -275,3 +283,4 @@ class Observer(NamedTuple):
     innovation: Innovation | None = None  # statistics of a measurement relative to its prediction
     init_random: InitRandom | None = None  # the memory at the start of a run, for an observer that draws random numbers
     delay: DelayEstimate | None = None  # of an observer that estimates the delay of samples
+    bounds: Bounds | None = None  # the interval that contains the present state, of an interval observer

@@ -36,6 +36,7 @@ NEEDS = {  # by a part of a metric's name
     "nis": "an observer that reports innovations",
     "nees": "an observer that reports a covariance",
     "sigma": "an observer that reports a covariance",
+    "interval": "an observer that bounds the state",
     "tracking": "a closed loop with a set point",
     "input_rms": "a closed loop with weights",
     "lq_cost": "a closed loop with weights",
@@ -45,6 +46,8 @@ NEEDS = {  # by a part of a metric's name
 BEST = {
     "rms_efficiency": "1",
     "final_error": "0",
+    "interval_coverage": "1",
+    "interval_width": "the smallest with interval_coverage 1",
     **dict.fromkeys(BANDS, "1, the mean for a correct covariance"),
     **{name: f"{share} for a Gaussian error" for name, share in zip(INSIDE, (0.683, 0.954, 0.997), strict=True)},
 }
@@ -67,6 +70,7 @@ def observer_facts(o: ObserverSpec) -> Description:
         "needs_sampling_signal": o.observer.on_sample is not None,
         "covariance": o.observer.covariance is not None,
         "innovations": o.observer.innovation is not None,
+        "bounds": o.observer.bounds is not None,
         "uses_stated_variance": o.measurement_noise,
         "tunes_by_gradient": o.smooth,
     }

@@ -91,6 +91,10 @@ MEANING = {
     "covariance of nu. One number per run, in the row of its first signal; null: no measurement was tested. In stats: the sum "
     "over all runs, divided by the sum of nis_dof",
     "nis_dof": "number of values in nis",
+    "interval_width": "mean of high - low over ticks 0 .. N-1. The interval low .. high of the signal is the observer's, and "
+    "contains the signal if noise and initial error are within its bounds",
+    "interval_coverage": "fraction of ticks 0 .. N-1 at which low <= signal <= high; 1 if noise and initial error are within "
+    "the bounds of the observer",
     "signal_nees": "e^2 divided by the observer's variance of e, at tick N-1; null: this state is known exactly",
 }
 MEANING |= {f.name: f.meaning for f in FIELDS}
@@ -104,7 +108,7 @@ INTERVALS = (
 )
 UNITLESS = (
     "rms_efficiency divergence_rate unsettled_rate lq_cost steady_lq_cost nees nees_dof signal_nees nis nis_dof nees_band "
-    "nis_band signal_nees_band coverage_1_sigma coverage_2_sigma coverage_3_sigma"
+    "nis_band signal_nees_band coverage_1_sigma coverage_2_sigma coverage_3_sigma interval_coverage"
 )
 OF_INPUT = "input_rms steady_input_rms pooled_input_rms steady_pooled_input_rms"
 OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1") | dict.fromkeys(

@@ -11,7 +11,7 @@ from jaxtyping import PyTree
 from pcbench.engine import lane_array, lane_forms, steps
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import table
-from pcbench.simulation import command_network, metrics, rng
+from pcbench.simulation import command_network, metrics, rng, simulate_runs
 from pcbench.simulation.closed_loop import before
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, State
@@ -54,7 +54,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
     state = state._replace(
         flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
         streams={label: metrics.start(many) for label, many in size.items()},
-        watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
+        watches=simulate_runs.start_watches(layout, size),
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
     ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))

@@ -20,7 +20,7 @@ from pcbench.engine import event_loop
 from pcbench.errors import UserError
 from pcbench.runtime import config, program_cache, program_store, thread_pools
 from pcbench.simulation.innovation_stats import InnovationStats, Squares
-from pcbench.simulation.metrics import ControlCost, ErrorSums, SettlingState
+from pcbench.simulation.metrics import ControlCost, ErrorSums, IntervalSums, SettlingState
 from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.simulation.types import GridPointParams, Layout, RunSums
 
@@ -29,7 +29,8 @@ DEFINITION = 64  # of the definition
 EXPENSIVE = 8  # of the definition with an observer whose runs are expensive
 NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
-RETURNED = (RunSums, ErrorSums, SettlingState, ControlCost, Squares, InnovationStats)  # types of what a program returns
+# types of what a program returns
+RETURNED = (RunSums, ErrorSums, SettlingState, IntervalSums, ControlCost, Squares, InnovationStats)
 OPTIONS: dict[str, str | bool] = {  # of the compiler, for a processor
     "xla_cpu_multi_thread_eigen": False,  # small products shared out among threads: 3 times slower, other bits
     "xla_cpu_prefer_vector_width": "512",  # the arm takes 0.77 of the time that 256 bits take

@@ -147,15 +147,25 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
     """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
-    def one_lane(k: Array, e: dict[str, Array], streams: PyTree, watches: PyTree, tracking: PyTree, x: Array) -> PyTree:
+    def bounded(k: Array, lane: Lane, drawn: PyTree) -> dict[str, PyTree]:
+        return simulate_runs.intervals(layout, p, params_of(layout, p, drawn), k, lane.run)
+
+    def one_lane(
+        k: Array, e: PyTree, found: PyTree, streams: PyTree, watches: PyTree, tracking: PyTree, x: Array
+    ) -> PyTree:
         if layout.controller and state.tracking:
             tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
         updated = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
-        looked = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in watches.items()}
+        looked = {
+            label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, found.get(label, ()))
+            for label, w in watches.items()
+        }
         return updated, looked, tracking
 
-    e = errors(layout, p, k, state)
-    streams, watches, tracking = vmap_entrywise(one_lane)(k, e, state.streams, state.watches, state.tracking, state.x)
+    e, lane = errors(layout, p, k, state), Lane(state.x, state.memories, state.commands)
+    found = vmap_entrywise(bounded)(k, lane, state.drawn) if state.watches else {}
+    scored = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
+    streams, watches, tracking = scored
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 

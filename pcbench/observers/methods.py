@@ -135,6 +135,13 @@ METHODS = {
         "the model; the plant has one output",
         "Karafyllis, Kravaris 2009 (not obtained)",
     ),
+    "interval": Method(
+        "Interval observer",
+        "Corrects at the time of the measurement with a constant gain, and predicts to the present. It also computes an "
+        "interval of each state, which contains the state for all noise within given bounds.",
+        f"{AGES}, and bounds of measurement noise, process noise and the initial error, by default 6 standard deviations",
+        "after Mazenc, Dinh 2014 (not obtained)",
+    ),
     "lmi-sampled": Method(
         "Sampled-data observer with held innovations and an LMI gain",
         "Holds the innovation of each output until the next one arrives, and multiplies it by a constant gain. A certificate "

@@ -35,6 +35,7 @@ PAIR = ("observer_a", "observer_b", "n", "se", "p_holm", "prob_a_better", "mean_
 HIDDEN = ("mse", "steady_mse", "nees_dof", "nis_dof", *BANDS.values())  # squares of others, and no results of their own
 EXPECTED = {
     "rms_efficiency": 1.0,
+    "interval_coverage": 1.0,
     **dict.fromkeys(BANDS, 1.0),
     **dict(zip(INSIDE, (0.683, 0.954, 0.997), strict=True)),  # of Gaussian errors
 }
@@ -42,6 +43,8 @@ WORDS = {
     "nees": "NEES: squared error divided by the covariance",
     "nis": "NIS: squared innovation divided by its covariance",
     "signal_nees": "squared error of {} divided by its variance",
+    "interval_width": "mean width of the interval of {}",
+    "interval_coverage": "fraction of ticks at which {} is in its interval",
     "rms_efficiency": "Kalman bound divided by the rms error of {}",
     "divergence_rate": "fraction of runs that diverged",
     "unsettled_rate": "fraction of runs in which {} is not settled",

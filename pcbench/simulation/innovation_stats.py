@@ -62,6 +62,8 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
     made = Observer(init, snapshot, jump, flow, estimate)
     if (covariance := o.covariance) is not None:
         made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
+    if (bounds := o.bounds) is not None:
+        made = made._replace(bounds=lambda gains, memory: bounds(gains, memory.memory))
     if (on_sample := o.on_sample) is not None:
         made = made._replace(
             on_sample=lambda gains, memory, now, mask: memory._replace(

@@ -9,6 +9,7 @@ new sum also `external.score` and `simulation.reverse_mode`, which compute the s
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -26,12 +27,20 @@ class ErrorSums(NamedTuple):
     peak: Array  # [n] max |e|
 
 
+class IntervalSums(NamedTuple):
+    """What is kept of the intervals of an observer that has bounds: at one tick, or summed over ticks; n signals."""
+
+    width: Array  # [n] high - low
+    inside: Array  # [n] 1 where low <= z <= high
+
+
 class SettlingState(NamedTuple):
     """What is kept of one run over the whole horizon; n signals."""
 
     unsettled: Array  # [n] the tick after the last one at which |e| left its band
     recovery: Array  # [n] ticks from a jump of the unknown input until |e| is in its band to stay, until the next; the largest
     first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
+    interval: PyTree = ()  # IntervalSums of an observer that has bounds
 
 
 class Weights(NamedTuple):
@@ -70,9 +79,10 @@ def start(n: int) -> ErrorSums:
     return ErrorSums(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
 
 
-def start_watch(n: int) -> SettlingState:
-    """Return the watch before the first tick."""
-    return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0))
+def start_watch(n: int, bounded: int = 0) -> SettlingState:
+    """Return the watch before the first tick, of an observer that bounds so many signals."""
+    interval = IntervalSums(jnp.zeros(bounded), jnp.zeros(bounded)) if bounded else ()
+    return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0), interval)
 
 
 def update(stream: ErrorSums, e: Array) -> ErrorSums:
@@ -81,10 +91,12 @@ def update(stream: ErrorSums, e: Array) -> ErrorSums:
     return ErrorSums(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
 
 
-def look(watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array, jumps: Array) -> SettlingState:
+def look(
+    watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array, jumps: Array, interval: PyTree = ()
+) -> SettlingState:
     """Note when e[n] leaves its settling band, also after one of the `jumps` [J, ticks], and when it first leaves its bound.
 
-    `band` and `bound` are [n] or longer; a NaN leaves the bound.
+    `band` and `bound` are [n] or longer; a NaN leaves the bound. `interval` is that of the tick, where there are bounds.
     """
     n = e.shape[0]
     size, now = jnp.abs(e), tick.astype(float)
@@ -95,7 +107,8 @@ def look(watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array,
         since = jnp.min(jnp.where(jumps <= tick, tick - jumps, tick))
         after = jnp.any(jumps <= tick)
         recovery = jnp.where(outside & after, jnp.maximum(recovery, since + 1.0), recovery)
-    return SettlingState(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad)
+    intervals = jax.tree.map(jnp.add, watch.interval, interval)
+    return SettlingState(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad, intervals)
 
 
 def read(
@@ -120,6 +133,7 @@ def read(
     Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
     `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
     `squares` [n, L] and [L] (`innovation_stats.Squares`) are those of an observer that says how wrong it is.
+    `interval_width` is the mean of high - low over ticks, `interval_coverage` the share of ticks with low <= z <= high.
     A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
@@ -149,6 +163,9 @@ def read(
             square, degrees = np.atleast_2d(found.nis_sum), np.atleast_2d(found.dof)
             with np.errstate(invalid="ignore"):  # of a run in which no sample was judged nothing is known
                 out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_dof": degrees}
+    if watch.interval:
+        out["interval_width"] = np.asarray(watch.interval.width) / ticks
+        out["interval_coverage"] = np.asarray(watch.interval.inside) / ticks
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)

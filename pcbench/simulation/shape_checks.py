@@ -72,6 +72,13 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
                 f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
                 "of all that it estimates; return all of it."
             )
+    if (bounds := observer.bounds) is not None:
+        ends = ask("bounds", lambda p, m: jnp.asarray(bounds(p.gains[label], m)), memory)
+        if ends.shape != (2, *xhat.shape):
+            raise UserError(
+                f"observer {label}: bounds returned shape {ends.shape}, expected {(2, *xhat.shape)}: the low and the high end "
+                "of all that it estimates; return both."
+            )
     if (delay := observer.delay) is not None:
         two = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
         if two.shape != (2,):

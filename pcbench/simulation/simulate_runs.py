@@ -199,12 +199,20 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
         memories=memories,
         flight=Packet(ring(jnp.zeros(p.noise_std.shape[0])), ring(notes)),
         streams={label: windows(metrics.start(size)) for label, size in sizes.items()},
-        watches={label: metrics.start_watch(size) for label, size in sizes.items()} if layout.watch else {},
+        watches=start_watches(layout, sizes),
         commands=loop.commands,
         law=loop.law,
         tracking=windows(loop.tracking),
         effort=windows(loop.effort),
     )
+
+
+def start_watches(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.SettlingState]:
+    """Return the watches before tick 0, of so many errors of each observer."""
+    if not layout.watch:
+        return {}
+    bounded = {label: sizes[label] - layout.plant.scored if o.bounds else 0 for label, o in layout.observers}
+    return {label: metrics.start_watch(size, bounded[label]) for label, size in sizes.items()}
 
 
 def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Array, v: Array) -> Array:
@@ -289,6 +297,16 @@ def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Ru
     return {label: jnp.concatenate([e[label], own[label]]) for label in e} if own else e
 
 
+def intervals(
+    layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run
+) -> dict[str, metrics.IntervalSums]:
+    """Return the widths of the intervals of tick k, and whether z is in them, of observers that have bounds."""
+    able = [(label, o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds]
+    z = truth(layout, params, present(p, k, True), run.x) if able else run.x
+    inside = {label: (low <= z[: len(low)]) & (z[: len(low)] <= high) for label, (low, high) in able}
+    return {label: metrics.IntervalSums(high - low, inside[label].astype(float)) for label, (low, high) in able}
+
+
 def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
     """Return the plant's own errors of every observer at tick k, [d]; empty where it has none."""
     if layout.plant.errors is None:
@@ -302,7 +320,11 @@ def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: 
     """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
-    watches = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in run.watches.items()}
+    found = intervals(layout, p, params, k, run) if run.watches else {}
+    watches = {
+        label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, found.get(label, ()))
+        for label, w in run.watches.items()
+    }
     tracking = run.tracking
     if layout.controller and run.tracking:
         off = closed_loop.off_target(layout.controller, p, k, run.x)

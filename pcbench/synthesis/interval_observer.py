@@ -1,10 +1,13 @@
-"""An interval observer of a sampled linear plant: bounds of the state that hold for all noise within given bounds.
+"""Gain and coordinates of an interval observer, whose error is bounded for all noise within given bounds.
 
-The error obeys e(k+1) = M e(k) + b w - K v with |w| <= wmax, |v| <= vmax, and M = V diag(l) V^-1 has real distinct eigenvalues:
+The error before a sample is used obeys e(k+1) = M e(k) + b w - K v with M = Phi - K C, K = Phi L, |w| <= wmax, |v| <= vmax.
+With real distinct eigenvalues l, M = V diag(l) V^-1,
 
     r(k+1) = |l| r(k) + |V^-1 b| wmax + |V^-1 K| vmax,     |V^-1 e| <= r,     x in xhat +- |V| r
 
-The width 2 |V| r is the same in every run. In every run that respects the bounds, the interval contains the state (coverage 1).
+Proof: V^-1 e(k+1) = diag(l) V^-1 e(k) + V^-1 b w - V^-1 K v; take absolute values, entry by entry. The same holds for any V,
+with |N| = |V^-1 M V| instead of |l|, and r stays bounded if the spectral radius of |N| is below 1: the certificate. So a pair
+of complex eigenvalues is admitted, with the real and the imaginary part of its eigenvector in V.
 Source: ours, after Mazenc, Dinh, Automatica 50(10), 2014, which was not obtained.
 """
 
@@ -13,64 +16,93 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError
+from pcbench.synthesis import bandwidth
+from pcbench.synthesis.certificate import Certificate, require_certified
+from pcbench.value_cache import cached_by_value
+
+WHAT = "radius of |V^-1 M V| < 1, M = Phi (I - L C), V its real modes"
+FASTEST = 1e-3  # size of a mode per sample below which it keeps its pole
+WORST = 1e6  # condition number of V, with columns and rows of one size
 
 
-class IntervalObserver(NamedTuple):
-    """x(k+1) = A x + b w, y = C x + v, with the predictor's gain K and the bounds of w and v; n states."""
+class IntervalGains(NamedTuple):
+    """The gain and the coordinates of the radius; n states, q outputs."""
 
-    A: Matrix  # [n, n]
-    b: Matrix  # [n]
-    C: Matrix  # [n]
-    K: Matrix  # [n]
-    wmax: float
-    vmax: float
+    L: Matrix  # [n, q]
+    V: Matrix  # [n, n]
+    back: Matrix  # [n, n] V^-1
 
 
-class Noise(NamedTuple):
-    """The largest |w| and |v| of a simulation."""
+def gain(Phi: Matrix, C: Matrix, pole: float, poles: list[float] | None, where: str) -> Matrix:
+    """Return L [n, q] that gives Phi (I - L C) real distinct poles: `poles`, or `pole` and equally spaced smaller ones.
 
-    w: float
-    v: float
-
-
-def double_integrator(period: float, poles: tuple[float, float], wmax: float, vmax: float) -> IntervalObserver:
-    """Return the observer of a double integrator with a measured position and these real distinct eigenvalues of M."""
-    total, product = sum(poles), poles[0] * poles[1]
-    A, b = np.array([[1.0, period], [0.0, 1.0]]), np.array([period**2 / 2, period])
-    K = np.array([2 - total, (1 - total + product) / period])
-    return IntervalObserver(A=A, b=b, C=np.array([1.0, 0.0]), K=K, wmax=wmax, vmax=vmax)
-
-
-def modes(observer: IntervalObserver) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the eigenvalues l [n], V [n, n], and what one step adds to the radius r [n]."""
-    l, V = np.linalg.eig(observer.A - np.outer(observer.K, observer.C))
-    back = np.linalg.inv(V)
-    return l, V, np.abs(back @ observer.b) * observer.wmax + np.abs(back @ observer.K) * observer.vmax
-
-
-def final_width(observer: IntervalObserver) -> Matrix:
-    """Return the width of the interval of each state [n] after many steps."""
-    l, V, added = modes(observer)
-    return np.asarray(2 * np.abs(V) @ (added / (1 - np.abs(l))))
-
-
-def coverage(
-    observer: IntervalObserver, start: float, runs: int, steps: int, seed: int, noise: Noise | None = None
-) -> float:
-    """Return the share of states within their interval, over all steps, states and runs from `seed`.
-
-    x(0) is uniform in xhat(0) +- `start`; w and v are at a random end of their range. `noise`: its true bounds, if they differ
-    from those that the observer assumes.
+    By `pole`, modes that decay faster than 1e-3 per sample keep theirs. Raises DesignError where poles cannot be placed.
     """
-    l, V, added = modes(observer)
-    true = noise or Noise(observer.wmax, observer.vmax)
-    generator, n = np.random.default_rng(seed), len(observer.A)
-    e = generator.uniform(-start, start, (runs, n))
-    r = np.abs(np.linalg.inv(V)) @ np.full(n, start)
-    M, inside = observer.A - np.outer(observer.K, observer.C), 0
-    for _ in range(steps):
-        inside += int((np.abs(e) <= np.abs(V) @ r * (1 + 1e-12)).sum())
-        w, v = (bound * generator.choice([-1.0, 1.0], runs) for bound in true)
-        e = e @ M.T + np.outer(w, observer.b) - np.outer(v, observer.K)
-        r = np.abs(l) * r + added
-    return inside / (runs * steps * n)
+    slow = bandwidth.slow_modes(Phi, C, 0.0 if poles else FASTEST)
+    k = len(slow.Phi)
+    wanted = np.array(poles) if poles else pole * np.arange(k, 0, -1) / max(k, 1)
+    return slow.V @ bandwidth.predictor_gain(
+        slow.Phi, slow.C @ slow.Phi, wanted, where
+    )  # (I - L C) Phi has the poles of M
+
+
+def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGains, Certificate]:
+    """Return a gain with the modes of M = Phi (I - L C), and its certificate.
+
+    Args:
+        Phi: [n, n], over a sampling period.
+        C: [q, n].
+        L: [n, q], of the correction at a sample's time.
+        where: what is designed, for error messages.
+
+    Raises:
+        DesignError: M has no basis of modes, or r would grow.
+    """
+    M = Phi @ (np.eye(len(Phi)) - L @ C)
+    l, modes = np.linalg.eig(M)
+    V = np.where(l.imag < 0, modes.imag, modes.real)
+    rows = np.abs(V).max(1, keepdims=True)
+    if not np.linalg.cond(V / np.where(rows > 0, rows, 1.0)) < WORST:
+        raise DesignError(
+            f"{where}: got a gain with the poles {np.round(np.sort_complex(l), 6).tolist()} per sample, expected distinct "
+            "ones; give another gain or other poles."
+        )
+    back = np.asarray(np.linalg.inv(V), float)
+    N = np.abs(back @ M @ V)
+    margin = 1 - float(np.abs(np.linalg.eigvals(N)).max())
+    certificate = Certificate(WHAT, margin, "numpy", "computed", {"L": L, "V": V, "N": N})
+    return IntervalGains(L, np.asarray(V, float), back), require_certified(certificate, where)
+
+
+@cached_by_value
+def accumulated(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matrix:
+    """Return what process noise adds to r over s = 0 .. ticks ticks, [ticks + 1, n]: the sum of |V^-1 Phi^i b| over i < s.
+
+    Args:
+        Phi: [n, n], over a tick.
+        columns: [n, k] b, each multiplied by the bound of its noise per tick.
+        back: [n, n] V^-1.
+        ticks: the largest s.
+    """
+    out, b = np.zeros((ticks + 1, len(Phi))), columns
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable plant, at ages that do not occur
+        for s in range(ticks if columns.any() else 0):
+            out[s + 1] = out[s] + np.abs(back @ b).sum(1)
+            b = Phi @ b
+    return out
+
+
+def final_width(found: IntervalGains, Phi: Matrix, C: Matrix, noise: Matrix, vmax: Matrix) -> Matrix:
+    """Return the width of the interval of each state [n] after many samples, before the next is used.
+
+    Args:
+        found: the gain with its modes.
+        Phi: [n, n], over a sampling period.
+        C: [q, n].
+        noise: [n], what process noise adds to r over a sampling period.
+        vmax: [q].
+    """
+    K = Phi @ found.L
+    N, added = np.abs(found.back @ (Phi - K @ C) @ found.V), noise + np.abs(found.back @ K) @ vmax
+    return np.asarray(2 * np.abs(found.V) @ np.linalg.solve(np.eye(len(N)) - N, added))

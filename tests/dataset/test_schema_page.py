@@ -17,7 +17,17 @@ def test_tables_have_the_columns_of_the_page_in_their_order(whole):
         file = next((whole / "runs").rglob("*.parquet")) if name == "runs/" else whole / name
         schema = pq.ParquetFile(file).schema_arrow
         there = [column for column in schema.names if column not in AXES]
-        asked = ("lq_cost", "input_rms", "nees", "nees_dof", "nis", "nis_dof", "signal_nees")
+        asked = (
+            "lq_cost",
+            "input_rms",
+            "nees",
+            "nees_dof",
+            "nis",
+            "nis_dof",
+            "signal_nees",
+            "interval_width",
+            "interval_coverage",
+        )
         loops = {m for m in order if m.removeprefix("steady_") in asked}  # of closed loops, or of who asks for it
         assert there == [c for c in order if c not in loops and (name != "runs/" or c not in ("scenario", "observer"))]
         at = schema.names.index("cell") + 1

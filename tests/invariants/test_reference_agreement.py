@@ -36,7 +36,7 @@ def expected(case, observer, options, u, samples):
     xhat0 = starts(case)[1]
     if observer == "model-only":
         return reference.model_only(model, u, xhat0)
-    if observer == "pccebo":
+    if observer in ("pccebo", "interval"):  # its bounds: tests/observers/test_interval.py
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer == "eso":
         return field_observers.eso(model, u, samples, xhat0, design.gains.L)

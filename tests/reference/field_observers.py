@@ -4,6 +4,7 @@ Order of a tick, times and samples are those of `reference.linear`.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -151,3 +152,41 @@ def finite_time(
         xhat[k] = now
         now = Ad @ now + Bd @ u[k]
     return xhat
+
+
+class Bounds(NamedTuple):
+    """What an interval observer takes for granted; V has the coordinates of the radius in its columns."""
+
+    V: Array  # [n, n]
+    start: Array  # [n] radius at tick 0
+    w: Array  # [n] largest process noise of each state per tick
+    v: Array  # [q] largest noise of a sample
+
+
+def interval(
+    model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array, known: Bounds
+) -> tuple[Array, Array]:
+    """Return the ends [N+1, n] of the intervals of a current estimator with L [n, q].
+
+    At every tick, every term is multiplied out from the newest sample on. Samples arrive in order, with all channels.
+    """
+    Ad, _ = discretise(model.A, model.B, model.h)
+    xhat, inbox, back = pccebo(model, u, samples, xhat0, L), by_arrival(samples), np.linalg.inv(known.V)
+    keep = np.eye(len(Ad)) - L @ model.C
+    at, radius, used, half = 0, known.start, False, np.zeros_like(xhat)
+
+    def later(ticks: int) -> Array:
+        flow = np.linalg.matrix_power(Ad, ticks)
+        total = np.abs(back @ flow @ (keep if used else np.eye(len(Ad))) @ known.V) @ radius
+        if used:
+            total = total + np.abs(back @ flow @ L) @ known.v
+        for i in range(ticks):
+            total = total + np.abs(back @ np.linalg.matrix_power(Ad, i)) @ known.w
+        return total
+
+    for k in range(len(u)):
+        for taken, _ in whole_vectors(inbox.get(k, []), len(model.C)):
+            radius = later(taken - at)
+            at, used = taken, True
+        half[k] = np.abs(known.V) @ later(k - at)
+    return xhat - half, xhat + half

@@ -28,6 +28,7 @@ LTI = {
     "tick": 0.01,
     "duration": 2.0,
 }
+SHARED = LTI | {"sampling_period": [0.1, 0.1], "delay": [0.03, 0.03]}
 LQR = {"use": "lqr", "Q1": [1.0, 1.0], "Q2": [1.0]}
 MANY = ["kf", "model-only", "kf-ignore-delay", "kf-cloning", "ekf", "ukf"]
 FAULTS = {
@@ -55,6 +56,13 @@ CASES = {  # the longest first
         "lti": LTI,
         "observers": ["kf"],
         "options": {"scenario": {"random_initial_state": True, "consistency": True}},
+    },
+    "bounds": {"lti": SHARED, "observers": ["interval", "kf"], **RANDOM},
+    "bounds, random": {
+        "lti": SHARED,
+        "observers": ["interval"],
+        "axes": {"loss": [0.2], "delay_jitter": [0.05]},
+        **RANDOM,
     },
     "faults": {
         "lti": LTI,

@@ -22,7 +22,10 @@ from pcbench.study import scenarios_of, title_of_scenario
 LONGEST = 48  # rows of a closing table; beyond, wins are counted instead
 LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
 # least first, where there are such
-BESIDE = ("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency")
+BESIDE = (
+    *("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency"),
+    *("interval_coverage", "interval_width"),
+)
 COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "diff. to best"
 PAIRED = f"'{LESS}' compares runs with the same noise; = is not significant (paired t-test, Holm, 5 %)."

@@ -68,5 +68,9 @@ def weight(delay: float) -> float:
 
 
 def widths(poles: tuple[float, float]) -> Matrix:
-    """Return the final widths of the interval observer of a double integrator."""
-    return interval_observer.final_width(interval_observer.double_integrator(0.5, poles, wmax=0.2, vmax=0.05))
+    """Return the final widths of the interval observer of a double integrator, h = 0.5, |w| <= 0.2, |v| <= 0.05."""
+    Phi, b, C = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[0.125], [0.5]]), np.eye(2)[:1]
+    L = interval_observer.gain(Phi, C, max(poles), [*poles], "interval")
+    found, _ = interval_observer.certify(Phi, C, L, "interval")
+    noise = interval_observer.accumulated(Phi, 0.2 * b, found.back, 1)[1]
+    return interval_observer.final_width(found, Phi, C, noise, np.array([0.05]))
