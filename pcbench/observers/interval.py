@@ -83,7 +83,7 @@ class Options(StrictOptions):
     poles: list[float] | None = Field(
         None, description="all n poles of the error per sample, real and distinct, instead of `pole`"
     )
-    L: list[list[float]] | None = tunable(None, description="[n, q] gain at a sample's time, instead of a computed one")
+    L: list[list[float]] | None = Field(None, description="[n, q] gain at a sample's time, instead of a computed one")
     sigmas: float = Field(6.0, gt=0, description="assumed standard deviations to which noise and x(0) are bounded")
     noise_bound: list[float] | None = Field(
         None, description="largest noise of a sample of each output, instead of by `sigmas`"

@@ -58,6 +58,7 @@ LOOKS = {
     "finite-time": Style("#AEA709", (5.0, 3.0), "8"),
     "high-gain-predictor": Style("#895B51", (7.0, 1.4, 2.4, 1.4), "X"),
     "lmi-sampled": Style("#9151FB", (9.0, 1.4, 3.0, 1.4), "h"),
+    "interval": Style("#A527A7", (2.0, 1.2, 6.0, 1.2), "d"),
     "ekf": Style("#884400", (2.8, 1.4), "^"),
     "ekf-iterated": Style("#542F6B", (6.0, 1.4, 1.0, 1.4), "v"),
     "ukf": Style("#0C11BB", (4.0, 1.4, 4.0, 1.4, 1.0, 1.4), "D"),

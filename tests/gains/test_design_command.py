@@ -40,6 +40,7 @@ PROMISES = {
     "eso",
     "cascade-predictor",
     "finite-time",
+    "interval",
 }  # no-delay diverges there, kf's gain varies in time
 
 

@@ -37,6 +37,7 @@ def observers(holds):
             lambda e: e.takes == "constant delays",
         ),
         ("limitations.md", "Only open loops are supported by", lambda e: not e.loops),
+        ("consistency.md", "These observers report an interval:", lambda e: e.observer.bounds),
         ("consistency.md", "These observers report a covariance:", lambda e: e.observer.covariance),
         (
             "consistency.md",
@@ -127,7 +128,7 @@ def test_every_check_of_an_observer_is_named():
 
 def test_every_optional_function_of_an_observer_is_named():
     optional = Observer._field_defaults
-    assert f"{ {6: 'Six'}[len(optional)] } functions are optional" in PAGES["your_own_observer.md"]
+    assert f"{ {7: 'Seven'}[len(optional)] } functions are optional" in PAGES["your_own_observer.md"]
     section = PAGES["your_own_observer.md"].split("## Optional functions")[1].split("\n## ")[0]
     for name in optional:
         assert re.search(rf"`{name}[(`]", section), name

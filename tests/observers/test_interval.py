@@ -105,6 +105,18 @@ def test_widths_of_a_study_end_at_the_printed_ones(poles):
     assert np.all(widths_from(50.0, {"poles": [*poles], "noise_bound": [0.0]}) < found - 0.05), "K v has a part in it"
 
 
+def test_smallest_bound_of_the_same_error_is_much_narrower():
+    """The sum of what each noise leaves of itself at its worst, as the guide says it."""
+    b, K = np.array([0.125, 0.5]), np.array([2 - 0.5, (1 - 0.5 + 0.06) / 0.5])
+    M = np.array([[1.0, 0.5], [0.0, 1.0]]) - np.outer(K, [1.0, 0.0])
+    each = (
+        2 * np.abs(np.linalg.matrix_power(M, i) @ v) * size for i in range(99) for v, size in ((b, PUSHED), (K, SEEN))
+    )
+    smallest = sum(each)
+    np.testing.assert_allclose(smallest, [0.38, 0.66], atol=5e-3)
+    assert (smallest < PRINTED[0.2, 0.3]).all()
+
+
 @pytest.mark.parametrize("poles", PRINTED)
 def test_design_says_what_the_width_before_a_sample_will_be(poles):
     made = pcbench.design(study(INTEGRATORS, {"poles": [*poles]}), "interval")

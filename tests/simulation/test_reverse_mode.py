@@ -86,6 +86,7 @@ SLOPES = {
     "pco": ("cart/variable", {"Kp": -30.0}, "mse"),
     "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),
     "eso": ("cart/gaussian", {"pole": 0.6}, "steady_rmse"),
+    "interval": ("cart/gaussian", {"pole": 0.6}, "steady_rmse"),
     "finite-time": ("cart/gaussian", {"pole": 0.5}, "mae"),
     "communication-disturbance": ("cart/gaussian", {"pole": 0.6}, "rmse"),
     "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "steady_mse"),

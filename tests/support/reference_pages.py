@@ -48,6 +48,7 @@ LABELS = {  # of facts whose name in `pcbench list` is too short for a page
     "exact_moments": "exact moments on linear plants",
     "tunes_by_gradient": "gradients for `pcbench tune`",
     "innovations": "innovations (`nis`)",
+    "bounds": "bounds of the state (`interval_width`)",
     "knows_schedule": "no error from a true start, with a true model and no noise",
     "uses_stated_variance": "uses the variance of each measurement in a recording",
     "samples": "accepted samples",
