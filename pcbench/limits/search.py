@@ -252,7 +252,8 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
     return low, high
 
 
-SMALLER_IS_BETTER = tuple(m for m in METRICS if m not in SIGNED)
+NOT_SMALLER = ("rms_efficiency", "interval_coverage", *SIGNED)
+SMALLER_IS_BETTER = tuple(m for m in METRICS if m not in NOT_SMALLER)
 UNITLESS = ("divergence_rate", "unsettled_rate")
 PUSHES = ("parameter_drift", "process_std")
 
@@ -287,7 +288,7 @@ class Question(NamedTuple):
 def question(study: Study, where: str, named: str, metric: str, signal: str | None, threshold: float) -> Question:
     """Return what is asked; raise UserError naming what no answer can be given to."""
     if metric not in SMALLER_IS_BETTER:
-        if metric in ("rms_efficiency", *SIGNED):
+        if metric in NOT_SMALLER:
             raise UserError(
                 f"--metric: got {metric}, of which less is not better, expected the size of an error; take steady_pooled_rmse."
             )

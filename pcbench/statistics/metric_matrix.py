@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from pcbench.statistics.confidence_intervals import Values
 
+INTERVALS = ("interval_width", "interval_coverage")  # of an observer that has bounds
 RUN_METRICS = (
     *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
     *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error"),
     *("tracking_rmse", "steady_tracking_rmse"),
     *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
-    *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", "interval_width", "interval_coverage"),
+    *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
 OF_RUN = (
     "lq_cost",
@@ -25,12 +26,7 @@ OF_RUN = (
     "nis",
     "nis_dof",
 )  # of a closed loop, or of an observer that says how wrong it is: one number a run, with its first signal
-ASKED = (
-    *OF_RUN,
-    "signal_nees",
-    "interval_width",
-    "interval_coverage",
-)  # that a table of runs has only where there are such
+ASKED = (*OF_RUN, "signal_nees", *INTERVALS)  # that a table of runs has only where there are such
 SIGNED = ("final_error",)  # an error with its sign: all others cannot be negative
 UNRANKED = (
     *SIGNED,
@@ -39,8 +35,7 @@ UNRANKED = (
     "nis",
     "nis_dof",
     "signal_nees",
-    "interval_width",
-    "interval_coverage",
+    *INTERVALS,
 )  # neither a large nor a small one is better: a narrow interval is only where it contains the state
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}

@@ -15,6 +15,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import COUNTS
+from pcbench.statistics.metric_matrix import INTERVALS
 from pcbench.statistics.number_format import MARK, estimate, mark_uncertified
 from pcbench.statistics.ranking import standing
 from pcbench.study import title_of_scenario
@@ -111,7 +112,12 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
     observers = list(dict.fromkeys(o for column in columns for o in column))
     rows = [_row([o], [column.get(o) for column in columns]) for o in observers]
     title = title_of_scenario(result.study, scenario)
-    return Table(title, "", f"{title}: {metric} of the error", [Head("observer")], heads, rows)
+    return Table(title, "", f"{title}: {_subject(metric)}", [Head("observer")], heads, rows)
+
+
+def _subject(metric: str) -> str:
+    """A metric and what it is of: an interval is of the signal itself."""
+    return metric if metric in INTERVALS else f"{metric} of the error"
 
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
@@ -134,7 +140,7 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
     places = sorted(dict.fromkeys(at[:-1] for at in by), key=lambda place: groups.index(place[:-1]))
     unit = part.unit.iloc[0]
     title = title_of_scenario(result.study, scenario)
-    about = f"{title}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
+    about = f"{title}: {_subject(metric)} of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
     return Table(
         title=title,
         signal=signal,

@@ -245,6 +245,7 @@ BAD = {
     "no channel": ({"axis": "loss[0]"}, "where loss is one number"),
     "channel": ({"axis": "delay[1]"}, "expected delay[0] to delay[0]"),
     "metric": ({"metric": "rmsd"}, "'rmsd' is no metric to be kept below a limit; did you mean 'rmse'"),
+    "more coverage is better": ({"metric": "interval_coverage"}, "less is not better"),
     "less is not better": ({"metric": "rms_efficiency"}, "less is not better"),
     "not of this scenario": ({"metric": "tracking_rmse"}, "tracking_rmse of position, which cart/slow does not have"),
     "signal": ({"signal": "posision"}, "did you mean 'position'"),
