@@ -34,6 +34,10 @@ BROKEN = {
         {"covariance": lambda gains, memory, now: jnp.ones((1, 1))},
         r"covariance returned shape \(1, 1\), expected \(2, 2\)",
     ),
+    "one bound": (
+        {"bounds": lambda gains, memory: jnp.ones(2)},
+        r"bounds returned shape \(2,\), expected \(2, 2\)",
+    ),
     "innovation in full": (
         {"innovation": lambda gains, memory, now, arrival: arrival.value},
         r"innovation returned shapes \[\(1,\)\], expected two numbers",
