@@ -185,8 +185,13 @@ CLOCKS = {
     "disorder": Clock((0,), 30, 20, "periodic", 5, 45, 0.2),
 }
 OPTIONS = {"pccebo": {}, "pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}, "kf": {}}  # model-only never jumps
-MORE = ("eso", "super-twisting", "finite-time")  # a perfect start alone
-OPTIONS |= {"eso": {}, "super-twisting": {}, "finite-time": {"samples": 8}}  # few samples amplify rounding
+MORE = ("eso", "super-twisting", "finite-time", "interval")  # a perfect start alone
+OPTIONS |= {
+    "eso": {},
+    "super-twisting": {},
+    "interval": {},
+    "finite-time": {"samples": 8},
+}  # few samples amplify rounding
 RUN = ("pccebo", "pi-pco", "kf")  # pco is pi-pco with other numbers: the same program
 PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs there; both run pi-pco
 

@@ -99,7 +99,9 @@ def test_every_built_in_observer_keeps_to_the_protocol():
     asked = set()
     others = {
         "scenarios": ["cart/gaussian"],
-        "observers": sorted(o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in FIELD),
+        "observers": sorted(
+            o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in (*FIELD, "interval")
+        ),
     }
     joint = {"scenarios": ["flexible-joint/sampled"], "observers": ["high-gain-predictor"]}
     for study in (STUDIES["all"], Study(name="late", seeds=1, **others), Study(name="joint", seeds=1, **joint)):
