@@ -165,7 +165,7 @@ OBSERVERS = {
     "high-gain-predictor": _of(high_gain_predictor, "high-gain observer of any plant with one output")._replace(
         nonlinear=True
     ),
-    "interval": _of(interval, "interval observer: bounds of the state for bounded noise", "one clock"),
+    "interval": _of(interval, "interval observer: bounds of the state", "one clock"),
     "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
