@@ -99,7 +99,7 @@ def design(setting: DesignContext, options: Options) -> Design:
 
     Raises UserError where the plant is no chain of integrators from its input to its output, or unstable.
     """
-    period, where = one_clock(setting, "communication-disturbance"), f"communication-disturbance in {setting.scenario}"
+    period, where = one_clock(setting, "cdob"), f"cdob in {setting.scenario}"
     model = setting.model._replace(E=None)
     bandwidth.chain_of(model, where)
     fastest = float(np.max(np.linalg.eigvals(model.A).real))

@@ -105,7 +105,7 @@ METHODS = {
         "the model and one constant delay",
         "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
     ),
-    "communication-disturbance": Method(
+    "cdob": Method(
         "Communication disturbance observer (CDOB)",
         "Reads the delay of a measurement as a disturbance of the input, estimates it with one bandwidth, and adds the motion "
         "that it causes to the output. It tends to a Smith predictor as the bandwidth grows.",

@@ -40,7 +40,7 @@ def expected(case, observer, options, u, samples):
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer == "eso":
         return field_observers.eso(model, u, samples, xhat0, design.gains.L)
-    if observer == "communication-disturbance":
+    if observer == "cdob":
         return field_observers.communication_disturbance(
             model, u, samples, xhat0, np.vstack([design.gains.L, design.gains.l])
         )

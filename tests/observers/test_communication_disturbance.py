@@ -10,7 +10,7 @@ from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 
-NAME = "communication-disturbance"
+NAME = "cdob"
 INTEGRATORS = linear.Model(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [2.0]]), np.array([[1.0, 0.0]]))
 H, D, TICKS = 0.01, 30, 600
 START = [0.4, -0.3]
@@ -100,7 +100,7 @@ def test_it_has_no_certificate_and_says_why():
     ],
 )
 def test_other_plants_are_refused_in_one_sentence(model, sentence):
-    with pytest.raises(UserError, match=f"^communication-disturbance in case: .*{sentence}") as said:
+    with pytest.raises(UserError, match=f"^cdob in case: .*{sentence}") as said:
         designed(Case(model, 10, 0))
     assert str(said.value).count(". ") == 0
 

@@ -42,7 +42,7 @@ PUSHED = ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))
 FIND_INPUTS = ("smo", "pio")  # they need a plant with an unknown input, and move by Runge-Kutta: see test_unknown_input
 # no linear model is enough for the first, and one output for the second: test_helicopter, test_high_gain_predictor
 ELSEWHERE = (*FIND_INPUTS, "high-gain", "high-gain-predictor")
-CHAINS = ("eso", "super-twisting", "communication-disturbance")  # they need a chain of integrators, with one output
+CHAINS = ("eso", "super-twisting", "cdob")  # they need a chain of integrators, with one output
 TWO_AXES = linear.Model(np.eye(4, k=2), np.eye(4, 2, -2), np.eye(2, 4))  # positions, rates; and their frictions
 
 

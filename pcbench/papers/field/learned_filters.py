@@ -222,13 +222,13 @@ def _bimodal() -> Iterator[Claim]:
     c = compare(mine, wrong)
     near = abs(known / KNOWN_FLOOR - 1) < 0.01
     floor = f"{known:.5f} ({_db(known):.2f} dB) of {len(keys):,} runs"
-    claim = "bimodal noise: mean square error of the filter that knows each variance"
+    claim = "bimodal noise: mean square error of the filter with each variance"
     steady = "within 1 %" if near else f"{known:.3f}"
     yield Claim(claim, f"{KNOWN_FLOOR}", floor, REPRODUCED if near else FALSE, steady, f"{RECURSIVE} [V]")
     text = f"{wrong.mean():.4f} ({_db(wrong.mean()):.2f} dB) over {len(keys):,} runs"
     yield Claim("learned filter: bimodal noise: mean square error of the filter with variance 1", OURS, text, FINDING)
     text = f"mean square error {c.mean:.4f}, {_percent(c)} against the filter with variance 1"
     between = known < c.mean and c.difference < -1.96 * c.se
-    steady = "between that filter and the one that knows each variance"
+    steady = "between that filter and the one with each variance"
     claim = "better than the Kalman filter under bimodal noise"
     yield Claim(claim, "outperforms", text, REPRODUCED if between else FALSE, steady, f"{RECURSIVE} [S]")
