@@ -142,9 +142,9 @@ def convergence(
         for observer, line in lines(n for n in look if n in set(part.observer)).items():
             mine = part[part.observer == observer]
             ax.plot(mine.seeds, 100 * mine.half, marker=look[observer].marker, markersize=3.5, **line)
-        seeds = np.array([part.seeds.min(), part.seeds.max()])
-        last = 100 * part[part.seeds == seeds[1]].half.median()
-        ax.plot(seeds, last * np.sqrt(seeds[1] / seeds), label="1/√runs", color=SOFT, linestyle=":", linewidth=0.9)
+        seeds = np.linspace(part.seeds.min(), part.seeds.max(), 100)  # the axis of runs is linear
+        last = 100 * part[part.seeds == part.seeds.max()].half.median()
+        ax.plot(seeds, last * np.sqrt(seeds[-1] / seeds), label="1/√runs", color=SOFT, linestyle=":", linewidth=0.9)
     return figure
 
 

@@ -85,18 +85,21 @@ SHADES = (0.0, 0.34, -0.42, 0.5, -0.6, 0.18, -0.22)  # of white or black, for th
 
 
 def styles(labels: Iterable[str]) -> dict[str, Style]:
-    """Return a style for each label. A label has the same style in all figures, unless others of its observer are shown too."""
+    """Return a style for each label, whatever their order.
+
+    A label has the same style in all figures, unless others of its observer are shown too.
+    """
     out: dict[str, Style] = {}
     siblings: dict[str, int] = {}
     names = list(dict.fromkeys(labels))
-    for label in names:
+    for label in sorted(names):
         base = base_of(label) or label
         rank = 0
         if label != base:
             rank = siblings.get(base, 1 if base in names else 0)
             siblings[base] = rank + 1
         out[label] = _style(base, rank)
-    return out
+    return {label: out[label] for label in names}
 
 
 def _style(base: str, rank: int) -> Style:

@@ -60,19 +60,18 @@ def best(found: Ratios) -> str:
     others, runs = found.rows[found.rows.observer != found.best], int(found.rows.n.max())
     methods = ["95 % paired intervals"] * found.intervals
     methods += ["paired t-test with Holm's correction at 5 %"] if found.tested else ["runs do not vary"]
-    worse = others.observer[others.worse].to_list()
-    beaten = (
-        "every other observer is"
-        if len(worse) == len(others)
-        else f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}"
-    )
+    worse, tied = (others.observer[which].to_list() for which in (others.worse, ~others.worse.astype(bool)))
+    beaten = f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}" if tied else "every other observer is"
     beaten = beaten if worse else "no other observer is"
     method = ", ".join([f"{runs:,} runs", *methods])
     if found.exact:
         return f"{found.best} has the least error, and {beaten} worse (exact values)."
     elif runs < 2:
         return f"{found.best} has the least error; one run shows no significance."
-    return f"{found.best} has the least error, and {beaten} significantly worse ({method})."
+    beaten += " significantly worse"
+    if tied and worse:
+        beaten += f", {_joined(tied)} {'is' if len(tied) == 1 else 'are'} not"
+    return f"{found.best} has the least error, and {beaten} ({method})."
 
 
 def regrets(found: Regrets) -> tuple[str, str]:
@@ -86,8 +85,10 @@ def regrets(found: Regrets) -> tuple[str, str]:
     if not np.isfinite(largest[first]):
         return text, f"Each observer diverges in a situation ({method})."
     many = f"{len(found.situations)} situations"
+    if not all(map(np.isfinite, largest.values())):
+        method += "; ∞: every run diverged"
     if largest[first] < SAME:
-        return text, f"{first} has the least error in all {many} ({method})."
+        return text, f"{first} has the least error, or one as good, in all {many} ({method})."
     worst = f"at most {times(largest[first])} the least error in {many}"
     return text, f"{first} has the smallest worst case: its error is {worst} ({method})."
 
@@ -224,7 +225,9 @@ def profiles_note(figure: Figure) -> str:
     """Return how to read performance profiles."""
     if len(figure.axes) == 1:
         return "Higher is better."
-    ranks = "long dark bars below are ranks that new runs would not change (paired bootstrap over runs, mean over situations)"
+    ranks = (
+        "a long bar below is a rank that new runs would not change (paired bootstrap over runs, mean over situations)"
+    )
     return f"Higher is better above; {ranks}."
 
 

@@ -37,6 +37,7 @@ WORDS = {
     "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
     "grid point": "one combination of the values of a study's axes",
 }
+MANY = 4  # scenarios: of more, the size of the error over time is drawn for the first alone, so that a page stays small
 HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
 POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
@@ -90,10 +91,13 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
     places = figures.places(result, names, shown, progress)
     progress.begin("scenarios", len(names))
-    sections = []
+    sections = list[Section]()
     for name, anchor in anchors.items():
-        sections.append(_section(places[name], anchor))
+        sections.append(_section(places[name], anchor, bands=len(anchors) <= MANY or not sections))
         progress.step(1)
+    for picture in sections[0].parts[0].pictures if len(anchors) > MANY else ():
+        if picture["name"].endswith("-bands"):
+            picture["note"] += " Of the other scenarios: pcbench report --figures FOLDER."
     drawn = (part.pictures for section in sections for part in section.parts)
     first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
     head = [*([first] if first else []), *map(_inline, figures.of_study(result, shown))]
@@ -156,10 +160,11 @@ def share_styles(html: str) -> str:
     return html.replace("</style>", f"{rules}</style>", 1)
 
 
-def _section(place: figures.Place, anchor: str) -> Section:
+def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
+    """Return the section of a scenario; without `bands` it lacks the largest figures, those of the error over time."""
     result, scenario, shown, parts = place.result, place.scenario, place.shown, []
     for signal, pictures in figures.of_scenario(place):
-        drawn = list(map(_inline, pictures))
+        drawn = [_inline(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
         if signal is None:
             parts += [Part("All signals", [], "", drawn)] if drawn else []
             continue

@@ -115,7 +115,7 @@ def test_hollow_markers_are_those_that_are_not_significant(result):
     stood = frames.standings(result).iloc[0]
     assert hollow == set(stood.leaders) - {found.best} == {"kf-twin"}
     assert captions.best(found) == (
-        "kf has the least error, and pccebo and kfbo are significantly worse "
+        "kf has the least error, and pccebo and kfbo are significantly worse, kf-twin is not "
         "(12 runs, 95 % paired intervals, paired t-test with Holm's correction at 5 %)."
     )
     assert "kf-twin 1 (1 to 1), equal" in captions.ratios(found)

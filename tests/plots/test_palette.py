@@ -92,3 +92,10 @@ def test_the_interactive_figure_draws_every_marker():
     table = script.partition("const MARKERS = {")[2].partition("};")[0]
     drawn = set(re.findall(r"(?:^|[\s,])[\"']?([\w^<>*])[\"']?: ", table)) | {"x"}
     assert {style.marker for style in palette.LOOKS.values()} | set(palette.SIBLINGS) <= drawn
+
+
+def test_styles_do_not_depend_on_the_order_of_labels():
+    """A figure in the order of ranks has the colours of one in the order of the study."""
+    labels = ["kf", "pccebo-riccati", "pccebo-loose", "kf-bias"]
+    assert palette.styles(labels) == palette.styles(labels[::-1])
+    assert list(palette.styles(labels)) == labels

@@ -105,7 +105,9 @@ def test_equal_neighbours_are_one_label():
 def test_caption_names_smallest_worst_case(result):
     found = regret_matrix.regrets_of(result)
     text, note = captions.regrets(found)
-    assert note.startswith("kf has the least error in all 4 situations (6 runs, hatched: not significant")
+    assert note.startswith(
+        "kf has the least error, or one as good, in all 4 situations (6 runs, hatched: not significant"
+    )
     assert text.startswith("Largest ratios: kf 1×")
     _, note = captions.regrets(found._replace(observers=found.observers[1:]))
     worst = labels.times(found.largest[found.observers[1]])

@@ -130,6 +130,14 @@ def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
     short = [word for word in SHORT.get(name, []) if "=" in word]
     result = pcbench.run(name, seeds=4, overrides=short)
     assert [fault for picture in pictures(result) for fault in faults(picture, result, 4)] == []
+    assert len(page.page(result).encode()) < 1.2e6
+
+
+@pytest.mark.slow
+def test_page_of_many_scenarios_and_observers_is_small():
+    text = page.page(pcbench.run("model-mismatch", seeds=4))
+    assert len(text.encode()) < 1.2e6
+    assert text.count("Size of the error over time") == text.count("Of the other scenarios") == 1
 
 
 @pytest.mark.ci
