@@ -120,7 +120,8 @@ def _time_problem(stamp: str, s: FieldStats | None) -> str:
 
 
 def _more(s: FieldStats, numbers: Floats) -> FieldStats:
-    steps = np.diff(numbers, prepend=s.last)
+    with np.errstate(invalid="ignore"):  # infinite values
+        steps = np.diff(numbers, prepend=s.last)
     return FieldStats(
         spread=add(s.spread, np.arange(s.rows + 1, s.rows + 1 + len(numbers)), numbers),
         rows=s.rows + len(numbers),

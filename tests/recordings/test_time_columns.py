@@ -161,3 +161,11 @@ def test_another_unit_of_time_than_the_heads_is_refused(tmp_path):
     pd.DataFrame({"t [ms]": RISING, "y": RISING}).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(UserError, match=r"got the time_unit s, expected ms as in the head"):
         pcbench.info(toml(tmp_path, time_unit="s"))
+
+
+@pytest.mark.filterwarnings("error")
+def test_infinite_values_give_no_warning(tmp_path):
+    """Logs of flights have them where nothing was estimated yet."""
+    log = table(tmp_path, RISING, w=[np.inf] * len(RISING))
+    (found,) = contents.contents(log)
+    assert found.problem == ""
