@@ -100,7 +100,7 @@ def test_every_built_in_observer_keeps_to_the_protocol():
     others = {
         "scenarios": ["cart/gaussian"],
         "observers": sorted(
-            o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in (*FIELD, "interval")
+            o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in (*FIELD, "interval", "cdob")
         ),
     }
     joint = {"scenarios": ["flexible-joint/sampled"], "observers": ["high-gain-predictor"]}
