@@ -199,7 +199,7 @@ def _cell(p: Plan) -> dict[str, object]:
         "delay": list(known.delay),
         "latest": known.latest,
         "noise_std": list(known.noise_std),
-        "R": np.diag(np.square(known.noise_std)).tolist(),
+        "R": np.asarray(known.noise_covariance).tolist(),
         "Q": known.process_noise.tolist(),
         "input_intensity": known.input_intensity,
         "P0": np.asarray(known.P0).tolist(),

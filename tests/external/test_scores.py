@@ -202,6 +202,27 @@ def test_closed_loops_have_no_draws(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_covariance_of_correlated_noise_is_whole(tmp_path):
+    """Of noise that is correlated between channels; of a channel without noise it is tiny, so that it has an inverse."""
+    lti = {
+        "A": [[0.0, 1.0], [0.0, 0.0]],
+        "B": [[0.0], [1.0]],
+        "C": [[1.0, 0.0], [0.0, 1.0]],
+        "tick": 0.1,
+        "duration": 1.0,
+    }
+    lti |= {
+        "sampling_period": 0.1,
+        "delay": 0.0,
+        "noise_std": [0.3, 0.2],
+        "noise_correlation": [[1.0, 0.5], [0.5, 1.0]],
+    }
+    study = {"name": "both", "lti": lti, "observers": ["kf"], "seeds": 1}
+    export_draws.write(parse.grid_of(study, {}, []), tmp_path / "out")
+    (cell,) = json.loads((tmp_path / "out" / "draws" / "cells.json").read_text())
+    np.testing.assert_allclose(cell["R"], [[0.09, 0.03], [0.03, 0.04]], rtol=1e-12)
+
+
 def _estimated(tmp_path, text):
     """What a guest makes of one run without delay, and what `kf` does."""
     (tmp_path / "mine.py").write_text(text)
