@@ -28,7 +28,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
-LONGEST = 600  # [s] of the tests of one mutant: beyond, it never ends, which is a failure
+LONGER = 5  # times as long as the tests take without a change: beyond, a mutant never ends, which is a failure
 # no mutants of types (X | None), of decorators, of exceptions' classes, and none that cosmic-ray needs words for
 WITHOUT = ("BitOr", "RemoveDecorator", "ExceptionReplacer", "NoOp", "VariableReplacer", "VariableInserter")
 MORE = {  # folders with tests that are about a folder of the package, besides its own
@@ -88,11 +88,11 @@ def tests_of(file: Path) -> list[str]:
     return [each for each in (folder, *MORE.get(folder, ())) if (TESTS / each).exists()]
 
 
-def pytest(place: Path, tests: list[str], longest: float) -> int:
-    """Run tests on the copy of the package in a folder; return pytest's exit code, 1 where they never end."""
+def pytest(place: Path, tests: list[str], marks: str, longest: float | None) -> int:
+    """Run tests on the copy of the package in a folder; return pytest's exit code, 1 where they take too long [s]."""
     words = ["-m", "pytest", f"--rootdir={ROOT}", "-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-n", "0"]
     words += ["-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    words += ["-m", "not slow", *(str(TESTS / each) for each in tests)]
+    words += ["-m", marks, *(str(TESTS / each) for each in tests)]
     env = os.environ | {"PYTHONPATH": str(place), "PCBENCH_CACHE": str(place / "cache")}
     (place / "cache").mkdir(mode=0o700)
     quiet = subprocess.DEVNULL
@@ -111,13 +111,15 @@ def pytest(place: Path, tests: list[str], longest: float) -> int:
         RUNNING.discard(process)
 
 
-def attempt(folder: Path, tests: list[str] | None, m: Mutant | None) -> tuple[Mutant | None, bool, float]:
-    """Return a mutant, whether a test fails on it, and how long that took; None: the package as it is, on all tests."""
+def attempt(
+    folder: Path, tests: list[str], marks: str, m: Mutant | None, longest: float | None = None
+) -> tuple[Mutant | None, bool, float]:
+    """Return a mutant, whether a test fails on it, and how long that took [s]; None: the package as it is."""
     start, place = perf_counter(), Path(tempfile.mkdtemp(dir=folder))
     shutil.copytree(ROOT / "pcbench", place / "pcbench", ignore=shutil.ignore_patterns("__pycache__"))
     if m:
         (place / m.file).write_text(m.text(), encoding="utf-8")
-    failed = pytest(place, tests or tests_of(m.file if m else Path()), LONGEST if m else 10 * LONGEST) != 0
+    failed = pytest(place, tests, marks, longest) != 0
     shutil.rmtree(place, ignore_errors=True)
     return m, failed, perf_counter() - start
 
@@ -156,6 +158,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="which ones [default: 0]")
     parser.add_argument("--jobs", type=int, default=2, help="how many at a time [default: 2]")
     parser.add_argument("--tests", action="append", help="tests to run instead of those of the folder (repeatable)")
+    parser.add_argument("--quick", action="store_true", help="only the tests of a plain `pytest`: never a higher score")
     parser.add_argument("--least", type=float, default=0.0, help="score below which the exit code is 1 [default: 0]")
     given = parser.parse_args()
     every = [m for file in files_of(given.where, given.since) for m in mutants(file)]
@@ -169,11 +172,15 @@ def main() -> int:
     caught = 0
     with tempfile.TemporaryDirectory(prefix="pcbench-mutants-", ignore_cleanup_errors=True) as name:
         tests = given.tests or sorted({test for m in some for test in tests_of(m.file)})
-        if attempt(Path(name), tests, None)[1]:
+        marks = "not slow and not ci" if given.quick else "not slow"
+        _, failed, seconds = attempt(Path(name), tests, marks, None)
+        if failed:
             print(f"The tests do not pass without any change: {' '.join(tests)}", file=sys.stderr)
             return 1
         pool = ThreadPoolExecutor(given.jobs)
-        waiting = [pool.submit(attempt, Path(name), given.tests, m) for m in some]
+        print(f"without a change: {seconds:.0f} s for the tests of {' '.join(tests)}", flush=True)
+        longest = LONGER * max(seconds, 60)
+        waiting = [pool.submit(attempt, Path(name), given.tests or tests_of(m.file), marks, m, longest) for m in some]
         try:
             for done, future in enumerate(as_completed(waiting), 1):
                 m, failed, seconds = future.result()
