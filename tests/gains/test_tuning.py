@@ -1,11 +1,13 @@
 """Tuning: free parameters, ways down, going on after a stop, judged on other seeds, one sentence for every mistake."""
 
 import json
+import shlex
 
 import numpy as np
 import pandas as pd
 import pytest
 from commands import call
+from documents import fenced
 from hypothesis import given
 from hypothesis import strategies as st
 from interruptions import stop_tuning_at
@@ -233,6 +235,19 @@ def test_the_command_says_what_it_found(tmp_path):
     again = json.loads(call("tune", *words, "--json").stdout)
     assert again["points"] == 2
     assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("observer", ["kf", "mine.py:nudge"])
+def test_the_printed_command_compares_what_was_tuned(observer, tmp_path):
+    (page,) = (b.text for b in fenced("your_own_observer.md") if b.title == "mine.py")
+    (tmp_path / "mine.py").write_text(page)
+    words = ["--budget", "2", "--training-seeds", "0:4", "--validation-seeds", "4:8", "--out", "out"]
+    done = call("tune", "cart/white", observer, *words, cwd=tmp_path)
+    printed = next(line for line in done.stdout.splitlines() if line.startswith("Compare it: pcbench "))
+    again = call(*shlex.split(printed)[3:], "--seeds", "2", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert observer.rpartition(":")[2] in again.stdout
 
 
 @pytest.mark.ci

@@ -9,6 +9,7 @@ from rich.text import Text
 from pcbench.checking.targets import Finding
 from pcbench.cli.render.tables import Column, Screen, mean
 from pcbench.statistics.number_format import UNPROVEN, mark_uncertified
+from pcbench.study.labels import label_of
 from pcbench.synthesis.certificate import Design, is_certified
 from pcbench.toml_text import TomlTable
 
@@ -78,8 +79,9 @@ def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Scr
         screen.print(f"The start is kept: {found.kept_start}.")
     if folder is not None:
         rival = "model-only" if observer == "kf" else "kf"
+        label = label_of(observer)
         screen.say(
-            f"Compare it: pcbench run {folder}/tuned.toml --observers {observer},{rival} --out results/{observer}-tuned"
+            f"Compare it: pcbench run {folder}/tuned.toml --observers {label},{rival} --out results/{label}-tuned"
         )
 
 
