@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from commands import call
 from delays import judged
-from documents import PAGES
+from documents import PAGES, fenced
 from reference import linear, unknown_delay
 from reference.linear import Sample
 
@@ -172,6 +173,22 @@ def test_what_cannot_be_is_one_sentence(options, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
         pcbench.run(STUDY | {"observers": [name], "options": options}, seeds=1)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.nightly
+def test_the_pages_own_plant_gives_the_printed_numbers(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = PAGES["unknown_delay.md"]
+    (text,) = (b.text for b in fenced("unknown_delay.md") if b.title == "motor.toml")
+    (tmp_path / "motor.toml").write_text(text)
+    steady = pcbench.run("motor.toml").stats.query("signal == 'angle' and metric == 'steady_rmse'")
+    errors = [f"{steady.set_index('observer')['mean'][o]:.4f}" for o in ("mmae-delay", "ekf-delay", "kf")]
+    assert "is {} with `mmae-delay`, {} with `ekf-delay` and {} with\n`kf`".format(*errors) in page
+    call("simulate", "motor.toml", "--observer", "mmae-delay", "--out", "run.csv", "--log", "motor", cwd=tmp_path)
+    found = pcbench.replay("motor", "motor.toml", ["mmae-delay", "ekf-delay"])
+    first, second = (f"{found.summary['delays'][o]['delay']:.3f}" for o in ("mmae-delay", "ekf-delay"))
+    assert f"prints an estimated delay of {first} s by `mmae-delay`" in page
+    assert f"and of {second} s by `ekf-delay`" in page
 
 
 def test_a_plant_whose_output_sees_the_input_is_refused():
