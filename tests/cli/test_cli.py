@@ -16,6 +16,25 @@ PCBENCH = [sys.executable, "-m", "pcbench"]
 SMALL = ["cart/slow", "--observers", "pccebo,kfbo"]  # the program of `small_study`
 
 
+ENDS = """
+import atexit, sys
+import pcbench.cli
+
+def stop():
+    atexit.register(print, "called", flush=True)
+    sys.exit({code})
+
+pcbench.cli.main = stop
+pcbench.cli.program()
+"""
+
+
+@pytest.mark.parametrize("code", [0, 2, 130])
+def test_program_ends_with_its_code_and_calls_functions_of_atexit(code):
+    done = subprocess.run([sys.executable, "-c", ENDS.format(code=code)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (code, "called\n"), done.stderr
+
+
 def refused(done):
     """Exit code 2, nothing on standard output, one sentence."""
     assert done.returncode == 2, done.stderr
