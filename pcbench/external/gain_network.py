@@ -3,7 +3,7 @@
     prior(k) = f(x(k-1), u),    e = y - h(prior at the tick of the sample),    x(k) = prior(k) + K e
 
 The gain K [n, q] is the output of a gated recurrent unit. Its inputs are e and the last correction K e, divided by `scale`. The
-network knows f and h, which may be wrong, but no covariance. It is trained on simulated runs with the true states: the loss
+network uses f and h, which may be wrong, but no covariance. It is trained on simulated runs with the true states: the loss
 is the mean square error over all ticks. Training draws from seeds of its own, so no run of a study is ever trained on.
 
     z, r = sigmoid(W_z i + U_z s + b_z), sigmoid(W_r i + U_r s + b_r),    m = tanh(W_m i + r U_m s + b_m)
@@ -177,6 +177,8 @@ class LearnedFilter:
             if not self.first:
                 memory = memory._replace(x=self.system.model(memory.x) + self.gamma @ u)
             self.first = False
+            if arrivals and not arrivals[0].mask.all():
+                raise UserError(f"t = {t:.9g} s: got a sample of some outputs only, expected all at a time; use kf.")
             y = arrivals[0].value if arrivals else np.zeros(memory.outputs.shape[1])
             self.memory = self.correct(self.network, memory, y, np.asarray(bool(arrivals)))
             return np.asarray(self.memory.x)

@@ -80,8 +80,7 @@ def contents(path: Path) -> list[Contents]:
 def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
     fields = list(dict.fromkeys([*topic.times, *topic.numbers]))
     source = source._replace(topic=topic.name, frame=topic.frame, fields=fields, times=set(topic.times))
-    stats, several = {field: FieldStats() for field in fields}, topic.kind.partition(" with ")[2]
-    problem = f"{several}: left out, as their names are the same; rename them." if several else ""
+    stats, problem = {field: FieldStats() for field in fields}, topic.problem
     try:
         for part in kind.columns(source) if fields else ():
             stats = {field: _more(stats[field], part[field]) for field in fields}

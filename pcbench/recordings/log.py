@@ -96,6 +96,7 @@ class Topic(NamedTuple):
     times: Sequence[str] = ()  # fields that are times by their type, the first one the stamp
     frame: str = ""
     words: Sequence[str] = ()  # fields of text
+    problem: str = ""  # why some of its fields are left out
 
 
 def shift_stamps(log: Log, offsets: Floats) -> Log:

@@ -157,7 +157,7 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
 
 
 def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
-    """Raise UserError where a period has no effect, or is of rows whose times nobody has left out on purpose."""
+    """Raise UserError where a period has no effect, or some rows of a table have a period and others a column of times."""
     each = {f"{what}.{name}": c for what in ("channels", "inputs", "truth") for name, c in getattr(toml, what).items()}
     own = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
     if toml.period and all(own):

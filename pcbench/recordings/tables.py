@@ -260,7 +260,8 @@ def topics(source: Source) -> Iterator[Topic]:
             types = list(zip(d.names, d.types, strict=True))
     counts = Counter(name for name, _ in types)
     types = [(name, kind) for name, kind in types if name and counts[name] == 1]
-    several = "".join(f" with {many} columns '{name}'" for name, many in counts.items() if name and many > 1)
+    several = ", ".join(f"{many} columns '{name}'" for name, many in counts.items() if name and many > 1)
+    problem = f"{several}: left out, as their names are the same; rename them." if several else ""
     numbers, times, words = list[str](), list[str](), list[str]()
     while types:
         name, kind = types.pop(0)
@@ -272,7 +273,7 @@ def topics(source: Source) -> Iterator[Topic]:
             numbers.append(name)
         elif pa.types.is_string(kind) or pa.types.is_large_string(kind):
             words.append(name)
-    yield Topic("", f"table{several}", numbers[:MOST], times, words=words)
+    yield Topic("", "table", numbers[:MOST], times, words=words, problem=problem)
 
 
 def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:

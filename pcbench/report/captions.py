@@ -86,7 +86,7 @@ def regrets(found: Regrets) -> tuple[str, str]:
         return text, f"Each observer diverges in a situation ({method})."
     many = f"{len(found.situations)} situations"
     if not all(map(np.isfinite, largest.values())):
-        method += "; ∞: every run diverged"
+        method += "; ∞: every run diverged" if found.runs else "; ∞: the expected value is infinite"
     if largest[first] < SAME:
         return text, f"{first} has the least error, or one as good, in all {many} ({method})."
     worst = f"at most {times(largest[first])} the least error in {many}"

@@ -97,7 +97,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         progress.step(1)
     for picture in sections[0].parts[0].pictures if len(anchors) > MANY else ():
         if picture["name"].endswith("-bands"):
-            picture["note"] += " Of the other scenarios: pcbench report --figures FOLDER."
+            picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
     drawn = (part.pictures for section in sections for part in section.parts)
     first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
     head = [*([first] if first else []), *map(_inline, figures.of_study(result, shown))]

@@ -139,7 +139,16 @@ def test_filter_of_a_run_takes_inputs_and_late_samples(monkeypatch):
 
 class Arrived:
     def __init__(self, value):
-        self.value = value
+        self.value, self.mask = value, ~np.isnan(value)
+
+
+def test_a_sample_of_some_outputs_is_refused(monkeypatch):
+    monkeypatch.setattr(gain_network, "train", lambda system: network())
+    mine = LearnedFilter(cell(), np.zeros(2))
+    with pytest.raises(
+        UserError, match=r"t = 0.2 s: got a sample of some outputs only, expected all at a time; use kf\."
+    ):
+        mine.step(0.2, np.zeros(1), [Arrived(np.array([np.nan]))])
 
 
 @pytest.mark.parametrize(

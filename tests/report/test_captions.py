@@ -137,7 +137,7 @@ def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
 def test_page_of_many_scenarios_and_observers_is_small():
     text = page.page(pcbench.run("model-mismatch", seeds=4))
     assert len(text.encode()) < 1.2e6
-    assert text.count("Of the other scenarios") == text.count("<h4>Size of the error over time</h4>") == 1
+    assert text.count("Figures of the other scenarios") == text.count("<h4>Size of the error over time</h4>") == 1
 
 
 @pytest.mark.ci

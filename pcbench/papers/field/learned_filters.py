@@ -2,7 +2,8 @@
 
 Three experiments have the settings of the authors' public programs; the networks are ours (`pcbench.external.gain_network`), so
 a claim of their papers is determined here only where a small network already decides it. Floors are computed with the filter
-that knows everything. Networks and tuned filters are trained on draws of their own; `RUNS` other runs are compared in pairs.
+that is given the true model and covariances. Networks and tuned filters are trained on draws of their own; `RUNS` other runs
+are compared in pairs.
 """
 
 from collections.abc import Callable, Iterator
