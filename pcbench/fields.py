@@ -291,6 +291,25 @@ FIELDS = (
         search=(0.0, 1.0),
     ),
     Field(
+        "send_threshold",
+        "unit of the output",
+        "change of an output from its last value sent at which its sensor sends a sample (send on delta); 0: every sample. A "
+        "list if output channels differ",
+        title="samples sent at a change of",
+        form="outputs",
+        per="output",
+    ),
+    Field(
+        "try_once_discard",
+        "1",
+        "1: of the outputs sampled together only the one that has changed most since it was last sent is sent, in units of "
+        "its send_threshold if it has one; 0: all",
+        title="protocol",
+        form="try-once-discard",
+        limit=Limit(lambda n: n in (0, 1), "1 (try-once-discard) or 0 (all outputs)."),
+        search=(0.0, 1.0),
+    ),
+    Field(
         "mean_burst_length",
         "samples",
         "mean number of consecutive lost samples (Gilbert-Elliott model); 0: independent losses",

@@ -74,6 +74,8 @@ class Arrival(NamedTuple):
     ticks_since_arrival: Int[Array, ""]
     # noise variance of each value divided by the variance assumed in the design; None unless a recording contains variances
     variance_ratio: Float[Array, " q"] | None = None
+    # whether the channel was sampled at the same time and its sensor did not send the sample; None unless sensors decide
+    silent: Bool[Array, " q"] | None = None
 
 
 class Step(Protocol):
@@ -284,3 +286,4 @@ class Observer(NamedTuple):
     init_random: InitRandom | None = None  # the memory at the start of a run, for an observer that draws random numbers
     delay: DelayEstimate | None = None  # of an observer that estimates the delay of samples
     bounds: Bounds | None = None  # the interval that contains the present state, of an interval observer
+    uses_silence: bool = False  # whether `jump` is called also where no channel has arrived, only `silent` ones

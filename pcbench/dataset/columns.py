@@ -95,6 +95,8 @@ MEANING = {
     "contains the signal if noise and initial error are within its bounds",
     "interval_coverage": "fraction of ticks 0 .. N-1 at which low <= signal <= high; 1 if noise and initial error are within "
     "the bounds of the observer",
+    "sent_fraction": "number of samples sent divided by the number of samples taken, of all outputs together. One number per "
+    "run, in the row of its first signal",
     "signal_nees": "e^2 divided by the observer's variance of e, at tick N-1; null: this state is known exactly",
 }
 MEANING |= {f.name: f.meaning for f in FIELDS}
@@ -108,7 +110,8 @@ INTERVALS = (
 )
 UNITLESS = (
     "rms_efficiency divergence_rate unsettled_rate lq_cost steady_lq_cost nees nees_dof signal_nees nis nis_dof nees_band "
-    "nis_band signal_nees_band coverage_1_sigma coverage_2_sigma coverage_3_sigma interval_coverage"
+    "nis_band signal_nees_band coverage_1_sigma coverage_2_sigma coverage_3_sigma interval_coverage "
+    "sent_fraction"
 )
 OF_INPUT = "input_rms steady_input_rms pooled_input_rms steady_pooled_input_rms"
 OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1") | dict.fromkeys(

@@ -65,6 +65,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         return (
             f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
         )
+    if p.problem.trigger:
+        return f"{where} has samples that are sent or not by what they measure, which is not affine in the noise; {instead}."
     if any(p.cell.scenario.sampling.quantization_step):
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
     if said := lost(cell, label):

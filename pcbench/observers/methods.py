@@ -190,6 +190,14 @@ METHODS = {
         exact_moments=False,
         c_export=False,
     ),
+    "kf-event": Method(
+        "Kalman filter for send on delta",
+        "As `kf`. If a sensor sends no sample, the last value received is used with a larger variance.",
+        f"{FILTER}, and the `send_threshold`",
+        "Suh, Nguyen, Ro 2007",
+        exact_moments=False,
+        c_export=False,
+    ),
     "kf-ignore-delay": Method(
         "Kalman filter that ignores delays",
         "Uses a delayed measurement as if it had just been taken.",

@@ -21,9 +21,9 @@ from pcbench.planning import loop_setup, memo, operation_counts, padding, proces
 from pcbench.planning.design_context import prepare_params, setting
 from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
-from pcbench.scenarios.scenario import ProcessNoise, per_channel
+from pcbench.scenarios.scenario import ProcessNoise, Sampling, per_channel
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
-from pcbench.simulation.measurements import Outliers, Rounding
+from pcbench.simulation.measurements import Outliers, Rounding, Trigger
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study import Study
@@ -151,7 +151,7 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     Of observers whose bits depend on it, as many in every call (`Entry.lanes`). The definition has as many in all calls of a
     program with the observers `labels`.
     """
-    if cell.engine == "definition":
+    if _is_defined(cell):
         return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
     if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(fixed)
@@ -208,6 +208,7 @@ def draft(
         weights=loop_setup.weights(cell),
         outliers=outliers,
         rounding=Rounding(np.array(step), np.asarray(measured.dither)) if any(step) else (),
+        trigger=_trigger(measured),
         tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
@@ -223,7 +224,7 @@ def draft(
         scattered=bool(belief.initial_box),
         pending=loop_setup.pending(cell),
         consistency=choices.consistency,
-        defined=cell.engine == "definition",
+        defined=_is_defined(cell),
     )
     return Plan(
         cell=cell,
@@ -235,6 +236,19 @@ def draft(
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
+
+
+def _is_defined(cell: Cell) -> bool:
+    """Whether the definition computes the runs: the engines decide before a run which samples arrive."""
+    return cell.engine == "definition" or bool(_trigger(cell.scenario.sampling))
+
+
+def _trigger(measured: Sampling) -> Trigger | tuple[()]:
+    """Return which samples are sent; (): every one."""
+    if not any(measured.send_threshold) and not measured.try_once_discard:
+        return ()
+    threshold = measured.send_threshold or (0.0,) * len(measured.delay)
+    return Trigger(np.array(threshold), np.asarray(measured.try_once_discard))
 
 
 def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:

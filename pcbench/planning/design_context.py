@@ -68,6 +68,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
         delay=tuple(delay),
         noise_std=tuple(belief.assumed_noise_scale * (a or b) for a, b in zip(noise, spare, strict=True)),
         noise_correlation=s.sampling.noise_correlation,
+        send_threshold=() if s.sampling.try_once_discard else s.sampling.send_threshold,
         sensors=len(clocks),
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,

@@ -48,9 +48,8 @@ def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Re
         for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
             left = outcome.streams[name], outcome.watches[name], outcome.final[name]
             effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None
-            parts[label].append(
-                metrics.read(*left, n, tail, dt, falls, outcome.tracking or None, effort, costs, squares)
-            )
+            tracking, sent = outcome.tracking or None, outcome.sent if planned.problem.trigger else None
+            parts[label].append(metrics.read(*left, n, tail, dt, falls, tracking, effort, costs, squares, sent))
     return {label: {m: np.concatenate([p[m] for p in each], -1) for m in each[0]} for label, each in parts.items()}
 
 

@@ -108,7 +108,8 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     """Return the units of a scenario's axes that depend on its plant: of noise, of process noise."""
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
     measured = output_units(scenario)
-    each = {"noise_std": measured, "quantization_step": measured, "process_std": [u for _, u in states_of(scenario)]}
+    each = dict.fromkeys(("noise_std", "quantization_step", "send_threshold"), measured)
+    each["process_std"] = [u for _, u in states_of(scenario)]
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
 
 

@@ -45,6 +45,7 @@ WORDS = {
     "signal_nees": "squared error of {} divided by its variance",
     "interval_width": "mean width of the interval of {}",
     "interval_coverage": "fraction of ticks at which {} is in its interval",
+    "sent_fraction": "fraction of samples sent",
     "rms_efficiency": "Kalman bound divided by the rms error of {}",
     "divergence_rate": "fraction of runs that diverged",
     "unsettled_rate": "fraction of runs in which {} is not settled",

@@ -81,6 +81,8 @@ class Sampling(NamedTuple):
     delay_gamma_shape: PerChannel = 1.0  # 1: the distribution is exponential
     quantization_step: tuple[float, ...] = ()  # [q]; empty, 0: samples are not rounded
     dither: float = 0.0
+    send_threshold: tuple[float, ...] = ()  # [q]; empty, 0: every sample is sent
+    try_once_discard: float = 0.0
     mean_burst_length: PerChannel = 0.0
     sampling_phase: PerChannel = 0.0
     outage_start: PerChannel = 0.0

@@ -59,7 +59,7 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
     def estimate(gains: Gains, memory: StatsMemory) -> Array:
         return o.estimate(gains, memory.memory)
 
-    made = Observer(init, snapshot, jump, flow, estimate)
+    made = Observer(init, snapshot, jump, flow, estimate, uses_silence=o.uses_silence)
     if (covariance := o.covariance) is not None:
         made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
     if (bounds := o.bounds) is not None:

@@ -26,6 +26,9 @@ What comes out is rounded to whole steps D, where a channel has them, with subtr
 
 whose error is then uniform over one step, of variance D^2/12, whatever y is (Schuchman, IEEE Trans. Commun. Tech. 12
 (1964), 162).
+
+A sensor may send only some of its samples (`send`): those that differ enough from the last that it sent, or of several outputs
+the one that differs most.
 """
 
 from collections.abc import Callable
@@ -58,6 +61,39 @@ class Rounding(NamedTuple):
 
     step: Leaf  # [q] D; 0: not at all
     dither: Leaf  # 1: with subtractive dither; 0: without
+
+
+class Trigger(NamedTuple):
+    """Which samples are sent; q channels."""
+
+    threshold: Leaf  # [q] least change since the last sample sent; 0: any
+    largest: Leaf  # 1: of the channels of one time only the one with the largest change (try-once-discard); 0: all
+
+
+class Sensors(NamedTuple):
+    """What the sensors of one run keep."""
+
+    held: Array  # [q] the last value sent; NaN: none yet
+    taken: Array  # how many samples of channels were taken, and
+    sent: Array  # how many of them were sent
+
+
+def first_sensors(q: int) -> Sensors:
+    """Return the sensors before the first sample."""
+    return Sensors(jnp.full(q, jnp.nan), jnp.zeros(()), jnp.zeros(()))
+
+
+def send(t: Trigger, sensors: Sensors, y: Array, taken: Array) -> tuple[Sensors, Array]:
+    """Return the sensors after samples y [q] of the channels `taken` [q], and y with NaN where it is not sent.
+
+    A channel that has sent nothing yet counts as changed without limit; of equal changes the first channel is sent.
+    """
+    change = jnp.where(jnp.isnan(sensors.held), jnp.inf, jnp.abs(y - sensors.held))
+    sent = taken & (change >= t.threshold)
+    change = jnp.where(sent, change / jnp.where(t.threshold > 0, t.threshold, 1.0), -1.0)
+    sent &= (t.largest == 0) | (jnp.arange(len(y)) == jnp.argmax(change))
+    after = Sensors(jnp.where(sent, y, sensors.held), sensors.taken + jnp.sum(taken), sensors.sent + jnp.sum(sent))
+    return after, jnp.where(sent, y, jnp.nan)
 
 
 def quantize(r: Rounding, y: Array, uniform: Array) -> Array:

@@ -123,6 +123,7 @@ def read(
     effort: ControlCost | None = None,
     costs: bool = False,
     squares: PyTree = None,
+    sent: NDArray | None = None,
 ) -> dict[str, NDArray]:
     """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
 
@@ -134,6 +135,7 @@ def read(
     `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
     `squares` [n, L] and [L] (`innovation_stats.Squares`) are those of an observer that says how wrong it is.
     `interval_width` is the mean of high - low over ticks, `interval_coverage` the share of ticks with low <= z <= high.
+    `sent` [L] is the share of the samples that were sent, where sensors decide.
     A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
@@ -166,6 +168,8 @@ def read(
     if watch.interval:
         out["interval_width"] = np.asarray(watch.interval.width) / ticks
         out["interval_coverage"] = np.asarray(watch.interval.inside) / ticks
+    if sent is not None:
+        out["sent_fraction"] = np.atleast_2d(sent)
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)

@@ -44,6 +44,7 @@ class Run(NamedTuple):
     law: Tree = ()  # what its controller keeps
     tracking: Tree = ()  # `metrics.ErrorSums` [W, ...]
     effort: Tree = ()  # `metrics.ControlCost` [W]
+    sensors: Tree = ()  # `measurements.Sensors`, where not every sample is sent
 
 
 class Shift(NamedTuple):
@@ -100,6 +101,7 @@ def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Arr
         effort=run.effort,
         consistency=normalized_errors(layout, p, k, run, e) if layout.consistency else (),
         actual=truth(layout, params, present(p, k, True), run.x),
+        sent=run.sensors.sent / run.sensors.taken if p.trigger else (),
     )
 
 
@@ -204,6 +206,7 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
         law=loop.law,
         tracking=windows(loop.tracking),
         effort=windows(loop.effort),
+        sensors=measurements.first_sensors(p.noise_std.shape[0]) if p.trigger else (),
     )
 
 
@@ -242,6 +245,9 @@ def sense(
 
     values, notes = run.flight
     y = measure(layout, p, params, k, run.x, drawn.sample(plan.sample[k]))
+    if p.trigger:
+        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & (plan.sample[k] >= 0))
+        run = run._replace(sensors=sensors)
     found = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
@@ -269,11 +275,26 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     for slot in range(plan.arrive.shape[1]):
         number, mask = plan.arrive[k, slot], plan.mask[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
-        age = jnp.full(mask.shape, k - plan.believed[k, slot])
+        age, silent = jnp.full(mask.shape, k - plan.believed[k, slot]), None
+        if p.trigger:
+            silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
+            values = jnp.where(mask, values, 0.0)
         arrival = partial(
-            Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=plan.ticks_since_arrival[k, slot]
+            Arrival,
+            values,
+            mask,
+            age,
+            plan.number[k, slot],
+            ticks_since_arrival=plan.ticks_since_arrival[k, slot],
+            silent=silent,
         )
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
+        if p.trigger:  # nothing arrives where no channel has sent
+            hears = {label for label, o in layout.observers if o.uses_silence}
+            memories = {
+                label: each if label in hears else select(jnp.any(mask), each, run.memories[label])
+                for label, each in memories.items()
+            }
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     return run
 

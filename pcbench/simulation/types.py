@@ -64,6 +64,7 @@ class GridPointParams(NamedTuple):
     outliers: PyTree = ()  # measurements.Outliers, where some samples are
     rounding: PyTree = ()  # measurements.Rounding, where samples are rounded
     tail: PyTree = ()  # degrees of freedom of the noise of samples, where that is Student's t
+    trigger: PyTree = ()  # measurements.Trigger, where not every sample is sent
     noise_root: Leaf = np.zeros((0, 0))  # [q, q] lower root of its correlation between channels; [0, 0]: independent
 
 
@@ -115,6 +116,7 @@ class RunSums(NamedTuple):
     effort: PyTree = ()  # ControlCost [W, L] of a closed loop
     consistency: PyTree = ()  # by observer label, innovation_stats.Squares of those that have a covariance
     actual: PyTree = ()  # [n + s, L] what observers estimate, as it is at tick N-1
+    sent: PyTree = ()  # [L] share of the samples that were sent, where not every one is
 
 
 def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) -> Now:

@@ -14,7 +14,7 @@ RUN_METRICS = (
     *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error"),
     *("tracking_rmse", "steady_tracking_rmse"),
     *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
-    *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS),
+    *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS, "sent_fraction"),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
 OF_RUN = (
     "lq_cost",
@@ -25,7 +25,8 @@ OF_RUN = (
     "nees_dof",
     "nis",
     "nis_dof",
-)  # of a closed loop, or of an observer that says how wrong it is: one number a run, with its first signal
+    "sent_fraction",
+)  # of a closed loop, of sensors, or of an observer that says how wrong it is: one number a run, with its first signal
 ASKED = (*OF_RUN, "signal_nees", *INTERVALS)  # that a table of runs has only where there are such
 SIGNED = ("final_error",)  # an error with its sign: all others cannot be negative
 UNRANKED = (
@@ -36,6 +37,7 @@ UNRANKED = (
     "nis_dof",
     "signal_nees",
     *INTERVALS,
+    "sent_fraction",
 )  # neither a large nor a small one is better: a narrow interval is only where it contains the state
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}

@@ -21,6 +21,7 @@ from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
 STAMPED = ("clock_skew", "timestamp_jitter")  # and what makes them seem to
 DRAWN = fields.names(random=True)  # what makes the times of a run its own
+OF_OUTPUTS = ("quantization_step", "send_threshold")  # empty, or zeros: without effect
 REACH = 10  # times the horizon: no sample that is later ever arrives
 
 
@@ -34,6 +35,7 @@ def fits(s: Scenario, where: str) -> None:
         _of_correlation(s),
         _of_delays(s),
         _of_stamps(s),
+        _of_trigger(s),
         _of_processor(s),
     )
     if sentence := next(misfits, ""):
@@ -50,7 +52,7 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
     usual = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
     usual |= Sampling._field_defaults | Belief._field_defaults
     for name, value in ((name, usual[name]) for name in AXES if name in usual):
-        if s.value(name) != value and (name != "quantization_step" or any(s.value(name))):
+        if s.value(name) != value and (name not in OF_OUTPUTS or any(s.value(name))):
             yield (
                 f"got {name} = {plain(name, s.value(name))} in {s.name}, whose measurements are continuous and without noise, "
                 "expected no such axis; leave it out, or use a scenario with samples, such as arm/sampled."
@@ -271,6 +273,28 @@ def _of_stamps(s: Scenario) -> Iterator[str]:
                 "expected less than half the shortest interval, so that timestamps stay in order; write at most "
                 f"{max((least - 2) // 2, 0) * s.dt:g}."
             )
+
+
+def _of_trigger(s: Scenario) -> Iterator[str]:
+    """Yield a sentence if sensors cannot decide which samples they send, or if a protocol has no effect."""
+    measured = s.sampling
+    named = "try_once_discard" if measured.try_once_discard else "send_threshold"
+    if not measured.try_once_discard and not any(measured.send_threshold):
+        return
+    if measured.prefilled:
+        yield (
+            f"got {named} in {s.name}, whose sampling began before t = 0, expected samples from t = 0 on; leave it out, or "
+            "close the loop of another scenario."
+        )
+    if np.isfinite(measured.processor_speed):
+        yield f"got {named} with a processor_speed, expected one of them; leave one out."
+    if measured.try_once_discard and len({(c.period, c.phase) for c in clocks(s)}) > 1:
+        yield (
+            f"got try_once_discard = 1 in {s.name}, whose outputs are sampled at different times, expected one "
+            "sampling_period and one sampling_phase; make them equal."
+        )
+    if measured.try_once_discard and len(measured.delay) == 1:
+        yield f"got try_once_discard = 1 in {s.name}, which has one output, expected two or more; leave it out."
 
 
 def _of_processor(s: Scenario) -> Iterator[str]:

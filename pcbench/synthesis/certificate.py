@@ -59,6 +59,8 @@ class DesignContext(NamedTuple):
     P0: np.ndarray  # prior covariance of x(0) about xhat(0), n by n
     input_intensity: float  # assumed intensity of process noise through the input, per second
     noise_correlation: tuple[tuple[float, ...], ...] = ()  # of the outputs, q by q; empty: independent
+    # change of each output from which on its sensor sends a sample; empty: a sample that is not sent contains no information
+    send_threshold: tuple[float, ...] = ()
     sensors: int = 1  # number of sensors: groups of outputs that are sampled, delayed and lost together
     overtaking: int = 0  # how many newer samples may arrive before an older one
     spare: int = 0  # least room for such newer samples, so that grid points share compiled programs

@@ -24,7 +24,7 @@ LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
 # least first, where there are such
 BESIDE = (
     *("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency"),
-    *("interval_coverage", "interval_width"),
+    *("interval_coverage", "interval_width", "sent_fraction"),
 )
 COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "diff. to best"

@@ -1,0 +1,99 @@
+"""kf-event: the Kalman filter for samples that are sent only if an output has changed (send on delta).
+
+A sensor that sends no sample says that its output is within d of the last value sent, y_s. The difference is taken as uniform,
+so that the sample is replaced by y_s with a larger variance:
+
+    sent:      y,    R
+    not sent:  y_s,  R + d^2 / 3
+
+d is the scenario's `send_threshold`. The filter keeps the last value received of each output; before the first it has none, and
+silence says nothing. Where no sample is held back it is `kf`. With try_once_discard silence says nothing either, as an output
+may have changed by more than d.
+Time index: the estimate is of now, after the jump.
+Not claimed: that P is right. The difference is neither uniform nor independent from sample to sample, and a message that is
+lost leaves an older y_s.
+Source: Suh, Nguyen, Ro 2007.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PyTree
+from pydantic import Field
+
+from pcbench.errors import UserError
+from pcbench.observers.parts import linear_filter, prediction
+from pcbench.protocols import Arrival, Gains, InnovationStats, Now, Observer
+from pcbench.synthesis.certificate import Design, DesignContext
+
+
+class Memory(NamedTuple):
+    """That of the Kalman filter, and the last value received; q outputs."""
+
+    kf: prediction.Memory
+    received: Float[PyTree, " q"]  # NaN: none yet
+
+
+class Options(linear_filter.Options):
+    """What the filter assumes."""
+
+    threshold: float | list[float] | None = Field(
+        None, description="d, of all outputs or of each; default: the scenario's send_threshold"
+    )
+
+
+def init(gains: Gains, xhat0: Float[PyTree, " n"]) -> Memory:
+    """Start from the prior; no value has been received."""
+    kf, q = linear_filter.init(gains, xhat0), gains.C.shape[0]
+    samples = kf.buffer.samples._replace(variance_ratio=jnp.ones(kf.buffer.samples.mask.shape))
+    return Memory(kf._replace(buffer=kf.buffer._replace(samples=samples)), jnp.full(q, jnp.nan))
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Use what arrives, and that nothing else does."""
+    ratio = jnp.ones_like(arrival.value)
+    received = jnp.where(arrival.mask, arrival.value, memory.received)
+    if arrival.silent is not None:
+        silent = arrival.silent & ~jnp.isnan(memory.received) & (gains.own > 0)
+        ratio = jnp.where(silent, 1 + gains.own**2 / (3 * gains.R), ratio)
+        value = jnp.where(silent, memory.received, arrival.value)
+        arrival = arrival._replace(value=value, mask=arrival.mask | silent)
+    after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
+    some = jnp.any(arrival.mask)  # silence may say nothing
+    return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), received)
+
+
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
+    """Return how far what arrives is from what is expected of it; silence is not judged."""
+    ratio = jnp.ones_like(arrival.value)
+    return linear_filter.innovation(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
+
+
+OBSERVER = Observer(
+    init=init,
+    snapshot=lambda gains, memory, now: linear_filter.FILTER.snapshot(gains, memory.kf, now),
+    jump=jump,
+    flow=lambda gains, memory, now: memory._replace(kf=linear_filter.FILTER.flow(gains, memory.kf, now)),
+    estimate=lambda gains, memory: linear_filter.estimate(gains, memory.kf),
+    covariance=lambda gains, memory, now: linear_filter.covariance(gains, memory.kf, now),
+    innovation=innovation,
+    uses_silence=True,
+)
+
+
+def design(setting: DesignContext, options: Options) -> Design:
+    """Gather what the filter assumes; raise UserError for thresholds that do not fit the outputs."""
+    where, q = f"kf-event in {setting.scenario}", len(setting.noise_std)
+    given = setting.send_threshold or (0.0,) * q if options.threshold is None else options.threshold
+    d = np.broadcast_to(np.asarray(given, float), q) if np.size(given) in (1, q) else None
+    if d is None or not (np.isfinite(d) & (d >= 0)).all():
+        raise UserError(
+            f"{where}: threshold: got {given}, expected {q} numbers of 0 or more; write one for each output."
+        )
+    if setting.noise_correlation and d.any():
+        raise UserError(f"{where}: got correlated measurement noise, expected independent outputs; use kf.")
+    return linear_filter.design(
+        setting, options, "kf-event", own=d, unproven="the error that is left by silence is not Gaussian"
+    )
