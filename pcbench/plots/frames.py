@@ -17,7 +17,7 @@ from pcbench.plants import output_units, states_of
 from pcbench.plots import layout
 from pcbench.statistics import ranking
 from pcbench.statistics.limit_verdicts import COUNTS
-from pcbench.statistics.metric_matrix import SIGNED
+from pcbench.statistics.metric_matrix import OF_RUN, SIGNED
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
 
@@ -36,20 +36,22 @@ def scenario_of(result: Result, scenario: str | None) -> str:
     return scenario or names[0]
 
 
-def signals_by_default(result: Result, scenario: str) -> list[str]:
-    """Return the signals that a scenario's pictures show by default."""
+def signals_by_default(result: Result, scenario: str, metric: str = "") -> list[str]:
+    """Return the signals that pictures of a metric show by default: the first, of a metric with one number per run."""
     there = result.signals(scenario)
+    if metric in OF_RUN:
+        return there[:1]
     chosen = [s for s in scenarios_of(result.study)[scenario].scoring.headline if s in there]
     return chosen or there[:1]
 
 
-def chosen(result: Result, scenario: str, signals: list[str] | None) -> list[str]:
+def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str = "") -> list[str]:
     """Return the `signals` that a scenario has; of None those it is known by, of an empty list all.
 
     Raises UserError for one that no scenario of the study has.
     """
     if signals is None:
-        return signals_by_default(result, scenario)
+        return signals_by_default(result, scenario, metric)
     every, there = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
         if name not in every:
@@ -59,21 +61,23 @@ def chosen(result: Result, scenario: str, signals: list[str] | None) -> list[str
 
 def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
     """Return those of the `chosen` signals of a scenario that a metric ranks observers by."""
-    return [s for s in chosen(result, scenario, signals) if (result.stats_of(scenario, s).metric == metric).any()]
+    return [
+        s for s in chosen(result, scenario, signals, metric) if (result.stats_of(scenario, s).metric == metric).any()
+    ]
 
 
-def signal_of(result: Result, scenario: str, signal: str | None) -> str:
+def signal_of(result: Result, scenario: str, signal: str | None, metric: str = "") -> str:
     """Return the signal that is meant (None: the first that is shown); raise UserError for another word."""
     names = result.signals(scenario)
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
-    return signal or signals_by_default(result, scenario)[0]
+    return signal or signals_by_default(result, scenario, metric)[0]
 
 
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
     """Return the rows of stats of one metric, with each varying axis as plain numbers or words."""
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
-    stats = result.stats_of(scenario, signal_of(result, scenario, signal))
+    stats = result.stats_of(scenario, signal_of(result, scenario, signal, metric))
     part = stats[stats.metric == metric].copy()
     if not len(part):
         known = set(result.stats.metric) if metric not in set(result.stats.metric) else set(stats.metric)
@@ -147,7 +151,7 @@ def distribution(
     observer, the least and the largest among them.
     """
     scenario = scenario_of(result, scenario)
-    signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
+    signal, runs = signal_of(result, scenario, signal, metric), result.runs_of(scenario, [metric], cell)
     part, out = runs[runs.signal == signal], []
     for observer, values in part[metric].where(~part.diverged).groupby(part.observer, sort=False):
         ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
@@ -167,7 +171,7 @@ def convergence(
     The last row of an observer is of all its runs that did not diverge. A mean of 0, and runs that do not vary, have none.
     """
     scenario = scenario_of(result, scenario)
-    signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
+    signal, runs = signal_of(result, scenario, signal, metric), result.runs_of(scenario, [metric], cell)
     runs, out = runs[(runs.signal == signal) & ~runs.diverged], []
     estimate = statistics.mean if metric in SIGNED else statistics.size
     for observer, values in runs.groupby("observer", sort=False)[metric]:
@@ -191,7 +195,7 @@ def standings(
     see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
-    key, kept = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
+    key, kept = (scenario, signal_of(result, scenario, signal, metric), metric), _STANDINGS.setdefault(result, {})
     if key not in kept:
         part, pairs, out = rows(result, *key), result.pairs_of(*key[:2]), []
         axes, met = varying(part), ranking.by_cell(pairs[pairs.metric == metric])

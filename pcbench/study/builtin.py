@@ -22,7 +22,7 @@ QUESTIONS = {  # that each study answers
     "period-delay-map": "Which sampling period and delay keep the error small?",
     "growth-model": "How much better is a particle filter than an EKF on the growth model?",
     "ncs-two-state": "Up to which period does held state feedback settle?",
-    "ncs-reactor": "How long may the interval between transmissions be?",
+    "ncs-reactor": "How long may the interval between transmissions be, in turn or by need?",
     "intermittent": "How does the error grow near the critical loss?",
     "quadruple-tank": "How much error does a delayed level cost?",
     "flexible-joint": "Up to which period do filters follow the joint?",
@@ -30,6 +30,7 @@ QUESTIONS = {  # that each study answers
     "digester": "How late may the values of a laboratory be?",
     "camera-target": "How much does a filter for a delayed camera gain over visual servoing?",
     "outage": "How far does the error grow during an outage?",
+    "send-on-delta": "How many messages does an estimate need?",
     "processor": "On which processor does a particle filter lose to a Kalman filter?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
@@ -83,6 +84,15 @@ def _in_turn(interval: float) -> ScenarioTable:
     """Return a scenario of `ncs-reactor`: the outputs take turns, one every `interval` [s]."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": 2 * interval, "sampling_phase": [0.0, interval]}
     return ScenarioTable.model_validate(table)
+
+
+def _largest_change(interval: float) -> ScenarioTable:
+    """Return a scenario of `ncs-reactor`: every `interval` [s] the output that has changed most is sent."""
+    table = {"base": "ncs-reactor/round-robin", "sampling_period": interval, "sampling_phase": 0.0}
+    return ScenarioTable.model_validate(table | {"try_once_discard": 1})
+
+
+PROTOCOLS = {"round-robin": _in_turn, "try-once-discard": _largest_change}
 
 
 def _servoing(gain: float) -> ScenarioTable:
@@ -236,8 +246,8 @@ STUDIES = {
     ),
     "ncs-reactor": Study(
         name="ncs-reactor",
-        scenarios=[f"interval-{interval:g}" for interval in INTERVALS],
-        tables={f"interval-{interval:g}": _in_turn(interval) for interval in INTERVALS},
+        scenarios=[f"{name}-{interval:g}" for name in PROTOCOLS for interval in INTERVALS],
+        tables={f"{name}-{interval:g}": make(interval) for name, make in PROTOCOLS.items() for interval in INTERVALS},
         seeds=64,
     ),
     "intermittent": Study(  # critical: 0.64
@@ -303,6 +313,15 @@ STUDIES = {
         seeds=1024,
         axes={"outage_start": [25.0], "outage_duration": [0.0, 3.0, 6.0, 9.0]},
         options={"scenario": {"random_initial_state": True}},
+    ),
+    "send-on-delta": Study(
+        name="send-on-delta",
+        scenarios=["levels"],
+        tables={"levels": ScenarioTable.model_validate({"base": "quadruple-tank/delayed", "delay": [0.0, 0.0]})},
+        observers=["kf", "kf-event", "model-only"],
+        seeds=256,
+        axes={"send_threshold": [0.0, 0.05, 0.1, 0.2, 0.4, 0.8]},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "processor": Study(
         name="processor",

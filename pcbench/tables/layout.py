@@ -93,7 +93,7 @@ def tables(result: Result, metric: str, signals: list[str] | None = None) -> lis
     for scenario in dict.fromkeys(result.stats.scenario):
         parts = {
             signal: part
-            for signal in frames.chosen(result, scenario, signals)
+            for signal in frames.chosen(result, scenario, signals, metric)
             if len(part := frames.rows(result, scenario, signal, metric))
         }
         if not parts:

@@ -14,6 +14,7 @@ from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.limits.search import settles_sentence
 from pcbench.scenarios import Scenario
+from pcbench.statistics import OF_RUN
 from pcbench.statistics.consistency import BANDS, Band, exact_band, verdict
 from pcbench.statistics.number_format import as_good, difference, fraction, interval, mark_uncertified
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
@@ -76,9 +77,11 @@ def closing(
     notes: dict[str, None] = {}
     for name, rows in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
         existing = list(dict.fromkeys(rows.signal))
-        chosen = (known[name].scoring.headline or existing[:1]) if signals is None else signals or existing
+        usual = existing[:1] if metric in OF_RUN else known[name].scoring.headline or existing[:1]
+        chosen = usual if signals is None else signals or existing
         for signal in [s for s in chosen if s in existing]:
-            part = rows[rows.signal == signal]
+            own = rows.signal == signal
+            part = pd.concat([rows[own], rows[~own & rows.metric.isin(OF_RUN)]])  # of those each run has one number
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
             shown = known[name]._replace(name=title_of_scenario(result.study, name))
             view = View(shown, part, met, metric, None if costs is None else costs[costs.scenario == name])
