@@ -92,6 +92,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
             "nonlinear-filters",
             "consistency",
             "measurement-errors",
+            "send-on-delta",
             "processor",
             "closed-loops",
             "your-own-observer",

@@ -1,0 +1,57 @@
+"""The numbers of the page on event-triggered measurements are those of its studies."""
+
+import re
+
+import pytest
+from documents import PAGES
+
+import pcbench
+
+PAGE = PAGES["send_on_delta.md"]
+pytestmark = pytest.mark.nightly
+
+
+def rows(heading):
+    """The cells of the table whose head begins so, as lists."""
+    table = PAGE.partition(f"\n| {heading}")[2].partition("\n\n")[0]
+    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def means(result, signal, metric):
+    part = result.stats[(result.stats.signal == signal) & (result.stats.metric == metric)]
+    return part.set_index(["scenario", "cell", "observer"])["mean"]
+
+
+def test_thresholds_and_periods():
+    result = pcbench.run("send-on-delta")
+    errors, share = means(result, "level_2", "steady_rmse"), means(result, "level_1", "sent_fraction")
+    nees = means(result, "level_1", "nees")
+    printed = rows("threshold [cm]")
+    for cell, (threshold, sent, kf, event) in enumerate(printed):
+        assert f"{errors['levels', cell, 'kf']:.4f}" == kf, threshold
+        assert f"{errors['levels', cell, 'kf-event']:.4f}" == event, threshold
+        assert cell == 0 or f"{share['levels', cell, 'kf']:.3f}" == sent
+    assert f"the model alone ({errors['levels', 5, 'model-only']:.4f})" in PAGE
+    assert f"{nees['levels', 2, 'kf-event']:.2f} at 0.1 cm and {nees['levels', 4, 'kf-event']:.2f} at 0.4 cm" in PAGE
+    regular = pcbench.run(
+        "send-on-delta",
+        observers=["kf"],
+        overrides=["axes.send_threshold=0", "axes.sampling_period=[5,12,22,40]"],
+    )
+    periodic = means(regular, "level_2", "steady_rmse")
+    (line,) = (row for row in rows("sampling period [s]") if row[0].startswith("kf"))
+    assert [f"{periodic['levels', cell, 'kf']:.4f}" for cell in (1, 2, 3)] == line[1:]
+    ratios = [float(event) / float(value) for (*_, event), value in zip(printed[1:4], line[1:], strict=True)]
+    better = [f"{100 * (1 - r):.0f}" for r in ratios]
+    assert f"{better[0]} % better than regular samples at 0.05 cm, {better[1]} % better at 0.1 cm" in PAGE
+    assert f"{-int(better[2])} % worse at 0.2 cm" in PAGE
+
+
+def test_protocols():
+    stats = pcbench.run("ncs-reactor").stats.query("signal == 'x1' and metric == 'steady_rmse'").set_index("scenario")
+    for interval, *printed in rows("interval between transmissions [s]"):
+        for name, text in zip(("round-robin", "try-once-discard"), printed, strict=True):
+            mean, half = re.match(r"(\S+) ± (\S+)", text).groups()
+            row = stats.loc[f"{name}-{interval}"]
+            assert f"{row['mean']:.4f}" == mean
+            assert f"{(row.ci_high - row.ci_low) / 2:.4f}" == half
