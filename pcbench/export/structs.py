@@ -21,8 +21,7 @@ from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.export.terms import Entries, Term, array_entries, kind_of, number_entries, scalar, written
 from pcbench.planning.padding import Plan
 from pcbench.recordings.windows import Window
-from pcbench.simulation import measurements, trajectory
-from pcbench.simulation.schedule.common_times import Schedule
+from pcbench.simulation import trajectory
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 RESERVED = frozenset(
@@ -136,15 +135,20 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     ask = jax.jit(beginning, static_argnums=(0, 1))
     xhat0, before = ask(p.layout._replace(width=1), rows, p.problem, root, index[None])
     schedule, n = p.problem.schedule, p.problem.x0.shape[0]
-    many = 1 + max(int(schedule.sample.max(initial=0)), int(schedule.early.max(initial=0)))
-    seen = measurements.jit_measure_runs()(p.layout, many, p.problem, root, index[None], out.x[:, :n, None])
-    values = packets(schedule, *(np.asarray(each)[..., 0] for each in seen))
+    early, taken = len(schedule.early), np.flatnonzero(schedule.sense >= 0)
+    ticks = np.concatenate([np.zeros(early, int), taken])
+    numbers = np.concatenate([schedule.early, schedule.sample[taken]])
+    x, measure = out.x[:, :n, None], trajectory.jit_measure_runs()
+    y = np.asarray(measure(p.layout, p.problem, root, index[None], x, ticks[None], numbers[None]))[0]
+    values = np.zeros((len(y) + 1, y.shape[1]))  # by packet; the last: no packet
+    values[[*range(early), *schedule.sense[taken]]] = y
+    mask = schedule.mask & ~np.isnan(values[schedule.arrive])
     window = Window(
         sense=schedule.snapshot,
         sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0),
-        arrive=schedule.arrive,
+        arrive=np.where(mask.any(-1), schedule.arrive, -1),
         taken=schedule.believed,
-        mask=schedule.mask,
+        mask=mask,
         number=schedule.number,
         value=values[schedule.arrive],
         ticks_since_arrival=schedule.ticks_since_arrival,
@@ -166,18 +170,6 @@ def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, s
     past = vmap_entrywise(one)(state.commands)
     first = initial_state.first_estimate(layout, p, root_seed, seeds)
     return lane_array.to_array(first, 1)[..., 0], lane_array.to_array(past, 1)[..., 0]
-
-
-def packets(schedule: Schedule, clean: Floats, noise: Floats) -> Floats:
-    """Return what each packet holds of a run: [packets, q]; `clean` [N+1, q] without noise, `noise` [I, q] by sample."""
-    early, q = len(schedule.early), clean.shape[1]
-    out = np.zeros((early + int((schedule.sense >= 0).sum()) + 1, q))
-    for number, samples in enumerate(schedule.early):
-        out[number] = clean[0] + np.where(samples >= 0, noise[np.maximum(samples, 0), np.arange(q)], 0)
-    for tick in np.flatnonzero(schedule.sense >= 0):
-        samples = schedule.sample[tick]
-        out[schedule.sense[tick]] = clean[tick] + np.where(samples >= 0, noise[np.maximum(samples, 0), np.arange(q)], 0)
-    return out
 
 
 def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:

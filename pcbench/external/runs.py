@@ -14,7 +14,7 @@ from pcbench.engine import initial_state, lane_array
 from pcbench.errors import UserError
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation import measurements, trajectory
+from pcbench.simulation import trajectory
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
@@ -61,18 +61,26 @@ def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
 
 
 def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
-    ticks, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
-    nothing = common_times.schedule([], ticks, q)
+    end, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
+    nothing = common_times.schedule([], end, q)
     still, root = p.problem._replace(schedule=nothing), np.asarray(root_seed)
     layout = p.layout._replace(observers=(), consistency=False)
-    x = np.asarray(trajectory.compiled_some()(layout, 1, ticks + 1, still, root, seeds).x)
+    x = np.asarray(trajectory.compiled_some()(layout, 1, end + 1, still, root, seeds).x)
     first = _starts(layout, still, root, seeds)
     each = [_samples(p, root_seed, int(seed)) for seed in seeds]
-    many = 1 + max(s.number for mine in each for s in mine)
-    clean, noise = (np.asarray(a) for a in measurements.jit_measure_runs()(layout, many, still, root, seeds, x[:, :n]))
-    for i, (seed, mine) in enumerate(zip(seeds, each, strict=True)):
-        values = [clean[max(s.taken, 0), s.channel, i] + noise[s.number, s.channel, i] for s in mine]
-        yield Run(int(seed), x[..., i], first[:, i], mine, np.array(values))
+    times = [{tick: row for row, tick in enumerate(sorted({s.taken for s in mine}))} for mine in each]
+    ticks = np.zeros((len(seeds), max(map(len, times))), int)
+    numbers = np.full((*ticks.shape, q), -1)
+    for i, (rows, mine) in enumerate(zip(times, each, strict=True)):
+        ticks[i, : len(rows)] = np.maximum(list(rows), 0)
+        for s in mine:
+            numbers[i, rows[s.taken], s.channel] = s.number
+    measure = trajectory.jit_measure_runs()
+    y = np.asarray(measure(layout, still, root, np.asarray(seeds), x[:, :n], ticks, numbers))
+    for i, (rows, mine) in enumerate(zip(times, each, strict=True)):
+        values = np.array([y[i, rows[s.taken], s.channel] for s in mine])
+        lost = [s._replace(arrives=common_times.NEVER) if np.isnan(v) else s for s, v in zip(mine, values, strict=True)]
+        yield Run(int(seeds[i]), x[..., i], first[:, i], lost, values)
 
 
 def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: NDArray[np.int64]) -> Floats:

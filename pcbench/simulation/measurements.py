@@ -32,18 +32,15 @@ the one that differs most.
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.protocols import Leaf
-from pcbench.runtime import program_cache
 from pcbench.simulation import rng
-from pcbench.simulation.types import GridPointParams, Layout, params_of, present
+from pcbench.simulation.types import GridPointParams
 
 # (channels j, index[j] of the sample of each) -> v [len(channels), L]; where samples are rounded as many uniform numbers after
 Noise = Callable[[list[int], Any], Array]
@@ -153,36 +150,3 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
         return jnp.where(out, scale * v, v)
 
     return drawn
-
-
-class Measurements(NamedTuple):
-    """Of L runs, N + 1 ticks, I samples a channel."""
-
-    clean: Array  # [N+1, q, L] what each channel would measure at each tick without noise
-    noise: Array  # [I, q, L] of each sample, scaled
-
-
-def measure_runs(
-    layout: Layout, many: int, p: GridPointParams, root_seed: Array, seeds: Array, x: Array
-) -> Measurements:
-    """Return what runs seeds[L] measure whose states are x[N+1, n, L], of `many` samples a channel."""
-    q, lanes = p.noise_std.shape[0], seeds.shape[0]
-    numbers = layout.plant.drawn if layout.drifting else 0
-    drawn = rng.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, numbers)[0] if numbers else jnp.zeros((0, lanes))
-    noise = noise_sampler(p, root_seed, seeds)
-
-    def one(k: Array, x: Array, drawn: Array) -> Array:
-        return layout.plant.output(params_of(layout, p, drawn), present(p, k, True), x)
-
-    def at(row: tuple[Array, Array]) -> Array:
-        return jax.vmap(one, (None, -1, -1), -1)(*row, drawn)
-
-    clean = lax.map(at, (jnp.arange(len(x)), x))
-    each = lax.map(lambda i: noise(list(range(q)), [i for _ in range(q)]), jnp.arange(many))
-    return Measurements(clean, p.noise_std[None, :, None] * each)
-
-
-@cache
-def jit_measure_runs() -> Any:
-    """Return `measure_runs` compiled, once for each shape in a process."""
-    return program_cache.jit_with_limit(measure_runs, (0, 1))

@@ -9,7 +9,7 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.runtime import program_cache
-from pcbench.simulation import closed_loop, innovation_stats, simulate_runs
+from pcbench.simulation import closed_loop, innovation_stats, measurements, simulate_runs
 from pcbench.simulation.simulate_runs import Run, Shift
 from pcbench.simulation.types import GridPointParams, Layout, params_of, present, truth
 
@@ -98,6 +98,35 @@ def record_some(
 
     shared: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is that of all runs
     return jax.vmap(one, out_axes=Trajectories(**shared))(seeds)
+
+
+def measure_runs(
+    layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, x: Array, ticks: Array, numbers: Array
+) -> Array:
+    """Return what the runs seeds[L] measure, whose states are x[N+1, n, L]: [L, K, q], NaN where it is not sent.
+
+    A row is a tick [L, K] and the numbers of its samples [L, K, q], -1: none; samples from before tick 0 have measured x(0).
+    """
+
+    def one(seed: Array, x: Array, ticks: Array, numbers: Array) -> Array:
+        drawn = simulate_runs.draw(layout, p, root_seed, seed)
+        params = params_of(layout, p, drawn.plant)
+
+        def row(sensors: PyTree, at: tuple[Array, Array]) -> tuple[PyTree, Array]:
+            k, number = at
+            y = simulate_runs.measure(layout, p, params, k, x[k], drawn.sample(number))
+            return measurements.send(p.trigger, sensors, y, number >= 0) if p.trigger else (sensors, y)
+
+        first = measurements.first_sensors(numbers.shape[-1]) if p.trigger else ()
+        return lax.scan(row, first, (ticks, numbers))[1]
+
+    return jax.vmap(one, (0, -1, 0, 0))(seeds, x, ticks, numbers)
+
+
+@cache
+def jit_measure_runs() -> Any:
+    """Return `measure_runs` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(measure_runs, 0)
 
 
 def _init_run(

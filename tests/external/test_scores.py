@@ -105,6 +105,31 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
 
 @pytest.mark.ci
 @pytest.mark.parametrize(
+    "errors",
+    [
+        {"quantization_step": [0.5]},
+        {"quantization_step": [0.5], "dither": [1]},
+        {"outlier_probability": [0.3]},
+        {"send_threshold": [2.0]},
+    ],
+    ids=str,
+)
+def test_errors_of_the_sensor_are_in_the_draws(tmp_path, errors):
+    study = {**STUDY, "seeds": 2, "axes": {"noise_std": [0.5], **errors}}
+    export_draws.write(parse.grid_of(study, {}, []), tmp_path / "out")
+    drawn = pd.read_parquet(tmp_path / "out" / "draws" / "samples.parquet")
+    usual = {**STUDY, "seeds": 2, "axes": {"noise_std": [0.5]}}
+    for seed in range(2):
+        run = pcbench.simulate(study, "kf", seed=seed).y1.to_numpy()
+        held = np.full(len(run), np.nan)
+        for tick, rows in drawn[drawn.seed == seed].dropna().groupby("arrived_tick"):
+            held[int(tick) :] = rows.sort_values("sampled").value.iloc[-1]
+        np.testing.assert_allclose(held, run, rtol=0, atol=1e-12)
+        assert np.nanmax(np.abs(held - pcbench.simulate(usual, "kf", seed=seed).y1)) > 0.01
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(
     ("wrong", "assumed"),  # a log has the stamps of the sensor; what is wrongly assumed of them is in the plant file
     [
         ({"timestamp_offset": 0.05, "clock_skew": 2e4}, 0.0),
