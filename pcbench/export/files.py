@@ -24,6 +24,7 @@ from pcbench.playback.replay import replay
 from pcbench.playback.setup import PlaybackSetup, open_playback
 from pcbench.runtime import config
 from pcbench.study.grid import Cell
+from pcbench.study.labels import title_of_scenario
 from pcbench.study.load import Described
 from pcbench.study.parse import one_cell
 from pcbench.synthesis.certificate import DesignContext
@@ -79,19 +80,30 @@ def export_observer(
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
             )
+        if cell.entry(observer).observer.uses_silence:
+            raise UserError(
+                f"{observer}: got an observer that uses that no sample was sent, which a program in C does not report, "
+                "expected one that uses samples alone; export kf."
+            )
+        title = title_of_scenario(asked, cell.scenario.name)
         if log is None:
             cell = slowed(cell, next(iter(cell.options)))
             (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
             ((name, _),), known = p.layout.observers, setting(p.cell)
             rows = _rows(cell, p.labels[0], known)
-            return _build_export(
-                p.cell, p.labels[0], name, p, known, rows, structs.vector(p, asked.root_seed, seed, rows)
-            )
-        return _export_recording(log, study, observer, delay, start, overrides or [])
+            run = structs.vector(p, asked.root_seed, seed, rows)
+            return _build_export(title, p.cell, p.labels[0], name, p, known, rows, run)
+        return _export_recording(title, log, study, observer, delay, start, overrides or [])
 
 
 def _export_recording(
-    log: str | Path, study: Described, observer: str, delay: float | None, start: float | None, overrides: list[str]
+    title: str,
+    log: str | Path,
+    study: Described,
+    observer: str,
+    delay: float | None,
+    start: float | None,
+    overrides: list[str],
 ) -> ExportedObserver:
     a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
@@ -101,13 +113,23 @@ def _export_recording(
     expected = estimates[[name for name in names if name in estimates]].to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
     run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
-    return _build_export(a.cell, label, label, p, p.setting, rows, run)
+    return _build_export(title, a.cell, label, label, p, p.setting, rows, run)
 
 
 def _build_export(
-    cell: Cell, label: str, name: str, p: padding.Plan | PlaybackSetup, known: DesignContext, rows: int, run: Vector
+    title: str,
+    cell: Cell,
+    label: str,
+    name: str,
+    p: padding.Plan | PlaybackSetup,
+    known: DesignContext,
+    rows: int,
+    run: Vector,
 ) -> ExportedObserver:
-    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by."""
+    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by.
+
+    `title` is what the files call the scenario.
+    """
     o = dict(p.layout.observers)[name]
     gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
     m, q, zero = known.model.B.shape[1], len(known.noise_std), jnp.asarray(0)
@@ -124,7 +146,7 @@ def _build_export(
     about = About(
         label=c_files.identifier(label),
         observer=label,
-        scenario=cell.scenario.name,
+        scenario=title,
         dt=cell.scenario.dt,
         signals=estimated_of(cell.scenario)[: s.estimates],
         inputs=m,

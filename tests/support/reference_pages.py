@@ -212,9 +212,16 @@ Sizes are in brackets: n states, m inputs, q outputs, r unknown inputs.
 
 One list of values per axis. See [Axes](axis_list.md).
 
+## [observers.NAME]
+
+One table per observer, instead of the list `observers`. NAME is the label in tables and figures. An empty table takes the
+observer of that name. Other keys are the observer's options:
+
+- `use` (text): MODULE:NAME of your own observer, or one of pcbench whose name begins NAME
+
 ## [options.OBSERVER]
 
-Options by observer or label. See [Observers](observers.md).
+Options by observer or label, for observers from a list. See [Observers](observers.md).
 
 ## [options.scenario]
 
