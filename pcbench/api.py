@@ -196,7 +196,8 @@ def simulate(
         A frame with t [s], each signal (states, then the plant's unknown inputs or parameters), OBSERVER.SIGNAL for each
         estimate, OBSERVER.ERROR for each of the plant's own errors, u1.. (input held over the tick), and y1.. (newest
         measurement that has arrived; NaN before the first). With the option `consistency` also OBSERVER.SIGNAL.sigma, the
-        assumed standard deviation; in a closed loop target.SIGNAL, the set point. `attrs["excluded"]` has the reasons why
+        assumed standard deviation; of an observer with bounds OBSERVER.SIGNAL.low and .high, the ends of its interval; in a
+        closed loop target.SIGNAL, the set point. `attrs["excluded"]` has the reasons why
         observers of "all" are missing.
 
     Raises:
@@ -243,6 +244,9 @@ def simulate(
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
         own = out.sigma.get(called)
         columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        for i, ends in enumerate(out.bounds[called].T if called in out.bounds else ()):
+            columns |= {f"{name}.{signals[i]}.low": ends[0], f"{name}.{signals[i]}.high": ends[1]}
     columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.arrived).T)}

@@ -20,8 +20,8 @@ def tables_of(
     """Return the tables of a run by name.
 
     The times of `samples` are their stamps. What observers assume wrongly of them (`assumed_delay_error`) is no part of a log:
-    `replay` takes it from the plant file. One that was lost, or is on its way when the run ends, never arrives. Raises
-    UserError where measuring began before tick 0: such samples have measured nothing that a log holds.
+    `replay` takes it from the plant file. One that was lost or not sent, or is on its way when the run ends, never arrives.
+    Raises UserError where measuring began before tick 0: such samples have measured nothing that a log holds.
     """
     if len(schedule.early):
         raise UserError(
@@ -32,11 +32,13 @@ def tables_of(
     k, slot, channel = np.nonzero(schedule.mask)
     numbers = schedule.number[k, slot, channel].tolist()
     value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.brought[k, slot, channel], strict=True))
+    values = np.array([value.get((s.channel, s.number), np.nan) for s in every])
+    arrived = np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every])
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
         sampled=np.array([s.stamp(0) * dt for s in every]),
-        arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
-        value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
+        arrived=np.where(np.isnan(values), np.nan, arrived),  # a sensor may have held it back
+        value=values,
         row=np.arange(1, len(every) + 1),
     )
     t = np.arange(float(last + 1)) * dt

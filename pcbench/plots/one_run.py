@@ -30,7 +30,8 @@ from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
 
-FORM = 4  # of the file
+FORM = 5  # of the file
+ENDS = ("lowest", "highest")  # of an interval
 POINTS = 120  # ticks that are kept, or up to twice as many
 SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
 MEDIAN = "abs_p50"
@@ -54,11 +55,12 @@ def several(
     What does not stand in the folder `out` is made, all together, and put there.
 
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
-    high (between which nine in ten errors of RUNS runs lie at that time), rms (over them) and SIZES (quantiles of |e|),
-    measured (as it has arrived and is held; of signals that an output shows as they are), arrival (of no signal: rows in
-    which what is held differs from the row before) or target (of a closed loop). Where the study asks for consistency,
-    also sigma (the assumed standard deviation of this run) and, of no signal, nees, nees_low and nees_high
-    (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true). Runs that are all alike,
+    high (between which nine in ten errors of RUNS runs lie at that time), rms (over them) and SIZES (quantiles of |e|), ENDS
+    (of the interval of an observer with bounds), measured (as it has arrived and is held; of signals that an output shows as
+    they are), arrival (of no signal: rows in which what is held differs from the row before) or target (of a closed loop).
+    Where the study asks for consistency, also sigma (the assumed standard deviation of this run) and, of no signal, nees,
+    nees_low and nees_high (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true).
+    Runs that are all alike,
     and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an
     observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
     """
@@ -178,6 +180,8 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
                 yield frame(signal, label, kind, values)
             if name in made.sigma:
                 yield frame(signal, label, "sigma", made.sigma[name][:, i, 0])
+            for k, end in enumerate(ENDS if name in made.bounds else ()):
+                yield frame(signal, label, end, made.bounds[name][:, k, i, 0])
         if first and i < made.target.shape[1]:
             yield frame(signal, "set point", "target", made.target[:, i])
         if signal in shown and first and not closed:

@@ -33,6 +33,7 @@ TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
 BINS = 40
 DIGITS = 9  # of a second: what is less is rounding
 SIGMA = "_sigma"  # label of lines that are assumed standard deviations; the legend leaves it out
+INTERVAL = "_interval"  # label of the ends of an interval; likewise
 DROP = 12.0  # of a log-likelihood below its maximum that is shown
 
 
@@ -140,6 +141,9 @@ def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> 
         elif kind == "estimate":
             near = mine.value.where(mine.value.between(low - (high - low), high + (high - low)))
             ax.plot(mine.t, near, **look[observer])
+        elif kind in one_run.ENDS:
+            line = look[observer]
+            ax.plot(mine.t, mine.value, color=line["color"], linewidth=0.8, alpha=0.8, zorder=1.4, label=INTERVAL)
 
 
 def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log: bool) -> None:

@@ -20,7 +20,7 @@ from pcbench.plots.labels import describe_runs, quantity, times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
-from pcbench.plots.time_series import SIGMA, over
+from pcbench.plots.time_series import INTERVAL, SIGMA, over
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import Answer
@@ -166,6 +166,8 @@ def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = f
         said.append(f"Bands: 90 % of the errors over {over(of, exact)}.")
     if of - exact and (errors.collections or log):
         said.append(f"The {one_run.RUNS} runs are this one and those of the next seeds.")
+    if any(line.get_label() == INTERVAL for ax in figure.axes[:-1] for line in ax.get_lines()):
+        said.append("Thin lines about an estimate: the ends of its interval.")
     if any(line.get_label() == SIGMA for line in errors.get_lines()):
         said.append(f"Thin lines: {'the' if log else 'three times the'} standard deviation that the observer assumes.")
     return text, " ".join(said)

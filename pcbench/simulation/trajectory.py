@@ -25,6 +25,7 @@ class Recording(NamedTuple):
     target: Array  # [N+1, r] the set point of a closed loop
     sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if there is consistency
     errors: dict[str, Array]  # [N+1, d] the plant's own errors; empty where it has none
+    bounds: dict[str, Array]  # [N+1, 2, n] ends of the intervals of observers that have them
 
 
 class Trajectories(NamedTuple):
@@ -37,6 +38,7 @@ class Trajectories(NamedTuple):
     sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if there is consistency
     nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
     errors: dict[str, Array]  # [K, d, L] the plant's own errors; empty where it has none
+    bounds: dict[str, Array]  # [K, 2, n, L] ends of the intervals of observers that have them
 
 
 def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
@@ -54,6 +56,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
             target=closed_loop.aims(layout, p, k),
             sigma=sigma(layout, p, k, run),
             errors=simulate_runs.own_errors(layout, p, params, k, run),
+            bounds=_bounds(layout, p, run),
         )
 
     ticks = jnp.arange(p.schedule.event.shape[0])
@@ -81,6 +84,7 @@ def record_some(
                 sigma=sigma(layout, p, k, run),
                 nees={label: (each.whole, each.states) for label, each in squares.items()},
                 errors=simulate_runs.own_errors(layout, p, params, k, run),
+                bounds=_bounds(layout, p, run),
             )
 
         def step(carry: tuple[Run, Array, Trajectories], k: Array) -> tuple[tuple[Run, Array, Trajectories], None]:
@@ -144,6 +148,13 @@ def sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, A
         return {}
     found = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
+
+
+def _bounds(layout: Layout, p: GridPointParams, run: Run) -> dict[str, Array]:
+    """The ends of the intervals of observers that have them: [2, n]."""
+    return {
+        label: jnp.stack(o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds
+    }
 
 
 def _brought(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Array:

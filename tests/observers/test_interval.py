@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, noise, problem, setting, starts
+from harness import CART, ODD, Case, inputs, noise, problem, setting, starts, trace
 from reference import field_observers
 from reference import linear as reference
 
@@ -91,6 +91,23 @@ def test_both_metrics_equal_the_reference(case, sigmas, spare):
     inside = ((low <= x) & (x <= high))[:N].mean(0)
     np.testing.assert_allclose(found["interval_coverage"], inside, rtol=0, atol=1e-12)
     assert (inside < 1).any() == (sigmas < 1)
+
+
+def test_recorded_ends_equal_the_reference():
+    options = {"sigmas": 3.0, "process_bound": [0.01] * 3}
+    x, low, high = reference_ends(ODD_CASE, options)
+    found = np.asarray(trace(ODD_CASE, {"interval": options}).bounds["interval"])
+    np.testing.assert_allclose(found, np.stack([low, high], 1), rtol=0, atol=1e-10 * np.abs(x).max())
+
+
+def test_simulate_has_the_ends_of_each_signal():
+    run = pcbench.simulate(study(OSCILLATOR, BOUNDED), "interval")
+    for name in ("x1", "x2"):
+        low, high = run[f"interval.{name}.low"], run[f"interval.{name}.high"]
+        assert ((low <= run[name]) & (run[name] <= high)).all()
+        np.testing.assert_allclose((low + high) / 2, run[f"interval.{name}"], atol=1e-9)
+        assert high.iloc[-1] - low.iloc[-1] < high.iloc[0] - low.iloc[0]
+    assert not any(column.endswith(".low") for column in pcbench.simulate(study(OSCILLATOR, BOUNDED), "kf").columns)
 
 
 def widths_from(first, options):
