@@ -173,7 +173,7 @@ def _range(part: pd.DataFrame) -> tuple[float, float]:
     """Return between what the plant and its target are drawn, with room; what runs away leaves the picture."""
     mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     low, high = float(mine.min()), float(mine.max())
-    near = part.value[(part.kind == "estimate") & np.isfinite(part.value)]
+    near = part.value[part.kind.isin(["estimate", *one_run.ENDS]) & np.isfinite(part.value)]
     room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
     if len(near):
         low, high = max(low - room, min(low, near.min())), min(high + room, max(high, near.max()))

@@ -27,6 +27,7 @@ def test_tables_have_the_columns_of_the_page_in_their_order(whole):
             "signal_nees",
             "interval_width",
             "interval_coverage",
+            "sent_fraction",
         )
         loops = {m for m in order if m.removeprefix("steady_") in asked}  # of closed loops, or of who asks for it
         assert there == [c for c in order if c not in loops and (name != "runs/" or c not in ("scenario", "observer"))]

@@ -26,11 +26,12 @@ PROGRAMS = {
     "digester": 1,
     "camera-target": 2,
     "ncs-two-state": 1,
-    "ncs-reactor": 1,
+    "ncs-reactor": 2,  # try-once-discard is computed by the definition
     "intermittent": 1,
     "quadruple-tank": 1,
     "flexible-joint": 1,
     "outage": 1,
+    "send-on-delta": 2,  # likewise, where a threshold is above 0
     "processor": 3,  # an observer has one of its own
     "variable-sampling": 2,
 }
