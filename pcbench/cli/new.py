@@ -16,6 +16,7 @@ from pcbench.cli.shared import argument, console, option, setup, write_new
 from pcbench.errors import UserError, short, unknown
 
 Kind = Literal["observer", "plant", "controller", "scenario", "recording"]
+Example = Literal["car", "leg"]
 PLACEHOLDER = "NAME"
 TEMPLATES = Path(__file__).parent / "templates"
 BASE = "cart/white"  # of a scenario to start from
@@ -34,18 +35,26 @@ NEXT = {
         "pcbench run cart/white --set controller.use={name}.py:{name}",
     ),
     "scenario": ("pcbench check {name}.toml", "pcbench run {name}.toml"),
-    "recording": ("pcbench info {name}", "pcbench guide a-real-recording"),
+}
+EXAMPLES = {  # of recordings
+    "car": ("pcbench info {name}", "pcbench guide a-real-recording"),
+    "leg": ("pcbench info {name}/recording.toml", "pcbench guide synchronous-sensors"),
 }
 
 
 def new(
     kind: Annotated[Kind, argument("Kind of template")],
     name: Annotated[str, argument("Name of the object and of its file")],
+    example: Annotated[
+        Example | None, option("Recording to copy: a car, or the leg of a walking person [default: car]")
+    ] = None,
 ) -> None:
-    """Create a template that runs, with comments; for a plant also a study. A recording is one minute of a car.
+    """Create a template that runs, with comments; for a plant also a study. A recording is a real one, in a folder.
 
-    Examples: pcbench new observer nudge;  pcbench new recording car
+    Examples: pcbench new observer nudge;  pcbench new recording walk --example leg
     """
+    if example and kind != "recording":
+        raise UserError(f"new {kind}: got --example {example}, which is an option of recordings; leave it out.")
     name = name if kind in ("scenario", "recording") else name.replace("-", "_")
     if not name.isidentifier():
         raise UserError(f"new {kind}: got '{short(name)}', expected a name of letters, digits and _; write another.")
@@ -55,7 +64,7 @@ def new(
             raise UserError(f"new {kind}: {path} exists already, expected a new file; give another name.")
     for path in paths:
         if kind == "recording":
-            copy_recording(path)
+            copy_recording(path, example or "car")
             continue
         if kind == "scenario":
             setup()
@@ -68,14 +77,14 @@ def new(
             text = (TEMPLATES / (kind + path.suffix)).read_text(encoding="utf-8").replace(PLACEHOLDER, name)
         write_new(path, text, f"new {kind}")
     print(f"{' and '.join(map(str, paths))} {'are' if len(paths) > 1 else 'is'} written. Next:")
-    for command in NEXT[kind]:
+    for command in EXAMPLES[example or "car"] if kind == "recording" else NEXT[kind]:
         print("  " + command.format(name=name))
 
 
-def copy_recording(folder: Path) -> None:
-    """Write the recording of a car into a new folder, with its source and licence; raise UserError if that fails."""
+def copy_recording(folder: Path, example: Example) -> None:
+    """Write a real recording into a new folder, with its source and licence; raise UserError if that fails."""
     try:
-        shutil.copytree(TEMPLATES / "recording", folder)
+        shutil.copytree(TEMPLATES / "recordings" / example, folder)
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise UserError(
@@ -85,7 +94,7 @@ def copy_recording(folder: Path) -> None:
 
 FOLDER = Path(__file__).parents[1] / "guide"
 GROUPS = {  # the pages by kind, in the order in which they are listed
-    "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording"),
+    "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording", "synchronous-sensors"),
     "How-to guides": (
         *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
         *(

@@ -66,7 +66,8 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
         "report/page.js",
         "report/explorer.js",
         "report/replay.html",
-        "cli/templates/recording/LICENSE",
+        "cli/templates/recordings/car/LICENSE",
+        "cli/templates/recordings/leg/LICENSE",
     )
     assert pages | {f"pcbench/{name}" for name in others} <= names
     assert not any(name.startswith("tests/") for name in names)
