@@ -29,6 +29,10 @@ KINDS: dict[str, tuple[re.Pattern[str], pa.DataType]] = {
     "number": (re.compile(r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(inf|nan)", re.IGNORECASE), pa.float64()),
     "zoned": (re.compile(r"\d{4}-\d\d-\d\d[T ][\d:]+(\.\d+)?(Z|[+-]\d\d(:?\d\d)?)"), pa.timestamp("ns", "UTC")),
     "date": (re.compile(r"\d{4}-\d\d-\d\d([T ][\d:]+(\.\d+)?)?"), pa.timestamp("ns")),
+    "worded": (  # a date with a zone that is no time as read: its blanks separate no cells
+        re.compile(r"\d{4}-\d\d-\d\d[T ][\d:]+(\.\d+)? ?([A-Za-z][\w/+:-]*|[+-]\d\d(:?\d\d)?)"),
+        pa.string(),
+    ),
     "clock": (re.compile(r"\d\d:\d\d(:\d\d(\.\d+)?)?"), pa.time64("ns")),
 }
 

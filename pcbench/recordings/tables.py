@@ -358,6 +358,9 @@ def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
 
 
 CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): CSV conversion error to (\w+).*: invalid value '(.*)'")
+ZONE = re.compile(
+    r"In CSV column #(\d+): Row #(\d+): CSV conversion error to .*: expected (no|a) zone offset in '(.*)'"
+)
 ROW = re.compile(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
@@ -377,6 +380,13 @@ def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
             raise UserError(
                 f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' as {short(d.names[int(cell[1])])}, expected "
                 f"{expected}; correct it, or leave it empty if nothing was measured."
+            ) from None
+        if d and (cell := ZONE.match(text)):
+            got, expected = ("with", "none") if cell[3] == "no" else ("without", "one")
+            raise UserError(
+                f"{path.name}: row {int(cell[2]) - d.skip}: got '{short(cell[4])}' {got} a time zone as "
+                f"{short(d.names[int(cell[1])])}, expected {expected} as in the rows before; give all times a time zone, or "
+                "none."
             ) from None
         if d and (row := ROW.match(text)):
             raise UserError(

@@ -1,5 +1,7 @@
 """Times, units and truth of a table that cannot be right: each is said in one sentence, and nothing is guessed instead."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -67,6 +69,57 @@ def test_a_wrong_column_of_times_is_named_and_never_replaced_by_a_period(name, t
     else:
         with pytest.raises(UserError):
             pcbench.info(tmp_path / "start.toml")
+
+
+def two_columns(folder, zones, blank=""):
+    """A CSV of dates, each with its zone, and a position."""
+    dates = [f"2026-03-01 12:00:{t:06.3f}{blank}{zone}" for t, zone in zip(RISING, zones, strict=True)]
+    (folder / "log.csv").write_text("t,y\n" + "".join(f"{date},1.0\n" for date in dates))
+    return folder / "log.csv"
+
+
+@pytest.mark.parametrize("zone", ["CEST", "Europe/Berlin", "GMT+2", "UTC", "+0200", "-03:30"])
+def test_blanks_within_a_date_separate_no_columns(zone, tmp_path):
+    log = two_columns(tmp_path, [zone] * len(RISING), " ")
+    (found,) = contents.contents(log)
+    assert (found.stamp, found.topic.numbers) == ("t", ["y"])
+    assert found.problem == "column 't' holds text that is no time, expected seconds or ISO 8601; convert its values."
+    with pytest.raises(
+        UserError, match=rf"t: got '2026-03-01 12:00:00.000 {re.escape(zone)}', expected numbers, or times"
+    ):
+        pcbench.info(toml(tmp_path))
+
+
+def test_blanks_separate_dates_and_numbers_of_a_table_without_commas(tmp_path):
+    (tmp_path / "log.csv").write_text("day t y\n" + "".join(f"2026-03-01 12:00:{t:06.3f} {t}\n" for t in RISING))
+    (found,) = contents.contents(tmp_path / "log.csv")
+    assert found.topic.numbers == ["y"]
+    assert found.topic.times == ["day", "t"]
+
+
+@pytest.mark.parametrize("first", ["", "Z", "+02:00"])
+@pytest.mark.parametrize("later", [1, 39, 3000])  # the last is behind the lines by which the types are found
+def test_times_with_and_without_a_zone_are_refused(first, later, tmp_path):
+    other = "" if first else "+02:00"
+    dates = np.datetime64("2026-03-01T12:00:00.000") + 50 * np.arange(max(later, 39) + 1).astype("timedelta64[ms]")
+    lines = [f"{date}{other if i == later else first},1.0\n" for i, date in enumerate(dates)]
+    (tmp_path / "log.csv").write_text("t,y\n" + "".join(lines))
+    got, expected = ("with", "none") if other else ("without", "one")
+    words = (
+        f"log.csv: row {later + 1}: got '{dates[later]}{other}' {got} a time zone as t, expected {expected} as in the rows "
+        "before; give all times a time zone, or none."
+    )
+    for read in (lambda: contents.contents(tmp_path / "log.csv"), lambda: pcbench.info(toml(tmp_path))):
+        with pytest.raises(UserError, match=rf"^{re.escape(words)}$"):
+            read()
+
+
+def test_different_zones_are_one_time(tmp_path):
+    """An hour later on a clock that is two hours ahead is an hour earlier."""
+    (tmp_path / "log.csv").write_text("t,y\n2026-03-01T12:00:00Z,1.0\n2026-03-01T14:00:01+02:00,2.0\n")
+    (found,) = contents.contents(tmp_path / "log.csv")
+    assert found.problem == ""
+    assert pcbench.info(toml(tmp_path)).samples.tolist() == [2]
 
 
 def test_columns_of_one_name_are_named(tmp_path):
