@@ -84,7 +84,7 @@ def test_model_with_the_hum_of_50_hz_is_more_likely(printed):
         assert row["ljung_box_p"] < 1e-100
     assert out["found"]["kept_start"]
     assert out["found"]["held_out"]["tuned"]["ljung_box_p"] < 1e-100
-    innovations = pd.read_parquet(folder / "plain" / "innovations.parquet")["kf.innovation"].dropna()
+    innovations = pd.read_parquet(folder / "plain" / "innovations.parquet")["kf.innovation"].dropna().to_numpy()
     frequency, power = welch(innovations[600:], leg.RATE, nperseg=480)
     fast = frequency > 5.0  # above the rates of a walk
     assert frequency[fast][power[fast].argmax()] == 50.0

@@ -38,10 +38,11 @@ def _least(rest):
 
 def lag_in_plane(t, u, y, step):
     """Return the lag [s] of the angle y behind its rate u, for changes over `step` rows."""
-    at = np.arange(t[0] + MARGIN, t[-1] - MARGIN, step / RATE)
-    turned = CubicSpline(t, u).antiderivative()
-    changes = np.diff(CubicSpline(t, y)(at))
-    return _least(lambda lag: np.var(changes - np.diff(turned(at - lag))))
+    begin = np.arange(t[0] + MARGIN, t[-1] - MARGIN, 1 / RATE)
+    end = begin + step / RATE
+    turned, angles = CubicSpline(t, u).antiderivative(), CubicSpline(t, y)
+    changes = angles(end) - angles(begin)
+    return _least(lambda lag: np.var(changes - turned(end - lag) + turned(begin - lag)))
 
 
 def lag_in_space(t, w, m, cutoff):
