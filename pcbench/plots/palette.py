@@ -64,6 +64,7 @@ LOOKS = {
     "ukf": Style("#0C11BB", (4.0, 1.4, 4.0, 1.4, 1.0, 1.4), "D"),
     "mhe": Style("#709FA6", (9.0, 1.6), "s"),
     "particle": Style("#07B472", (1.8, 1.8), "P"),
+    "kf-event": Style("#980026", (5.0, 1.2, 1.6, 1.2), "8"),
     "kf-ignore-delay": Style("#4D159C", (6.0, 1.6), "d"),
     "kf-drop-delayed": Style("#C92536", (2.8, 1.4), "v"),
     "kf-reprocess": Style("#4589A8", (6.0, 1.4, 1.0, 1.4), "s"),

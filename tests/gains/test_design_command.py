@@ -71,6 +71,7 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
         "super-twisting",
         "cdob",
         "no-delay",
+        "kf-event",
         "kf-ignore-delay",
         "kf-shifted-innovation",
         "kf-larsen",

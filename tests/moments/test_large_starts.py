@@ -53,10 +53,13 @@ def pooled(stats):
 
 @pytest.mark.parametrize("name", [*list(PLANTS)[:2], pytest.param("operating", marks=pytest.mark.nightly)])
 def test_exact_errors_keep_their_digits_beside_a_large_start(name):
-    """The bound that `rms_efficiency` needs is a covariance recursion, which keeps six digits of an unstable plant's."""
+    """The bound that `rms_efficiency` needs is a covariance recursion, which keeps eight digits, or six of an unstable plant's.
+
+    The last of them depend on the processor.
+    """
     stats = pcbench.exact_moments(study(name)).stats
     np.testing.assert_allclose(pooled(stats), expected(name), rtol=1e-9)
-    rtol = 1e-9 if name == "integrator" else 1e-5
+    rtol = 1e-8 if name == "integrator" else 1e-5
     np.testing.assert_allclose(stats[stats.metric == "rms_efficiency"]["mean"], 1.0, rtol=rtol)
 
 

@@ -88,6 +88,7 @@ SLOPES = {
     "eso": ("cart/gaussian", {"pole": 0.6}, "steady_rmse"),
     "interval": ("cart/gaussian", {"pole": 0.6}, "steady_rmse"),
     "finite-time": ("cart/gaussian", {"pole": 0.5}, "mae"),
+    "kf-event": ("cart/gaussian", {"R": 0.2}, "rmse"),
     "cdob": ("cart/gaussian", {"pole": 0.6}, "rmse"),
     "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "steady_mse"),
     "no-delay": ("csth/10s-noise", {"pole": 0.3}, "max_abs_error"),

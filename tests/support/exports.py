@@ -7,7 +7,7 @@ import pytest
 
 from pcbench.export import files
 
-REFUSED = {"particle": "erf_inv", "oosm-lag": "lu"}  # and the primitive that stands in the way
+REFUSED = {"particle": "erf_inv", "oosm-lag": "lu", "kf-event": "silence"}  # and what cannot be written
 HOMES = {
     **dict.fromkeys(("pco", "pi-pco"), "cart/variable"),
     **dict.fromkeys(("chain", "equal-delay", "no-delay"), "csth/10s-noise"),
