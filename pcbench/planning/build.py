@@ -59,7 +59,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
 
     def least() -> NDArray[np.float64]:
         _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
-        samples = [(s.arrives, s.taken, s.channel) for s in common_times.samples(clocks, known.ticks)]
+        samples = common_times.times_of_samples(clocks, known.ticks)
         tail = range(cell.times.tail, known.ticks)
         return np.sqrt(riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps))
 

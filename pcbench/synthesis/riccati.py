@@ -11,10 +11,10 @@ Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depe
 from bisect import bisect
 from collections.abc import Callable
 from functools import cache, partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from pcbench.dynamics import linear
@@ -121,14 +121,16 @@ class Steps(NamedTuple):
     after: dict[tuple[bytes, int, int], Matrix]
     over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, a root of the covariance that noise adds
     flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
+    stages: dict[bytes, Matrix]  # samples that arrive in order -> covariances [m + 1, n, n] after none, one, two ...
 
 
 ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
+SERIES = 256  # and as many series of them
 
 
 def no_steps() -> Steps:
     """Return what is known before the first recursion."""
-    return Steps({}, {}, {})
+    return Steps({}, {}, {}, {})
 
 
 def posterior_variance(
@@ -137,7 +139,7 @@ def posterior_variance(
     C: Matrix,
     R: Matrix,
     P0: Matrix,
-    samples: list[tuple[int, int, int]],
+    samples: ArrayLike,
     ticks: range,
     steps: Steps | None = None,
 ) -> Matrix:
@@ -146,49 +148,71 @@ def posterior_variance(
     `doubled` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
-    arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
-    exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
+    arrived. `samples` [m, 3] are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees.
+    It exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
     Roots of covariances are carried, by orthogonal transformations: with a prior 1e8 times the noise P would keep no digit.
     """
     steps = no_steps() if steps is None else steps
-    since = _newest(partial(_after, steps, doubled, noise, C, R), root(P0), samples)
-    edges = [tick for tick in since if tick < ticks.stop] + [ticks.stop]
-    spans: dict[tuple[int, int], tuple[int, Matrix]] = {}  # ticks after a sample -> how often, the sum of covariances
-    for (taken, S), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
-        if stop > ticks.start:
-            span = max(start, ticks.start) - taken, stop - taken
-            often, added = spans.get(span, (0, 0.0))
-            spans[span] = often + 1, added + S @ S.T
-    F, G = _flow(steps, doubled, noise, max(stop for _, stop in spans))
+    times = np.asarray(samples, int).reshape(-1, 3)
+    known, taken, P = _newest(partial(_after, steps, doubled, noise, C, R), P0, times, steps)
+    start, stop = np.maximum(known, ticks.start), np.minimum(np.append(known[1:], ticks.stop), ticks.stop)
+    here = start < stop
+    start, stop, P = (start - taken)[here], (stop - taken)[here], P[here]  # ticks after a sample
+    F, G = _flow(steps, doubled, noise, int(stop.max()))
     total = np.zeros(len(P0))
-    for (start, stop), (often, P) in spans.items():
-        moved = F[start:stop]
-        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", moved, moved), P)
-        total += often * np.einsum("kii->i", G[start:stop])
+    for one in np.sort(np.unique(start + 1j * stop, return_index=True)[1]):
+        alike = P[(start == start[one]) & (stop == stop[one])]
+        moved, added = (of[start[one] : stop[one]] for of in (F, G))
+        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", moved, moved), alike.sum(0))
+        total += len(alike) * np.einsum("kii->i", added)
     return total / len(ticks)
 
 
-def _newest(after: After, S0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
-    """From which tick on nothing newer is known than which stage: the tick of a sample and the covariance after it.
+def _newest(
+    after: After, P0: Matrix, samples: NDArray[np.integer], steps: Steps
+) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
+    """Ticks [m] from which on nothing newer is known, those of the newest samples, and covariances after them [m, n, n].
 
     A sample may arrive after a newer one: what came of newer ones is found again.
     """
-    arriving: dict[int, list[Taken]] = {}
-    for arrival, taken, channel in samples:
-        arriving.setdefault(arrival, []).append((taken, channel))
+    order = np.lexsort(samples.T[::-1])
+    arrives, taken, channel = samples[order].T
+    last = np.append(arrives[1:] != arrives[:-1], True)[: len(arrives)]  # of those that arrive at its tick
+    if (np.lexsort((channel, taken)) == np.arange(len(taken))).all():
+        key = np.append(P0, samples[order, 1:]).tobytes()
+        if key not in steps.stages:
+            if len(steps.stages) >= SERIES:
+                steps.stages.clear()
+            stages = [(0, root(P0))]
+            for tick, one in zip(taken.tolist(), channel.tolist(), strict=True):
+                before, S = stages[-1]
+                stages.append((tick, after(S, tick - before, one)))
+            steps.stages[key] = np.stack([S @ S.T for _, S in stages])
+        newest = np.append(0, np.flatnonzero(last) + 1)
+        since, at, P = np.append(0, arrives[last]), np.append(0, taken)[newest], steps.stages[key][newest]
+    else:
+        since, at, P = _newest_again(after, P0, samples[order])
+    first = int(len(since) > 1 and since[1] == 0)  # something arrives at tick 0
+    return since[first:], at[first:], P[first:]
+
+
+def _newest_again(
+    after: After, P0: Matrix, samples: NDArray[np.integer]
+) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
+    """The same of samples in the order of arrival, some of which arrive after a newer one."""
     known: list[Taken] = []  # oldest first
-    stages: list[Stage] = [(0, S0)]  # after none, one, two ... of them
-    since = {0: stages[0]}
-    for tick in sorted(arriving):
-        for one in sorted(arriving[tick]):
-            place = bisect(known, one)
-            known.insert(place, one)
-            del stages[place + 1 :]
-            for taken, channel in known[place:]:
-                at, S = stages[-1]
-                stages.append((taken, after(S, taken - at, channel)))
+    stages: list[Stage] = [(0, root(P0))]  # after none, one, two ... of them
+    since = {-1: stages[0]}
+    for tick, *one in samples.tolist():
+        place = bisect(known, tuple(one))
+        known.insert(place, tuple(one))
+        del stages[place + 1 :]
+        for taken, channel in known[place:]:
+            at, S = stages[-1]
+            stages.append((taken, after(S, taken - at, channel)))
         since[tick] = stages[-1]
-    return since
+    newest, roots = zip(*since.values(), strict=True)
+    return np.maximum(list(since), 0), np.array(newest), np.stack([S @ S.T for S in roots])
 
 
 def _after(
