@@ -1,8 +1,9 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
+import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -148,12 +149,19 @@ def words(vocabulary: Sequence[str], which: ArrayLike) -> pa.Array:
     return pa.DictionaryArray.from_arrays(indices, pa.array(vocabulary)).cast(pa.string())
 
 
-def concat_columns(parts: Iterable[Mapping[str, list[object]]]) -> dict[str, list[object]]:
-    """Return parts of a table, by column, as one."""
-    out: dict[str, list[object]] = {}
+def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
+    """Return parts of a table, by column, as one: arrays of a value a row, or one value for all rows of a part."""
+    by_name: dict[str, list[object]] = {}
+    many: list[int] = []
     for part in parts:
-        for name, values in part.items():
-            out.setdefault(name, []).extend(values)
+        for name, value in part.items():
+            by_name.setdefault(name, []).append(value)
+        many.append(max(len(value) for value in part.values() if isinstance(value, np.ndarray)))
+    out: dict[str, Any] = {}
+    for name, values in by_name.items():
+        arrays = [value for value in values if isinstance(value, np.ndarray)]
+        repeated = itertools.chain.from_iterable(map(itertools.repeat, values, many))
+        out[name] = np.concatenate(arrays) if arrays else list(repeated)
     return out
 
 

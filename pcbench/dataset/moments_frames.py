@@ -1,7 +1,7 @@
 """Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.synthesis.certificate import is_certified
 
 OVER_TIME = ("observer", "signal", "t", "mean", "std")
+METRICS = np.array(stats_rows.ORDER, object)
 Values = NDArray[np.floating]
 
 
@@ -46,7 +47,7 @@ class Exact:
         each run has its own schedule, `mean` is over the first `schedules` of them, `n` is their number, and `se` is the
         standard error over schedules.
         """
-        return pd.DataFrame(columns.concat_columns(self.rows(m) for m in self.solved(self.grid.cells)))
+        return pd.DataFrame(columns.concat_columns(self.all_rows(self.grid.cells)))
 
     def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
         """Return mean and standard deviation of the errors at ticks 0 .. N, of all grid points or of one.
@@ -111,12 +112,18 @@ class Exact:
             for m in solve(plan_cells(cells, recorded == COVARIANCE), asked):
                 yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
 
-    def rows(self, m: CellMoments) -> dict[str, list[object]]:
-        """Return the rows of `stats` as columns, in their order."""
+    def all_rows(self, cells: list[Cell]) -> Iterator[dict[str, object]]:
+        """Yield the rows of cells."""
+        for m in self.solved(cells):
+            yield from self.rows(m)
+
+    def rows(self, m: CellMoments) -> Iterator[dict[str, object]]:
+        """Yield the rows of `stats` of each observer as columns, in their order, for `columns.concat_columns`."""
         cell, p = m.planned.cell, m.planned
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
-        order, parts = columns.stats_order(columns.axes_of(head)), []
+        names, units = _words(tuple(signals))
+        order = columns.stats_order(columns.axes_of(head))
         for label in m.signals:
             rows = stats_rows.stats_columns(m, label, m.why[label], bound)
             about = head | {
@@ -125,13 +132,9 @@ class Exact:
                 "predicts_unknown_input": p.predicts_unknown_input[label],
                 "certified": is_certified(p.certificates[label]._asdict()),
             }
-            units = [
-                columns.unit_of(metric, signals[i][1]) for metric, i in zip(rows["metric"], rows["signal"], strict=True)
-            ]
-            rows |= {"signal": [signals[i][0] for i in rows["signal"]], "unit": units}
-            rows |= {name: [value] * len(units) for name, value in about.items()}
-            parts.append({name: rows[name] for name in order})
-        return columns.concat_columns(parts)
+            signal, metric = rows["signal"], rows["metric"]
+            rows |= about | {"signal": names[signal], "metric": METRICS[metric], "unit": units[signal, metric]}
+            yield {name: rows[name] for name in order}
 
     def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
         scenarios = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
@@ -141,3 +144,10 @@ class Exact:
         if not chosen:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
         return chosen
+
+
+@lru_cache(256)
+def _words(signals: tuple[tuple[str, str], ...]) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    """The names of signals [K], and the units of their metrics [K, METRICS]."""
+    units = [[columns.unit_of(metric, unit) for metric in stats_rows.ORDER] for _, unit in signals]
+    return np.array([name for name, _ in signals], object), np.array(units, object)

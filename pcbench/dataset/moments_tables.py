@@ -49,7 +49,7 @@ def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], 
     )  # with pandas, half a second that a study of runs does not wait for
 
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
-    parts: list[dict[str, list[object]]] = []  # rows by column, of all cells
+    parts: list[dict[str, object]] = []  # rows by column, of all cells
     progress.begin("exact cells", len(owned.cells))
     with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are made while files wait for the disk
         waiting: deque[Future[None]] = deque()
@@ -60,8 +60,8 @@ def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], 
         for each in waiting:
             each.result()
     rows = columns.concat_columns(parts)
-    reasons = zip(rows["metric"], rows["reason"], strict=True)
-    refused = list(dict.fromkeys(str(reason) for metric, reason in reasons if metric == "mse" and reason))
+    reasons = np.asarray(rows["reason"])[np.asarray(rows["metric"]) == "mse"]
+    refused = list(dict.fromkeys(filter(None, reasons)))
     for sentence in refused[:SAID]:
         say(sentence)
     if refused[SAID:]:
@@ -72,14 +72,14 @@ def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], 
 
 
 def _over_time(
-    owned: StudyClaim, exact: "Exact", rows: list[dict[str, list[object]]], progress: Progress
+    owned: StudyClaim, exact: "Exact", rows: list[dict[str, object]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
     solved = exact.solved(owned.cells, "std" if len(owned.cells) <= MOST else "", POINTS)
     for key, parts in itertools.groupby(solved, key=lambda m: m.planned.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
         for m in parts:
-            rows.append(exact.rows(m))
+            rows += exact.rows(m)
             frames += exact.over_time(m, POINTS)
         if frames:
             part = np.repeat(np.arange(len(frames)), [len(f["t"]) for f in frames])

@@ -243,7 +243,7 @@ def _exact_again(target: storage.Target, owned: StudyClaim, cells: list[Cell]) -
     from pcbench.dataset.moments_frames import Exact  # with pandas
 
     exact, there = Exact(Grid(owned.study, cells), owned.study.schedules), moments_tables.load_exact_rows(target)
-    here = columns.with_intervals(columns.table(columns.concat_columns(exact.rows(m) for m in exact.solved(cells))))
+    here = columns.with_intervals(columns.table(columns.concat_columns(exact.all_rows(cells))))
     for cell in cells:
         mine = (pc.field("scenario") == cell.scenario.name) & (pc.field("cell") == cell.number)
         if there is None or not agree(there.filter(mine), here.filter(mine)):

@@ -193,7 +193,7 @@ def _moments(work: Work, asked: MomentRequest, unlike: set[Hashable]) -> CellMom
     p = work.planned
     if not work.ones:
         return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
-    each = [jax.tree.map(lambda a, at=at: a[..., [at]], future.result()) for future, at in work.calls]
+    each = [jax.tree.map(lambda a, at=at: a[..., at : at + 1], future.result()) for future, at in work.calls]
     if work.trial and not _is_answered(work, each):
         if work.ones[0].mode:
             unlike.add(_kind(p))
@@ -222,7 +222,7 @@ def nan_sums(signals: int, off: float) -> Sums:
 def _gather(work: Work, each: list[Outcome]) -> CellMoments:
     """Put the realisations of one cell together."""
     p, modes = work.planned, [one.mode for one in work.ones if one.mode]
-    outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *each)
+    outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *each) if len(each) > 1 else each[0]
     shares = np.array([mode.share for mode in modes]) if modes else None
     labels = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
     at, signals = 0, {}

@@ -3,10 +3,11 @@
 Rows of one observer in one cell are columns.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.moments import nees
 from pcbench.moments.solve import CellMoments
@@ -47,36 +48,52 @@ ALWAYS = (
 NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
 
 
-Columns = dict[str, list[Any]]
+Columns = dict[str, Any]  # by name: an array of a value a row
 
 
 def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
     """Return the rows of an observer as columns, each with its `method` and the `reason` for a blank.
 
+    `signal` and `metric` are numbers, `metric` that of a metric in ORDER.
     `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
     there is none.
     """
-    estimates, mine, quantiles = _estimates(cell, label, bound), cell.signals[label], _quantiles(cell, label)
+    mine, estimates = cell.signals[label], _estimates(cell, label, bound)
+    many = mine.stop - mine.start
     normal = not cell.planned.layout.scattered and not cell.mixture
-    jumps = bool((cell.planned.problem.jumps < cell.planned.cell.times.ticks).any())
-    names = ("signal", "metric", "diverged", "n", *NUMBERS, *COLUMNS, "method", "reason")
-    out: Columns = {name: [] for name in names}
-    for i in range(mine.stop - mine.start):
-        for metric in ORDER:
-            e = estimates.get(metric)
-            known = e is not None and i < len(e.mean) and not np.isnan(e.mean[i])
-            if not (known or metric in RUNS_ONLY or (why and metric in ALWAYS)) or (
-                metric == "recovery_time" and not jumps
-            ):
-                continue
-            reason = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
-            row: list[object] = [i, metric, 0]
-            row += [0, *(np.nan for _ in NUMBERS)] if reason or e is None else [e.n, *(float(v[i]) for v in e[1:])]
-            spread = metric == "final_error" and not reason and normal and not cell.random
-            row += quantiles[:, i].tolist() if spread else [np.nan] * len(COLUMNS)
-            for name, value in zip(names, (*row, "none" if reason else "exact", reason or None), strict=True):
-                out[name].append(value)
-    return out
+    values, n = np.full((len(NUMBERS), many, len(ORDER)), np.nan), np.zeros(len(ORDER), int)
+    for j, name in enumerate(ORDER):
+        if (e := estimates.get(name)) is not None:
+            values[:, : len(e.mean), j], n[j] = [each[:many] for each in e[1:]], e.n
+    reasons, methods, named = _reasons(why, normal)
+    blank = methods == "none"
+    shown = named | ~np.isnan(values[0])
+    if not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
+        shown[:, ORDER.index("recovery_time")] = False
+    signal, metric = np.nonzero(shown)
+    spread = np.full((len(COLUMNS), len(signal)), np.nan)
+    if normal and not why and not cell.random:
+        final = metric == ORDER.index("final_error")
+        spread[:, final] = _quantiles(cell, label)[:, signal[final]]
+    numbers = np.where(blank[metric], np.nan, values[:, signal, metric])
+    return {
+        "signal": signal,
+        "metric": metric,
+        "diverged": np.zeros(len(signal), int),
+        "n": np.where(blank, 0, n)[metric],
+        **dict(zip((*NUMBERS, *COLUMNS), (*numbers, *spread), strict=True)),
+        "method": methods[metric],
+        "reason": reasons[metric],
+    }
+
+
+@lru_cache(256)
+def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.bool_]]:
+    """Of each metric of ORDER why it has no number, or None, its `method`, and whether it has a row in any case."""
+    each = [why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER) for metric in ORDER]
+    named = [metric in RUNS_ONLY or bool(why and metric in ALWAYS) for metric in ORDER]
+    methods = np.array(["none" if reason else "exact" for reason in each], object)
+    return np.array([reason or None for reason in each], object), methods, np.array(named)
 
 
 def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
