@@ -175,6 +175,8 @@ class Scenario(NamedTuple):
 
         Of a user's own code it is the digest.
         """
-        names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE)]
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
-        return {name: self.value(name) for name in names} | code
+        fields = {name: value for name, value in self._asdict().items() if name not in (*RECORDS, *CODE)}
+        for record in RECORDS:
+            fields |= getattr(self, record)._asdict()
+        return fields | code

@@ -62,7 +62,7 @@ def clocks(s: Scenario) -> list[Clock]:
     return list(_clocks(s.sampling, s.dt))
 
 
-@lru_cache(256)
+@lru_cache(1 << 14)  # for every cell of a study, which has them in any case
 def _clocks(every: Sampling, dt: float) -> tuple[Clock, ...]:
     many, groups = len(every.delay), dict[Sampling, list[int]]()
     for j in range(many):
@@ -113,8 +113,10 @@ def sensors(s: Scenario) -> Iterator[Scenario]:
     """Yield the scenario once for each way in which its channels are measured, with the numbers of such a channel."""
     several = {name: s.value(name) for name in fields.names(per="sensor") if isinstance(s.value(name), tuple)}
     several |= {name: s.value(name) for name in fields.names(rows=True) if has_rows(s.value(name))}
-    for each in dict.fromkeys(zip(*several.values(), strict=True)) if several else [()]:
+    for each in dict.fromkeys(zip(*several.values(), strict=True)):
         yield s.having(**dict(zip(several, each, strict=True)))
+    if not several:
+        yield s
 
 
 def number(value: PerChannel) -> float:

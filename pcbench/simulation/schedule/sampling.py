@@ -144,9 +144,11 @@ def uniform_range(period: int) -> tuple[int, int]:
 
 def instants(clock: Clock, ticks: int) -> list[int]:
     """Return when samples are due, from the first to the first beyond `ticks`; the mean where they are random."""
+    if clock.profile in ("periodic", "uniform"):
+        return list(range(clock.phase, max(clock.phase, ticks + clock.period) + 1, clock.period))
     out = [clock.phase]
     while out[-1] <= ticks:
-        out.append(out[-1] + (clock.period if clock.profile == "uniform" else interval(clock, len(out))))
+        out.append(out[-1] + interval(clock, len(out)))
     return out
 
 
