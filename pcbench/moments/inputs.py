@@ -8,6 +8,7 @@ The joint state before tick 0, as a function of what a run draws for its start.
 
 import itertools
 from collections.abc import Hashable
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -111,17 +112,29 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
 
 def own_of(problem: GridPointParams) -> tuple[bool, ...]:
     """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
-    fields = problem._replace(schedule=())._asdict()
-    return tuple(
-        name not in TIMES and 0 < np.size(a) <= SMALL for name, field in fields.items() for a in jax.tree.leaves(field)
-    )
-
-
-def shared_of(problem: GridPointParams) -> Hashable:
-    """Return what must be equal in two cells that share a batch: every array that is not each cell's own."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
-    common = [np.asarray(a) for a, own in zip(leaves, own_of(problem), strict=True) if not own]
-    return tree, tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
+    return tuple(may and 0 < np.size(a) <= SMALL for may, a in zip(_no_times(tree), leaves, strict=True))
+
+
+@lru_cache(256)
+def _no_times(tree: jax.tree_util.PyTreeDef) -> list[bool]:
+    """Whether each array of a problem belongs to no field of TIMES."""
+    fields = jax.tree.unflatten(tree, range(tree.num_leaves))._asdict()
+    return [name not in TIMES for name, field in fields.items() for _ in jax.tree.leaves(field)]
+
+
+def shared_of(problem: GridPointParams, seen: dict[int, Hashable]) -> Hashable:
+    """Return what must be equal in two cells that share a batch: every array that is not each cell's own.
+
+    `seen` has what was made of arrays that are alive, by their id: most are the same ones in all cells.
+    """
+    leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
+    common = [a for a, own in zip(leaves, own_of(problem), strict=True) if not own]
+    for a in common:
+        if id(a) not in seen:
+            numbers = np.asarray(a)
+            seen[id(a)] = numbers.shape, numbers.dtype.str, numbers.tobytes()
+    return tree, tuple(seen[id(a)] for a in common)
 
 
 def stack_inputs(

@@ -50,7 +50,8 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
     def call(layout: Layout, problem: GridPointParams) -> Look:
         leaves, tree = jax.tree.flatten(problem._replace(weights=()))
         layout = layout._replace(width=1, ring=1)  # what no beginning looks at
-        return once(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
+        arrays = (a if hasattr(a, "dtype") else np.asarray(a) for a in leaves)
+        return once(layout, tree, tuple((a.shape, a.dtype) for a in arrays))
 
     return call
 

@@ -165,6 +165,7 @@ def _kind(p: Plan) -> Hashable:
 def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentRequest, wide: set[Hashable]) -> None:
     """Have the realisations of some cells computed, those of a kind side by side; all modes of a cell share a call."""
     groups: dict[Hashable, list[tuple[Work, Realisation]]] = {}
+    seen: dict[int, Hashable] = {}
 
     def call(group: list[tuple[Work, Realisation]]) -> None:
         ones = [one for _, one in group]
@@ -176,7 +177,7 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentReques
         share = len(work.ones) if work.ones and work.ones[0].mode else 1
         for first in range(0, len(work.ones), share):
             one = work.ones[first]
-            key = one.layout, shared_of(one.problem), one.mode is not None
+            key = one.layout, shared_of(one.problem, seen), one.mode is not None
             if len(groups.get(key, [])) + share > MANY:
                 call(groups.pop(key))
             groups.setdefault(key, []).extend((work, each) for each in work.ones[first : first + share])

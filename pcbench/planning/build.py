@@ -212,6 +212,7 @@ def draft(
         tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
+    unslowed = cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
@@ -231,7 +232,7 @@ def draft(
         layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
-        bound=bound(cell._replace(times=times_of(s)), known, ask) if options else None,  # of any processor
+        bound=bound(unslowed, known, ask) if options else None,
         predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
@@ -262,15 +263,19 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
     if s.loop.controller:
         return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     n = cell.times.ticks
-    t = s.dt * np.arange(n + 1, dtype=float)
-    u = ask("inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, t, m))
+    late = min(to_ticks(s.loop.actuator_delay or 0.0, s), n + 1)
+
+    def delayed() -> NDArray[np.float64]:
+        u = inputs(s.loop.input, s.dt * np.arange(n + 1, dtype=float), m)
+        return np.concatenate([np.zeros((late, u.shape[1])), u[: n + 1 - late]])
+
+    u = ask("inputs", (s.loop.input, s.dt, n, m, late), delayed)
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
             f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
-    late = min(to_ticks(s.loop.actuator_delay or 0.0, s), n + 1)
-    return np.concatenate([np.zeros((late, m)), u[: n + 1 - late]])
+    return u
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:
