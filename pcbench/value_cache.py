@@ -49,9 +49,11 @@ def _contiguous(argument: object) -> object:
 
 def key_of(what: object) -> Hashable:
     """Return a key that equal numbers share, to the bit; raise TypeError for what has none."""
-    if what is None or isinstance(what, bool | int | float | str):
+    if isinstance(what, np.ndarray):
+        return what.dtype.str, what.shape, what.tobytes()
+    if what is None or isinstance(what, (bool, int, float, str)):
         return type(what), repr(what)
-    if isinstance(what, tuple | list):
+    if isinstance(what, (tuple, list)):
         return type(what), *map(key_of, what)
     if isinstance(what, dict):
         return dict, *((key_of(name), key_of(value)) for name, value in what.items())
@@ -59,7 +61,7 @@ def key_of(what: object) -> Hashable:
         return type(what), key_of(what.func), key_of(what.args), key_of(what.keywords)
     if isinstance(what, FunctionType):
         return what
-    if hasattr(what, "__array__"):  # of NumPy, JAX
+    if hasattr(what, "__array__"):  # of JAX
         numbers = np.asarray(what)
         return numbers.dtype.str, numbers.shape, numbers.tobytes()
     raise TypeError(f"{type(what).__name__} has no key")

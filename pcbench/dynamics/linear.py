@@ -132,11 +132,18 @@ def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = 
 
 
 def noise_doublings(model: Model, Q: Matrix, h: float, bits: int) -> Matrix:
-    """Return the covariance over 2^b ticks of noise that adds Q [n, n] a tick, b = 0 .. bits - 1, as [bits, n, n]."""
-    E, out = doublings(model, h, bits), [Q]
+    """Return the covariance over 2^b ticks of noise that adds Q [n, n] a tick, b = 0 .. bits - 1, as [bits, n, n]; cached."""
+    return _noise_doublings(model.A, model.discrete, Q, h, bits)
+
+
+@cached_by_value
+def _noise_doublings(A: Matrix, discrete: bool, Q: Matrix, h: float, bits: int) -> Matrix:
+    E, noise = _doublings(A, discrete, h, bits), [Q]
     for b in range(bits - 1):
-        out.append(E[b] @ out[-1] @ E[b].T + out[-1])
-    return np.stack(out)
+        noise.append(E[b] @ noise[-1] @ E[b].T + noise[-1])
+    out = np.stack(noise)
+    out.flags.writeable = False
+    return out
 
 
 def powers(model: Model, h: float, ticks: int) -> Matrix:
@@ -163,16 +170,23 @@ def _powers(A: Matrix, discrete: bool, h: float, ticks: int) -> Matrix:
 
 
 def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
-    """Return the covariance of noise that adds Q [n, n] a tick over as many ticks as each of `powers`, [2, R, n, n]."""
+    """Return the covariance of noise that adds Q [n, n] a tick over as many ticks as each of `powers`, [2, R, n, n]; cached."""
+    return _noise_powers(model.A, model.discrete, Q, h, ticks)
+
+
+@cached_by_value
+def _noise_powers(A: Matrix, discrete: bool, Q: Matrix, h: float, ticks: int) -> Matrix:
     half = -(-bits_for(ticks) // 2)
-    doubled = doublings(model, h, 2 * half)
-    noise, levels = noise_doublings(model, Q, h, 2 * half), []
+    doubled = _doublings(A, discrete, h, 2 * half)
+    noise, levels = _noise_doublings(A, discrete, Q, h, 2 * half), []
     for level in range(2):
         table = np.zeros_like(noise[:1])
         for b in range(level * half, (level + 1) * half):
             table = np.concatenate([table, doubled[b] @ table @ doubled[b].T + noise[b]])
         levels.append(table)
-    return np.stack(levels)
+    out = np.stack(levels)
+    out.flags.writeable = False
+    return out
 
 
 def over(doubled: Matrix, ticks: int) -> Matrix:
