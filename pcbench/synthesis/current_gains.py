@@ -41,11 +41,9 @@ def find(
     `q`: process noise through the input, per second. `maps`: over which a promise is to hold, None: the mean period alone.
     """
     period, C, R = setting.period[0], setting.model.C, np.diag(setting.noise_variance)
-    tick = linear.input_noise(setting.model, q, setting.dt) + setting.process_noise
-    doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(max(period, *setting.delay)))
-    noise = linear.noise_doublings(setting.model, tick, setting.dt, len(doubled))
-    Phi, Q, late = linear.over(doubled, period), linear.noise_over(doubled, noise, period), setting.delay[0]
-    ahead = linear.over(doubled, late)
+    Phi, Q = _over_period(setting.model, setting.dt, q, setting.process_noise, period)
+    late = setting.delay[0]
+    ahead = linear.over(linear.doublings(setting.model, setting.dt, linear.bits_for(late)), late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
     S = riccati.near(riccati.prior_size(setting))
@@ -65,13 +63,23 @@ def find(
         L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
     L1 = L / S[:, None] * s
-    X = (
-        ahead
-        @ (error_bounds.covariance(error_bounds.errors(L1, C1, Phi * into), L1 @ R1 @ L1.T) * np.outer(S, S))
-        @ ahead.T
-    )
+    X = ahead @ (_noise_alone(L1, C1, Phi * into, R1) * np.outer(S, S)) @ ahead.T
     numbers = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
+
+
+@cached_by_value
+def _over_period(model: linear.Model, dt: float, q: float, process: Matrix, period: int) -> tuple[Matrix, Matrix]:
+    """The map over a period [ticks], and the covariance that process noise adds."""
+    doubled = linear.doublings(model, dt, linear.bits_for(period))
+    noise = linear.noise_doublings(model, linear.input_noise(model, q, dt) + process, dt, len(doubled))
+    return linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+
+
+@cached_by_value
+def _noise_alone(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
+    """The stationary covariance that measurement noise alone leaves."""
+    return error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T)
 
 
 @cached_by_value
