@@ -156,7 +156,7 @@ def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
     for part in parts:
         for name, value in part.items():
             by_name.setdefault(name, []).append(value)
-        many.append(max(len(value) for value in part.values() if isinstance(value, np.ndarray)))
+        many.append(next(len(value) for value in part.values() if isinstance(value, np.ndarray)))
     out: dict[str, Any] = {}
     for name, values in by_name.items():
         arrays = [value for value in values if isinstance(value, np.ndarray)]

@@ -123,7 +123,7 @@ class Exact:
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
         names, units = _words(tuple(signals))
-        order = columns.stats_order(columns.axes_of(head))
+        order = _order(tuple(head))
         for label in m.signals:
             rows = stats_rows.stats_columns(m, label, m.why[label], bound)
             about = head | {
@@ -144,6 +144,11 @@ class Exact:
         if not chosen:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
         return chosen
+
+
+@lru_cache(256)
+def _order(head: tuple[str, ...]) -> list[str]:
+    return columns.stats_order(columns.axes_of(head))
 
 
 @lru_cache(256)

@@ -7,6 +7,7 @@ stands between observers that share nothing, and zero times infinity is not a nu
 
 from collections.abc import Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import NamedTuple
 
 import jax
@@ -82,9 +83,10 @@ def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     They have one of two rooms for packets: few shapes, few programs; or what a cell needs, where noise reaches what is on the
     network, and the covariance has all of the room.
     """
+    room_of = cache(random_times.room)
 
     def ring(cell: Cell) -> int:  # how many packets may be on the network, whatever is drawn
-        return random_times.room(cell.times.clocks, cell.times.ticks, cell.times.error)
+        return room_of(tuple(cell.times.clocks), cell.times.ticks, cell.times.error)
 
     most = max(map(ring, cells))
     least = PACKETS if len(cells) > WINDOW else most  # of so many cells another program is worth its time

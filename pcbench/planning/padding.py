@@ -7,7 +7,7 @@ among others.
 """
 
 from collections.abc import Hashable, Iterable, Iterator
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import NamedTuple
 
 import jax
@@ -99,12 +99,13 @@ def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan
         "fitted", (id(drafted), room), lambda: (drafted, _pad_schedule(drafted, room))
     )  # alive: the id is its own
     leaves, tree = jax.tree.flatten(p.problem.params)
-    wide = [
-        np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
-        for i, a in enumerate(leaves)
-    ]
-    falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=common_times.NEVER)
-    problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
+    for i, a in enumerate(leaves):
+        if np.ndim(a) and len(a) == 1 < (many := rows[p.cell.scenario.plant, i]):
+            leaves[i] = np.broadcast_to(a, (many, *np.shape(a)[1:]))
+    falling = p.problem.jumps
+    if more := room.falls - len(falling):
+        falling = np.pad(falling, (0, more), constant_values=common_times.NEVER)
+    problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=falling)
     if not p.layout.defined:  # what other cells draw, where this one has none: what changes no sample
         no_outliers, no_step = Outliers(np.asarray(0.0), np.asarray(1.0)), np.zeros(len(problem.noise_std))
         problem = problem._replace(
@@ -166,6 +167,7 @@ def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
         yield p
 
 
+@lru_cache
 def _has_user_code(observer: Observer, plant: Plant) -> bool:
     """Whether an observer or a plant has functions of a user's, themselves or in what `make_plant` makes of them."""
     parts = [part for part in (*observer, *plant) if callable(part)]

@@ -111,10 +111,12 @@ def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
 
 def sensors(s: Scenario) -> Iterator[Scenario]:
     """Yield the scenario once for each way in which its channels are measured, with the numbers of such a channel."""
-    several = {name: s.value(name) for name in fields.names(per="sensor") if isinstance(s.value(name), tuple)}
-    several |= {name: s.value(name) for name in fields.names(rows=True) if has_rows(s.value(name))}
-    for each in dict.fromkeys(zip(*several.values(), strict=True)):
-        yield s.having(**dict(zip(several, each, strict=True)))
+    each = ((name, s.value(name)) for name in fields.names(per="sensor"))
+    several = {name: value for name, value in each if isinstance(value, tuple)}
+    rows = ((name, s.value(name)) for name in fields.names(rows=True))
+    several |= {name: value for name, value in rows if has_rows(value)}
+    for values in dict.fromkeys(zip(*several.values(), strict=True)):
+        yield s.having(**dict(zip(several, values, strict=True)))
     if not several:
         yield s
 

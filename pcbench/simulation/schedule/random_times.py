@@ -10,6 +10,7 @@ Everything is whole ticks. `ClockParams` is traced, so one compiled program serv
 """
 
 import math
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import Literal, NamedTuple
 
@@ -192,7 +193,7 @@ def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int,
     return out
 
 
-def room(clocks: list[Clock], ticks: int, error: int) -> int:
+def room(clocks: Sequence[Clock], ticks: int, error: int) -> int:
     """Return how many packets the network must be able to hold, whatever the draws."""
     back = 0
     while (more := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
