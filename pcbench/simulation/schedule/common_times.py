@@ -7,6 +7,7 @@ over one packet at a time, the oldest first; each has a slot. Where sampling is 
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -164,7 +165,7 @@ def with_events(out: Schedule) -> Schedule:
     """Fill in at which ticks something happens."""
     n = len(out.event)
     out.event[:] = (out.sense >= 0) | (out.snapshot >= 0) | (out.arrive >= 0).any(1)
-    due = np.where(out.event, np.arange(n), n)
+    due = np.where(out.event, np.arange(n, dtype=np.int32), np.int32(n))
     out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
     return out
 
@@ -172,26 +173,43 @@ def with_events(out: Schedule) -> Schedule:
 def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]:
     """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, and its packets `in_flight`.
 
-    It has no loops.
+    It has no loops. What arrives with one delay is what arrives with none, later: one table for all delays of a period.
     """
-    n, q = ticks + 1, list(clock.channels)
-    taken = np.arange(0, n, clock.period, dtype=np.int32)
-    late = np.int32(clock.period if clock.delay is None else clock.delay)
-    arrives = taken + late
-    here = arrives <= ticks
-    packet, at = np.arange(len(taken), dtype=np.int32), arrives[here]
-    number = packet * np.int32(clock.stride)
-    out = at_no_tick(ticks, channels)
-    out.sense[taken] = out.snapshot[taken] = packet
-    out.sample[taken[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.believed[at, 0], out.ticks_since_arrival[at, 0] = (
-        packet[here],
-        taken[here],
-        np.diff(at, prepend=0),
+    n, late = ticks + 1, clock.period if clock.delay is None else clock.delay
+    prompt = _prompt(clock.period, clock.stride, clock.channels, ticks, channels)
+    rows = slice(n - min(late, n), 2 * n - min(late, n))
+    since = prompt.ticks_since_arrival[rows].copy()
+    if late <= ticks:
+        since[late, 0] = late
+    out = prompt._replace(
+        arrive=prompt.arrive[rows],
+        believed=prompt.believed[rows],
+        mask=prompt.mask[rows],
+        number=prompt.number[rows],
+        ticks_since_arrival=since,
+        event=np.zeros(n, bool),
+        next_event=np.full(n, n, np.int32),
     )
+    return with_events(out), 1 + late // clock.period * (late <= ticks)
+
+
+@lru_cache(16)
+def _prompt(period: int, stride: int, own: tuple[int, ...], ticks: int, channels: int) -> Schedule:
+    """The schedule of a plain clock without a delay; what arrives has N + 1 rows of nothing before [2 (N + 1)]."""
+    n, q = ticks + 1, list(own)
+    taken = np.arange(0, n, period, dtype=np.int32)
+    packet, at = np.arange(len(taken), dtype=np.int32), n + taken
+    number = packet * np.int32(stride)
+    sent, out = at_no_tick(ticks, channels), at_no_tick(2 * n - 1, channels)
+    sent.sense[taken] = sent.snapshot[taken] = packet
+    sent.sample[taken[:, None], q] = number[:, None]
+    out.arrive[at, 0], out.believed[at, 0], out.ticks_since_arrival[at, 0] = packet, taken, np.diff(taken, prepend=0)
     out.mask[at[:, None], 0, q] = True
-    out.number[at[:, None], 0, q] = number[here, None]
-    return with_events(out), 1 + int(late) // clock.period * bool(len(at))
+    out.number[at[:, None], 0, q] = number[:, None]
+    both = out._replace(sense=sent.sense, sample=sent.sample, snapshot=sent.snapshot, early=sent.early, also=sent.also)
+    for table in both:
+        table.flags.writeable = False  # views of it are parts of many schedules
+    return both
 
 
 def at_every_tick(ticks: int, channels: int) -> Schedule:
