@@ -51,9 +51,8 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     if any(uncertain) or any(abnormal) or cell.times.random:
         return None
     known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
-    sees = known.model, known.dt, known.ticks, known.noise_covariance, known.P0, s.truth.process_std
-    key = key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
+    key = alike, key_of((known.ticks, known.noise_covariance, known.P0, cell.times.tail)), tuple(clocks)
     steps = ask("steps", alike, riccati.no_steps)
     moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
 
