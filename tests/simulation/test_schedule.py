@@ -135,6 +135,18 @@ def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period
     for name, a, b in zip(common_times.Schedule._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name, strict=True)
     assert many == in_flight(slow)
+    times = sorted((s.arrives, s.taken, s.channel) for s in each)
+    assert sorted(map(tuple, common_times.times_of_samples([clock], ticks).tolist())) == times
+    assert sorted(map(tuple, common_times.times_of_samples([in_turn], ticks).tolist())) == times
+
+
+@given(st.integers(1, 40), st.integers(0, 50), st.integers(0, 120), st.sampled_from(("periodic", "uniform")))
+def test_instants_of_a_period_go_from_the_phase_to_the_first_beyond_the_horizon(period, phase, ticks, profile):
+    due = sampling.instants(sampling.Clock((0,), period, 0, profile, phase=phase), ticks)
+    assert due[0] == phase
+    assert set(np.diff(due)) <= {period}
+    assert due[-1] > ticks
+    assert all(tick <= ticks for tick in due[:-1])
 
 
 def test_intervals_in_turn_come_in_their_turn_and_a_sine_as_it_swings():
