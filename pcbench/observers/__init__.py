@@ -155,7 +155,9 @@ OBSERVERS = {
     ),
     "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
     "eso": _of(eso, "extended state observer with predictor", "one clock"),
-    "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay"),
+    "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay")._replace(
+        nonlinear=True
+    ),
     "cdob": _of(communication_disturbance, "communication disturbance observer, for any delay", "one clock", False),
     "super-twisting": _of(super_twisting, "super-twisting observer, implicit discretisation", "one clock")._replace(
         smooth=False, nonlinear=True

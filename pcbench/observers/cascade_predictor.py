@@ -8,17 +8,19 @@ and the last link estimates the present. The error of a single predictor decays 
 a d < 1. With links, this holds for each d_j. More links allow longer delays; they do not make the error decay faster.
 Here a tick is exact under the held input, x_j(k+1) = Phi x_j(k) + Gamma u(k - lag_j) - K (..), with the gains of
 `synthesis.cascade`. Between samples the output of `delay` ago is predicted,
-y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay), and a sample that arrives sets it.
+y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay), and a sample that arrives sets it. On a nonlinear plant
+each link moves by the plant's own tick in place of Phi x + Gamma u, and the gains are those of the linear model.
 
-Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement. The choice of the gain, the output
-between samples and the tick are this project's. Linear plants only.
+Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement and nonlinear plants too. The choice of the
+gain, the output between samples and the tick are this project's. Outputs must be linear in the state.
 Schedule: one constant delay, as each link has a fixed length; sampling intervals may vary, and a lost sample is predicted.
-The certificate is for the mean period. Time index: the estimate is of the present; what arrives at tick k corrects it from tick
-k + 1 on. A link stays at xhat(0) until tick lag_j. Not claimed: that it filters noise well.
+The certificate is for the mean period; there is none for a nonlinear plant. Time index: the estimate is of the present; what
+arrives at tick k corrects it from tick k + 1 on. A link stays at xhat(0) until tick lag_j. Not claimed: that it filters noise
+well.
 """
 
 from math import exp
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,12 +30,13 @@ from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
+from pcbench.observers.parts import nonlinear_model
 from pcbench.observers.parts.common import known_input, no_snapshot
 from pcbench.observers.parts.options import StrictOptions
 from pcbench.observers.parts.sample_rate import read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import cascade
-from pcbench.synthesis.certificate import Design, DesignContext, one_clock, power_of_2
+from pcbench.synthesis.certificate import Design, DesignContext, no_certificate, one_clock, power_of_2
 from pcbench.synthesis.error_bounds import rate_of
 
 
@@ -49,6 +52,8 @@ class Gains(NamedTuple):
     lag: Int[Leaf, " j"]  # [ticks] of each link's estimate behind the present
     delay: Int[Leaf, ""]  # [ticks]
     room: Room  # for the ticks of the longest link
+    motion: Any = None  # (now, (x, p)) -> the same one tick later, of a nonlinear plant
+    unknowns: Float[Leaf, " s"] = np.zeros(0)  # p, assumed constant
 
 
 class Memory(NamedTuple):
@@ -83,20 +88,28 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return memory._replace(y=jnp.where(arrival.mask, y, memory.y))
 
 
+def moved(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""]) -> Float[Array, " n"]:
+    """Return the state of `lag` ticks ago one tick later."""
+    if gains.motion is None:
+        return gains.Phi @ x + gains.Gamma @ now.past_u(lag)
+    there = nonlinear_model.at(now, now.tick - lag)
+    return gains.motion(there, jnp.concatenate([x, gains.unknowns]))[: x.shape[0]]
+
+
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Move every link by one tick, and predict the output."""
     C, k, many = gains.C, memory.tick, gains.d.shape[0]
     past = write(memory.past, k, memory.x, jnp.asarray(True))
-    moved, y, compared = [], memory.y, memory.y
+    links, y, compared = [], memory.y, memory.y
     for j in range(many):
-        old, then = read(past, k - gains.d[j])[j], now.past_u(gains.lag[j])
-        x = gains.Phi @ memory.x[j] + gains.Gamma @ then + gains.K @ (compared - C @ old)
-        moved.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
+        old = read(past, k - gains.d[j])[j]
+        x = moved(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (compared - C @ old)
+        links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
         compared = C @ memory.x[j]
         if j == 0:
-            ahead = C @ (gains.Phi @ old + gains.Gamma @ now.past_u(gains.delay) - old)
+            ahead = C @ (moved(gains, now, old, gains.delay) - old)
             y = jnp.where(k >= gains.delay, y + ahead, y)
-    return Memory(jnp.stack(moved), y, past, k + 1)
+    return Memory(jnp.stack(links), y, past, k + 1)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
@@ -118,7 +131,10 @@ def design(setting: DesignContext, options: Options) -> Design:
         raise UserError(
             f"{where}: got links = {options.links}, expected at most {max(delay, 1)}, one per tick of the delay; give fewer."
         )
+    if setting.sensor is not None or setting.residual is not None:
+        raise UserError(f"{where}: got a nonlinear output, expected one that is linear in the state; use ekf.")
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
+    is_nonlinear = setting.field is not None or setting.successor is not None
     decay = None if options.omega is None else exp(-options.omega * setting.dt)
     links, certificate = cascade.design(Phi, setting.model.C, delay, period, options.links, decay, where)
     d = np.array(links.d)
@@ -132,5 +148,10 @@ def design(setting: DesignContext, options: Options) -> Design:
         lag=delay - np.cumsum(d),
         delay=np.asarray(delay),
         room=np.zeros(power_of_2(max(setting.reach * period, int(d.max())))),  # one size for all delays of a study
+        motion=nonlinear_model.motion_of(setting)[0] if is_nonlinear else None,
+        unknowns=np.array(setting.unknown0, float) if is_nonlinear else np.zeros(0),
     )
+    if is_nonlinear:
+        why = "the plant is nonlinear; the maps are of its linear model"
+        return Design(gains, no_certificate(why)._replace(numbers=certificate.numbers))
     return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * setting.dt)))

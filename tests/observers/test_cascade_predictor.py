@@ -3,13 +3,20 @@
 import numpy as np
 import pytest
 from harness import CART, ODD, Case, problem, recorder, setting, trace
+from reference import field_observers
+from reference import linear as reference
+from reference.linear import Sample
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+import pcbench
+from pcbench import planning
 from pcbench.dynamics import linear
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
+from pcbench.study import parse
 from pcbench.synthesis import cascade
+from pcbench.synthesis.certificate import is_certified
 
 SCALAR = linear.Model(np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)))  # x' = x + u
 ONE = np.ones((1, 1))
@@ -166,3 +173,63 @@ def test_more_links_than_ticks_are_refused():
 def test_delay_is_divided_into_parts_that_differ_by_a_tick():
     assert cascade.divided(10, 3) == (3, 3, 4)
     assert cascade.divided(0, 1) == (0,)
+
+
+def joint(x, u):
+    motor = -48.6 * x[0] - 1.25 * x[1] + 48.6 * x[2] + 21.6 * u[0]
+    return np.array([x[1], motor, x[3], 19.5 * x[0] - 19.5 * x[2] - 3.33 * np.sin(x[2])])
+
+
+def tick(x, u, h=0.005):
+    """One Runge-Kutta step of the flexible joint."""
+    a = joint(x, u)
+    b = joint(x + h / 2 * a, u)
+    c = joint(x + h / 2 * b, u)
+    d = joint(x + h * c, u)
+    return x + h / 6 * (a + 2 * b + 2 * c + d)
+
+
+def planned_joint(options, **changes):
+    scenario = {"base": "flexible-joint/sampled", "duration": 3.0, "steady_start": 1.0, "delay": 0.2, **changes}
+    study = {"name": "t", "scenario": scenario, "options": {"cascade-predictor": options}}
+    _, cell = parse.one_cell({"name": "t", "scenario": scenario}, ["cascade-predictor"], [])
+    entry = OBSERVERS["cascade-predictor"]
+    return study, entry.design(planning.setting(cell), entry.options(**options))
+
+
+@pytest.mark.parametrize("links", [3, 5])
+def test_links_of_a_nonlinear_plant_equal_the_reference(links):
+    """With noise, from a wrong start, far from the point of the linear model."""
+    study, made = planned_joint({"links": links})
+    got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
+    assert not is_certified(made.certificate._asdict())
+    N, g = len(got) - 1, made.gains
+    y = got.y1.to_numpy()
+    samples = [Sample(k + 40, k, 0, k // 20, y[k + 40]) for k in range(0, N - 39, 20)]
+    model = reference.Model(np.zeros((4, 4)), np.zeros((4, 1)), np.eye(4)[:1], 0.005)
+    u = np.sin(4 * 0.005 * np.arange(N + 1))[:, None]
+    want = field_observers.cascade(model, u, samples, np.zeros(4), g.K, g.d, tick)
+    states = [f"cascade-predictor.{name}" for name in ("motor_angle", "motor_velocity", "link_angle", "link_velocity")]
+    np.testing.assert_allclose(got[states].to_numpy(), want, rtol=0, atol=1e-10 * np.abs(want).max())
+
+
+def test_perfect_start_on_a_nonlinear_plant_stays_perfect():
+    """Links behind the present stay at xhat(0) until their time has come: so without delay."""
+    quiet = {"noise_std": 0.0, "process_std": [0.0] * 4, "xhat0": [1.0, 0.0, 1.0, 0.0], "delay": 0.0}
+    study, _ = planned_joint({}, **quiet)
+    got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
+    assert np.abs(got["link_angle"] - got["cascade-predictor.link_angle"]).max() < 1e-12
+
+
+def test_errors_on_a_nonlinear_plant_vanish_without_noise():
+    study, _ = planned_joint({}, noise_std=0.0, process_std=[0.0] * 4, duration=60.0)
+    got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
+    error = np.abs(got["link_angle"] - got["cascade-predictor.link_angle"])
+    size = [error[(got.t > t) & (got.t <= t + 10)].max() for t in range(0, 60, 10)]
+    assert size[-1] < 0.01 * size[0]
+    assert np.all(np.diff(size) < 0)
+
+
+def test_a_nonlinear_output_is_refused():
+    with pytest.raises(UserError, match="got a nonlinear output, expected one that is linear in the state; use ekf"):
+        pcbench.run("falling-body/radar", observers=["cascade-predictor"], seeds=1)

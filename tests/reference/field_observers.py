@@ -53,12 +53,22 @@ def communication_disturbance(model: Model, u: Array, samples: list[Sample], xha
     return np.array(xhat)
 
 
-def cascade(model: Model, u: Array, samples: list[Sample], xhat0: Array, K: Array, d: Array) -> Array:
+def cascade(
+    model: Model,
+    u: Array,
+    samples: list[Sample],
+    xhat0: Array,
+    K: Array,
+    d: Array,
+    move: Callable[[Array, Array], Array] | None = None,
+) -> Array:
     """Return xhat [N+1, n] of cascade predictors with K [n, q] and links of d [m] ticks, one after the other.
 
-    Nothing is kept but lists of every link's states by tick; before tick 0 they are xhat(0).
+    Nothing is kept but lists of every link's states by tick; before tick 0 they are xhat(0). A nonlinear plant moves by
+    `move`, (x, u) -> x one tick later.
     """
     Ad, Bd = discretise(model.A, model.B, model.h)
+    move = move or (lambda x, u: Ad @ x + Bd @ u)
     inbox, delay, m = by_arrival(samples), int(sum(d)), len(d)
     links = [[np.asarray(xhat0, float)] for _ in range(m)]
     y = model.C @ xhat0
@@ -69,10 +79,10 @@ def cascade(model: Model, u: Array, samples: list[Sample], xhat0: Array, K: Arra
         past = [states[max(k - int(ticks), 0)] for states, ticks in zip(links, d, strict=True)]
         for j in range(m):
             behind = int(sum(d[j + 1 :]))
-            step = Ad @ links[j][k] + Bd @ u[k - behind] + K @ (outputs[j] - model.C @ past[j])
+            step = move(links[j][k], u[k - behind]) + K @ (outputs[j] - model.C @ past[j])
             links[j].append(step if k >= behind else links[j][k])
         if k >= delay:
-            y = y + model.C @ (Ad @ past[0] + Bd @ u[k - delay] - past[0])
+            y = y + model.C @ (move(past[0], u[k - delay]) - past[0])
     return np.array(links[-1])
 
 
