@@ -75,19 +75,20 @@ def export_observer(
                 f"{asked.name}: got a scenario that measures continuously, expected samples, which alone come to a program; "
                 "take one with a sampling period."
             )
-        if cell.entry(observer).observer.init_random:
+        called = next(iter(cell.options))
+        if cell.entry(called).observer.init_random:
             raise UserError(
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
             )
-        if cell.entry(observer).observer.uses_silence:
+        if cell.entry(called).observer.uses_silence:
             raise UserError(
                 f"{observer}: got an observer that uses that no sample was sent, which a program in C does not report, "
                 "expected one that uses samples alone; export kf."
             )
         title = title_of_scenario(asked, cell.scenario.name)
         if log is None:
-            cell = slowed(cell, next(iter(cell.options)))
+            cell = slowed(cell, called)
             (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
             ((name, _),), known = p.layout.observers, setting(p.cell)
             rows = _rows(cell, p.labels[0], known)

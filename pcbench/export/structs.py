@@ -143,15 +143,20 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     values = np.zeros((len(y) + 1, y.shape[1]))  # by packet; the last: no packet
     values[[*range(early), *schedule.sense[taken]]] = y
     mask = schedule.mask & ~np.isnan(values[schedule.arrive])
+    came = np.flatnonzero(((schedule.arrive >= 0)[..., None] & mask).any((1, 2)))  # ticks at which something arrives
+    since = np.zeros_like(schedule.ticks_since_arrival)
+    since[came] = np.diff(came, prepend=0)[:, None]
+    sent = np.ones((len(schedule.sense), y.shape[1]), bool)
+    sent[taken] = ~np.isnan(values[schedule.sense[taken]])
     window = Window(
         sense=schedule.snapshot,
-        sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0),
+        sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0) & sent,
         arrive=np.where(mask.any(-1), schedule.arrive, -1),
         taken=schedule.believed,
         mask=mask,
         number=schedule.number,
         value=values[schedule.arrive],
-        ticks_since_arrival=schedule.ticks_since_arrival,
+        ticks_since_arrival=since,
         event=schedule.event,
     )
     events = happening(window, p.layout.observers[0][1].on_sample is not None, early=len(schedule.early))

@@ -39,7 +39,11 @@ SAMPLES = {
         "tick of arrival, before the estimate of this tick; null: does not arrive within the run",
     ),
     "arrived": (pa.float64(), "s", "the same in seconds"),
-    "value": (pa.float64(), "unit of the output", "measured value with noise"),
+    "value": (
+        pa.float64(),
+        "unit of the output",
+        "measured value with all errors of the sensor; null: the sensor did not send it",
+    ),
 }
 CELL = {
     "scenario": ("", "name of the scenario"),
@@ -53,6 +57,10 @@ CELL = {
     "delay": ("ticks", "[q] assumed delay of each output; the mean if it varies"),
     "latest": ("ticks", "assumed greatest age of a measurement at its arrival"),
     "noise_std": ("unit of the output", "[q] assumed standard deviation of the measurement noise"),
+    "send_threshold": (
+        "unit of the output",
+        "[q] change from which on a sample of each output is sent; empty: all are sent, or by another rule",
+    ),
     "R": ("product of the outputs' units", "[q, q] assumed covariance of the noise of a measurement"),
     "Q": ("product of the states' units", "[n, n] assumed covariance of the process noise of one tick"),
     "input_intensity": ("input^2/s", "assumed intensity of white noise on the input, if parameters drift"),
@@ -199,6 +207,7 @@ def _cell(p: Plan) -> dict[str, object]:
         "delay": list(known.delay),
         "latest": known.latest,
         "noise_std": list(known.noise_std),
+        "send_threshold": list(known.send_threshold),
         "R": np.asarray(known.noise_covariance).tolist(),
         "Q": known.process_noise.tolist(),
         "input_intensity": known.input_intensity,

@@ -308,6 +308,11 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
             f"{where}: got the axis processor_speed, of which more is better, expected one of which the largest value is "
             "looked for; run a study with several speeds as axes.processor_speed."
         )
+    if axis.name in ("dither", "try_once_discard"):
+        raise UserError(
+            f"{where}: got the axis {axis.name}, which is 0 or 1, expected one with a range; run a study with both as "
+            f"axes.{axis.name}=[0,1]."
+        )
     for name, values in study.axes.items():
         if name != axis.name and len(values) > 1:
             raise UserError(

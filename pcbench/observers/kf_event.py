@@ -10,8 +10,9 @@ d is the scenario's `send_threshold`. The filter keeps the last value received o
 silence says nothing. Where no sample is held back it is `kf`. With try_once_discard silence says nothing either, as an output
 may have changed by more than d.
 Time index: the estimate is of now, after the jump.
-Not claimed: that P is right. The difference is neither uniform nor independent from sample to sample, and a message that is
-lost leaves an older y_s.
+Silence is told from a lost or late sample only where neither occurs: a threshold with loss, an outage or random times is
+refused.
+Not claimed: that P is right. The difference is neither uniform nor independent from sample to sample.
 Source: Suh, Nguyen, Ro 2007.
 """
 
@@ -86,6 +87,11 @@ OBSERVER = Observer(
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; raise UserError for thresholds that do not fit the outputs."""
     where, q = f"kf-event in {setting.scenario}", len(setting.noise_std)
+    if options.threshold is not None and not setting.send_threshold:
+        raise UserError(
+            f"{where}: threshold: got {options.threshold}, expected none, as no sensor has a send_threshold whose silence is "
+            "information; leave it out."
+        )
     given = setting.send_threshold or (0.0,) * q if options.threshold is None else options.threshold
     d = np.broadcast_to(np.asarray(given, float), q) if np.size(given) in (1, q) else None
     if d is None or not (np.isfinite(d) & (d >= 0)).all():

@@ -51,7 +51,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     if any(uncertain) or any(abnormal) or cell.times.random:
         return None
     known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
-    alike = key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
+    alike = key_of((known.model, known.dt, known.noise_covariance, s.truth.process_std))
     key = alike, key_of((known.ticks, known.noise_covariance, known.P0, cell.times.tail)), tuple(clocks)
     steps = ask("steps", alike, riccati.no_steps)
     moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
@@ -244,8 +244,8 @@ def _is_defined(cell: Cell) -> bool:
 
 
 def _trigger(measured: Sampling) -> Trigger | tuple[()]:
-    """Return which samples are sent; (): every one."""
-    if not any(measured.send_threshold) and not measured.try_once_discard:
+    """Return which samples are sent; (): every one, as no sensor has a threshold, not even 0."""
+    if not measured.send_threshold and not measured.try_once_discard:
         return ()
     threshold = measured.send_threshold or (0.0,) * len(measured.delay)
     return Trigger(np.array(threshold), np.asarray(measured.try_once_discard))

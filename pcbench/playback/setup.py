@@ -163,6 +163,12 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         latest=max(known.latest, room.latest),
         reach=max(known.reach, *(-(-room.latest // max(each, 1)) for each in known.period)),
     )
+    for label in cell.options:
+        if cell.entry(label).observer.uses_silence and any(s.sampling.send_threshold):
+            raise UserError(
+                f"{where}: got {label} and a send_threshold, expected an observer that uses measurements alone: a recording "
+                "contains no samples that were not sent; use kf."
+            )
     designs = {o: planning.run_design(o, cell.entry(o), known, options) for o, options in cell.options.items()}
     if with_std := a.survey.with_std():
         for label, each in designs.items():

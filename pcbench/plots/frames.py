@@ -52,6 +52,8 @@ def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str
     """
     if signals is None:
         return signals_by_default(result, scenario, metric)
+    if metric in OF_RUN and any(name in result.signals(scenario) for name in signals):
+        return signals_by_default(result, scenario, metric)
     every, there = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
         if name not in every:
@@ -71,7 +73,8 @@ def signal_of(result: Result, scenario: str, signal: str | None, metric: str = "
     names = result.signals(scenario)
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
-    return signal or signals_by_default(result, scenario, metric)[0]
+    usual = signals_by_default(result, scenario, metric)[0]
+    return usual if metric in OF_RUN else signal or usual
 
 
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:

@@ -73,24 +73,26 @@ class Sensors(NamedTuple):
     held: Array  # [q] the last value sent; NaN: none yet
     taken: Array  # how many samples of channels were taken, and
     sent: Array  # how many of them were sent
+    last: Array  # the last tick at which one arrived; 0: none yet
 
 
 def first_sensors(q: int) -> Sensors:
     """Return the sensors before the first sample."""
-    return Sensors(jnp.full(q, jnp.nan), jnp.zeros(()), jnp.zeros(()))
+    return Sensors(jnp.full(q, jnp.nan), jnp.zeros(()), jnp.zeros(()), jnp.asarray(0))
 
 
 def send(t: Trigger, sensors: Sensors, y: Array, taken: Array) -> tuple[Sensors, Array]:
     """Return the sensors after samples y [q] of the channels `taken` [q], and y with NaN where it is not sent.
 
-    A channel that has sent nothing yet counts as changed without limit; of equal changes the first channel is sent.
+    A channel that has sent nothing yet counts as changed without limit; of equal changes the first channel is sent. A change
+    that is the threshold but for rounding is sent.
     """
     change = jnp.where(jnp.isnan(sensors.held), jnp.inf, jnp.abs(y - sensors.held))
-    sent = taken & (change >= t.threshold)
+    sent = taken & (change >= t.threshold * (1 - 1e-9))
     change = jnp.where(sent, change / jnp.where(t.threshold > 0, t.threshold, 1.0), -1.0)
     sent &= (t.largest == 0) | (jnp.arange(len(y)) == jnp.argmax(change))
-    after = Sensors(jnp.where(sent, y, sensors.held), sensors.taken + jnp.sum(taken), sensors.sent + jnp.sum(sent))
-    return after, jnp.where(sent, y, jnp.nan)
+    held, many = jnp.where(sent, y, sensors.held), (sensors.taken + jnp.sum(taken), sensors.sent + jnp.sum(sent))
+    return Sensors(held, *many, sensors.last), jnp.where(sent, y, jnp.nan)
 
 
 def quantize(r: Rounding, y: Array, uniform: Array) -> Array:

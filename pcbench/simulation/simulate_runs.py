@@ -244,10 +244,10 @@ def sense(
         return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
 
     values, notes = run.flight
-    y = measure(layout, p, params, k, run.x, drawn.sample(plan.sample[k]))
+    y, taken = measure(layout, p, params, k, run.x, drawn.sample(plan.sample[k])), plan.sample[k] >= 0
     if p.trigger:
-        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & (plan.sample[k] >= 0))
-        run = run._replace(sensors=sensors)
+        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & taken)
+        run, taken = run._replace(sensors=sensors), taken & ~jnp.isnan(y)
     found = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
@@ -255,13 +255,13 @@ def sense(
     values = put(values, plan.sense[k], y)
     for number in (plan.snapshot[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
         notes = put(notes, number, found)
-    notified = notify(layout, p, k, run, plan.sample[k] >= 0)
+    notified = notify(layout, p, k, run, taken)
     memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
     return run._replace(memories=memories, flight=Packet(values, notes))
 
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) -> Tree:
-    """Return the memories after the observers that ask for it are told which channels [q] are sampled at tick k."""
+    """Return the memories after the observers that ask for it are notified which channels [q] take a sample and send it."""
     now = present(p, k, False, run.commands)
     return {
         label: o.on_sample(p.gains[label], run.memories[label], now, mask) if o.on_sample else run.memories[label]
@@ -271,23 +271,16 @@ def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) 
 
 def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
-    plan = p.schedule
+    plan, came = p.schedule, jnp.asarray(False)
     for slot in range(plan.arrive.shape[1]):
         number, mask = plan.arrive[k, slot], plan.mask[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
-        age, silent = jnp.full(mask.shape, k - plan.believed[k, slot]), None
+        age, since, silent = jnp.full(mask.shape, k - plan.believed[k, slot]), plan.ticks_since_arrival[k, slot], None
         if p.trigger:
             silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
-            values = jnp.where(mask, values, 0.0)
-        arrival = partial(
-            Arrival,
-            values,
-            mask,
-            age,
-            plan.number[k, slot],
-            ticks_since_arrival=plan.ticks_since_arrival[k, slot],
-            silent=silent,
-        )
+            values, since = jnp.where(mask, values, 0.0), k - run.sensors.last
+            came |= (number >= 0) & jnp.any(mask)
+        arrival = partial(Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=since, silent=silent)
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
         if p.trigger:  # nothing arrives where no channel has sent
             hears = {label for label, o in layout.observers if o.uses_silence}
@@ -296,6 +289,8 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
                 for label, each in memories.items()
             }
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
+    if p.trigger:
+        run = run._replace(sensors=run.sensors._replace(last=jnp.where(came, k, run.sensors.last)))
     return run
 
 

@@ -289,10 +289,18 @@ def _of_trigger(s: Scenario) -> Iterator[str]:
         )
     if np.isfinite(measured.processor_speed):
         yield f"got {named} with a processor_speed, expected one of them; leave one out."
-    if measured.try_once_discard and len({(c.period, c.phase) for c in clocks(s)}) > 1:
+    each = clocks(s)
+    drawn = any(c.jitter or c.profile == "uniform" for c in each)
+    if measured.try_once_discard and (len({(c.period, c.phase, c.profile) for c in each}) > 1 or drawn * len(each) > 1):
         yield (
             f"got try_once_discard = 1 in {s.name}, whose outputs are sampled at different times, expected one "
-            "sampling_period and one sampling_phase; make them equal."
+            "sampling_period and one sampling_phase, and delays that are equal if sampling times are random; make them equal."
+        )
+    if measured.try_once_discard and any(measured.send_threshold) and not all(measured.send_threshold):
+        given = plain("send_threshold", measured.send_threshold)
+        yield (
+            f"got try_once_discard = 1 with the send_threshold {given}, expected all thresholds above 0, or none: changes are "
+            "compared in units of them; write the others."
         )
     if measured.try_once_discard and len(measured.delay) == 1:
         yield f"got try_once_discard = 1 in {s.name}, which has one output, expected two or more; leave it out."
@@ -367,6 +375,14 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
                 f"{', '.join(unsteady)}, expected regular samples with constant delays, the first at t = 0; leave "
                 f"{label} out, or "
                 "use kf."
+            )
+    if entry.observer.uses_silence and any(measured.send_threshold):
+        causes = ("loss", "outage_duration", "delay_jitter", "sampling_jitter", *LATENESS)
+        unsure = [name for name in causes if np.any(s.value(name))] + ([] if regular else ["sampling_pattern"])
+        if unsure:
+            yield (
+                f"{', '.join(unsure)} with a send_threshold, expected a network that delivers every sample in time, so that "
+                f"silence means that none was sent; leave {label} out, or use kf."
             )
     if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
         yield (

@@ -124,8 +124,7 @@ class Steps(NamedTuple):
     stages: dict[bytes, Matrix]  # samples that arrive in order -> covariances [m + 1, n, n] after none, one, two ...
 
 
-ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
-SERIES = 256  # and as many series of them
+ROOM = 1 << 16  # covariances that `Steps` hold, and as many again in series: some ten megabytes each
 
 
 def no_steps() -> Steps:
@@ -181,7 +180,7 @@ def _newest(
     if (np.lexsort((channel, taken)) == np.arange(len(taken))).all():
         key = np.append(P0, samples[order, 1:]).tobytes()
         if key not in steps.stages:
-            if len(steps.stages) >= SERIES:
+            if sum(map(len, steps.stages.values())) + len(taken) > ROOM:
                 steps.stages.clear()
             stages = [(0, root(P0))]
             for tick, one in zip(taken.tolist(), channel.tolist(), strict=True):

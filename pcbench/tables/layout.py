@@ -15,7 +15,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import COUNTS
-from pcbench.statistics.metric_matrix import INTERVALS
+from pcbench.statistics.metric_matrix import INTERVALS, OF_RUN
 from pcbench.statistics.number_format import MARK, estimate, mark_uncertified
 from pcbench.statistics.ranking import standing
 from pcbench.study import title_of_scenario
@@ -117,7 +117,7 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
 
 def _subject(metric: str) -> str:
     """A metric and what it is of: an interval is of the signal itself."""
-    return metric if metric in INTERVALS else f"{metric} of the error"
+    return metric if metric in (*INTERVALS, *OF_RUN) else f"{metric} of the error"
 
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:

@@ -31,7 +31,7 @@ PROGRAMS = {
     "quadruple-tank": 1,
     "flexible-joint": 1,
     "outage": 1,
-    "send-on-delta": 2,  # likewise, where a threshold is above 0
+    "send-on-delta": 1,
     "processor": 3,  # an observer has one of its own
     "variable-sampling": 2,
 }

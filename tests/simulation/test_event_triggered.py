@@ -197,3 +197,87 @@ def test_outputs_of_different_times_have_no_protocol():
     }
     with pytest.raises(UserError, match="sampled at different times, expected one sampling_period"):
         pcbench.run(WIENER | {"lti": lti, "axes": {"try_once_discard": [1]}}, seeds=1)
+
+
+TWO = DRIVEN | {"C": [[1.0, 0.0], [0.0, 1.0]], "noise_std": [0.05, 0.05], "delay": [0.1, 0.1], "duration": 6.0}
+UNSURE = {
+    "loss": ({"send_threshold": [0.1], "loss": [0.2]}, "loss with a send_threshold, expected a network that delivers"),
+    "late": ({"send_threshold": [0.1], "delay_jitter": [0.05]}, "delay_jitter with a send_threshold"),
+    "apart": (
+        {"try_once_discard": [1], "sampling_jitter": [[0.0, 0.05]], "sampling_period": [0.3]},
+        "delays that are equal if sampling times are random",
+    ),
+    "a threshold for one": (
+        {"try_once_discard": [1], "send_threshold": [[0.1, 0.0]]},
+        "all thresholds above 0, or none",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNSURE)
+def test_silence_that_may_have_another_cause_is_refused(name):
+    axes, words = UNSURE[name]
+    with pytest.raises(UserError, match=words) as caught:
+        pcbench.run(WIENER | {"lti": TWO, "axes": axes}, seeds=1)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_threshold_of_an_observer_needs_one_of_a_sensor():
+    study = WIENER | {"axes": {}, "options": {"kf-event": {"threshold": 0.5}}}
+    with pytest.raises(UserError, match=r"threshold: got 0\.5, expected none, as no sensor has a send_threshold"):
+        pcbench.run(study, seeds=1)
+
+
+def test_a_change_of_one_step_of_rounding_is_sent():
+    step = 0.1
+    y, t = np.round(np.arange(1, 101) * step / step) * step, Trigger(np.array([step]), np.asarray(0.0))
+    sensors, sent = measurements.first_sensors(1), []
+    for each in y:
+        sensors, value = measurements.send(t, sensors, np.array([each]), np.array([True]))
+        sent.append(bool(np.isfinite(value[0])))
+    assert all(sent)
+
+
+@pytest.mark.ci
+def test_filters_of_a_loop_have_the_inputs_since_the_last_sample_that_was_sent():
+    scenario = {"base": "ncs-reactor/round-robin", "sampling_period": 0.05, "sampling_phase": 0.0, "duration": 2.0}
+    study = {"name": "loop", "scenario": scenario | {"steady_start": 1.0}, "observers": ["kf", "ekf"], "seeds": 4}
+    runs = pcbench.run(study | {"axes": {"send_threshold": [0.0, 0.2]}}).runs.set_index(
+        ["cell", "observer", "signal", "seed"]
+    )
+    assert not runs.diverged.any()
+    kf, ekf = (runs.xs(name, level="observer").rmse for name in ("kf", "ekf"))
+    np.testing.assert_allclose(ekf, kf, rtol=1e-9)
+
+
+@pytest.mark.ci
+def test_observers_are_notified_of_samples_that_are_sent_and_know_when_the_last_one_came(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(COUNTS)
+    monkeypatch.chdir(tmp_path)
+    study = WIENER | {"lti": TWO, "axes": {"send_threshold": [0.3]}, "observers": ["mine.py:counts"]}
+    run = pcbench.simulate(study, "mine.py:counts")
+    came = np.flatnonzero(np.isfinite(run.y1) & (run[["y1", "y2"]].diff().abs().sum(axis=1) > 0) | (run.index == 2))
+    assert 3 < len(came) < 50
+    notified, since = run["counts.x"].to_numpy(), run["counts.v"].to_numpy()
+    assert notified[-1] == pytest.approx(len(came), abs=2), "but for those on their way"
+    np.testing.assert_array_equal(since[came], np.diff(came, prepend=0))
+
+
+COUNTS = """
+import jax.numpy as jnp
+import pcbench
+
+
+def design(setting, options):
+    return pcbench.Design((), pcbench.no_certificate("it counts"))
+
+
+counts = pcbench.Observer(
+    init=lambda gains, xhat0: jnp.zeros(2),
+    snapshot=lambda gains, memory, now: jnp.zeros(0),
+    jump=lambda gains, memory, now, arrival: memory.at[1].set(arrival.ticks_since_arrival),
+    flow=lambda gains, memory, now: memory,
+    estimate=lambda gains, memory: memory,
+    on_sample=lambda gains, memory, now, mask: memory.at[0].add(jnp.any(mask) * 1.0),
+)
+"""
