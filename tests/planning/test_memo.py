@@ -74,3 +74,18 @@ def test_what_refuses_is_asked_again(monkeypatch):
         ask("kind", 1, refuses)
     assert ask("kind", 1, lambda: 2) == 2
     assert [ask("kind", i, lambda i=i: i) for i in range(1000)] == [2 if i == 1 else i for i in range(1000)]
+
+
+def test_bound_of_a_scenario_is_the_same_whatever_stands_before_it():
+    """Of scenarios whose noise is correlated differently, in either order."""
+    base = {"base": "camera-target/camera", "delay": 0.1, "sampling_period": 0.1, "duration": 1.0, "steady_start": 0.5}
+    two = {name: base | {"noise_correlation": [[1.0, rho], [rho, 1.0]]} for name, rho in (("p", 0.0), ("q", 0.9))}
+
+    def bounds(names):
+        study = parse.parse({"name": "b", "scenarios": names, "tables": two, "observers": ["kf"]}, "b")
+        return {p.cell.scenario.name: p.bound for p in planning.drafts(cells_of(study))}
+
+    forwards, backwards = bounds(["p", "q"]), bounds(["q", "p"])
+    for name in two:
+        np.testing.assert_array_equal(forwards[name], backwards[name])
+    assert np.abs(forwards["p"] - forwards["q"]).max() > 1e-6
