@@ -83,6 +83,7 @@ def rows(study, **changes):
 
 
 @pytest.mark.ci
+@pytest.mark.usefixtures("as_users_have_it")  # compiled in a hurry the last bit depends on the processor
 @pytest.mark.parametrize("study", [STUDY | {"observers": ["kf", "ukf"]}, RANDOM], ids=["shared", "random"])
 def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_other_observers(study):
     many = rows(study, seeds=70)
@@ -92,6 +93,7 @@ def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_o
 
 
 @pytest.mark.ci
+@pytest.mark.usefixtures("as_users_have_it")
 def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
     """Runs of one call have at most two arrivals at a tick, those of another one."""
     study = RANDOM | {"axes": {"loss": [0.9], "delay_jitter": [0.1]}, "observers": ["kf"], "seeds": 200}
@@ -102,6 +104,7 @@ def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
 
 
 @pytest.mark.ci
+@pytest.mark.usefixtures("as_users_have_it")
 def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
     study = RANDOM | {"observers": ["ukf", "particle"], "options": RANDOM["options"] | {"particle": {"particles": 20}}}
     both, one = rows(study, seeds=3), rows(study, seeds=3, observers=["ukf"])

@@ -25,7 +25,7 @@ A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
 GOOD = np.zeros(60, bool)
 
 PLAIN = tuple(
-    m for m in statistics.RUN_METRICS if not any(each in m for each in ("nees", "nis", "interval"))
+    m for m in statistics.RUN_METRICS if not any(each in m for each in ("nees", "nis", "interval", "sent"))
 )  # of few observers
 
 
