@@ -73,8 +73,9 @@ def signal_of(result: Result, scenario: str, signal: str | None, metric: str = "
     names = result.signals(scenario)
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
-    usual = signals_by_default(result, scenario, metric)[0]
-    return usual if metric in OF_RUN else signal or usual
+    if signal is not None and metric not in OF_RUN:
+        return signal
+    return signals_by_default(result, scenario, metric)[0]
 
 
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
