@@ -32,7 +32,7 @@ def test_thresholds_and_periods():
         assert f"{nees['levels', cell, 'kf-event']:.2f}" == square
         assert f"{errors['levels', cell, 'kf']:.4f}" == kf, threshold
         assert f"{errors['levels', cell, 'kf-event']:.4f}" == event, threshold
-        assert f"{share['levels', cell, 'kf']:.3g}" == f"{float(sent):.3g}"
+        assert f"{share['levels', cell, 'kf']:.3f}" == f"{float(sent):.3f}"
     regular = pcbench.run(
         "send-on-delta",
         observers=["kf"],
