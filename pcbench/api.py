@@ -197,8 +197,7 @@ def simulate(
         estimate, OBSERVER.ERROR for each of the plant's own errors, u1.. (input held over the tick), and y1.. (newest
         measurement that has arrived; NaN before the first). With the option `consistency` also OBSERVER.SIGNAL.sigma, the
         assumed standard deviation; of an observer with bounds OBSERVER.SIGNAL.low and .high, the ends of its interval; in a
-        closed loop target.SIGNAL, the set point. `attrs["excluded"]` has the reasons why
-        observers of "all" are missing.
+        closed loop target.SIGNAL, the set point. `attrs["excluded"]` has the reasons why observers of "all" are missing.
 
     Raises:
         UserError: a mistake in the study or an argument, in one sentence.

@@ -288,7 +288,6 @@ FIELDS = (
         title="dither",
         form="subtractive, over one step",
         limit=Limit(lambda n: n in (0, 1), "1 (with subtractive dither) or 0 (without)."),
-        search=(0.0, 1.0),
     ),
     Field(
         "send_threshold",
@@ -307,7 +306,6 @@ FIELDS = (
         title="protocol",
         form="try-once-discard",
         limit=Limit(lambda n: n in (0, 1), "1 (try-once-discard) or 0 (all outputs)."),
-        search=(0.0, 1.0),
     ),
     Field(
         "mean_burst_length",

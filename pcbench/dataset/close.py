@@ -50,7 +50,7 @@ def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, abou
         "study": owned.study.name,
         "study_sha256": digest(owned.study, owned.cells),
         "root_seed": owned.study.root_seed,
-        "engines": [owned.study.engine],
+        "engines": sorted({cell.engine for cell in owned.cells}),
         "blocks": tables.blocks,
         **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
         **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),

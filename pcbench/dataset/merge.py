@@ -101,7 +101,7 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
         storage.put_table(into, name, _exact_rows(first, whole))
     there, lacking = block_files.present(into), run_missing.count_missing(into, whole)
     if not lacking:  # every observer has the same seeds
-        engines = sorted({str(owned.study.engine) for owned in holdings})
+        engines = sorted({cell.engine for owned in holdings for cell in owned.cells})
         about = {"merged": [target.name for target in targets], "engines": engines}
         close.close(into, whole, close.closing_tables(into, whole, there), about)
     return MergeReport(len(there), doubled, lacking)

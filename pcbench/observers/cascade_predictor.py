@@ -9,7 +9,7 @@ a d < 1. With links, this holds for each d_j. More links allow longer delays; th
 Here a tick is exact under the held input, x_j(k+1) = Phi x_j(k) + Gamma u(k - lag_j) - K (..), with the gains of
 `synthesis.cascade`. Between samples the output of `delay` ago is predicted,
 y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay), and a sample that arrives sets it. On a nonlinear plant
-each link moves by the plant's own tick in place of Phi x + Gamma u, and the gains are those of the linear model.
+each link moves by the plant's own tick instead of Phi x + Gamma u, and the gains are those of the linear model.
 
 Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement and nonlinear plants too. The choice of the
 gain, the output between samples and the tick are this project's. Outputs must be linear in the state.
@@ -88,7 +88,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return memory._replace(y=jnp.where(arrival.mask, y, memory.y))
 
 
-def moved(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""]) -> Float[Array, " n"]:
+def next_state(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""]) -> Float[Array, " n"]:
     """Return the state of `lag` ticks ago one tick later."""
     if gains.motion is None:
         return gains.Phi @ x + gains.Gamma @ now.past_u(lag)
@@ -103,11 +103,11 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     links, y, compared = [], memory.y, memory.y
     for j in range(many):
         old = read(past, k - gains.d[j])[j]
-        x = moved(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (compared - C @ old)
+        x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (compared - C @ old)
         links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
         compared = C @ memory.x[j]
         if j == 0:
-            ahead = C @ (moved(gains, now, old, gains.delay) - old)
+            ahead = C @ (next_state(gains, now, old, gains.delay) - old)
             y = jnp.where(k >= gains.delay, y + ahead, y)
     return Memory(jnp.stack(links), y, past, k + 1)
 

@@ -1,19 +1,18 @@
 """kf-event: the Kalman filter for samples that are sent only if an output has changed (send on delta).
 
-A sensor that sends no sample says that its output is within d of the last value sent, y_s. The difference is taken as uniform,
-so that the sample is replaced by y_s with a larger variance:
+If a sensor sends no sample, its output is within d of the last value sent, y_s. The difference is assumed to be uniform, so the
+sample that is missing is replaced by y_s with a larger variance:
 
     sent:      y,    R
     not sent:  y_s,  R + d^2 / 3
 
-d is the scenario's `send_threshold`. The filter keeps the last value received of each output; before the first it has none, and
-silence says nothing. Where no sample is held back it is `kf`. With try_once_discard silence says nothing either, as an output
-may have changed by more than d.
+d is the scenario's `send_threshold`. The filter stores the last value received of each output. Before the first value, and with
+try_once_discard, an output may have changed by more than d, so silence is not used. If every sample is sent, it is `kf`.
 Time index: the estimate is of now, after the jump.
-Silence is told from a lost or late sample only where neither occurs: a threshold with loss, an outage or random times is
-refused.
-Not claimed: that P is right. The difference is neither uniform nor independent from sample to sample.
-Source: Suh, Nguyen, Ro 2007.
+A lost or late sample looks like silence, so a threshold is refused with loss, an outage, or random or varying times.
+Not claimed: that P is correct. The difference is neither uniform nor independent from sample to sample.
+Source: Nguyen, Suh 2008, who describe the method; the paper on the filter that they refer to was not obtained. The variance is
+that of a uniform difference.
 """
 
 from typing import NamedTuple
@@ -62,7 +61,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         value = jnp.where(silent, memory.received, arrival.value)
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
     after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
-    some = jnp.any(arrival.mask)  # silence may say nothing
+    some = jnp.any(arrival.mask)  # silence may not be used
     return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), received)
 
 

@@ -194,7 +194,7 @@ METHODS = {
         "Kalman filter for send on delta",
         "As `kf`. If a sensor sends no sample, the last value received is used with a larger variance.",
         f"{FILTER}, and the `send_threshold`",
-        "Suh, Nguyen, Ro 2007",
+        "Nguyen, Suh 2008, doi 10.3390/s8020897",
         exact_moments=False,
         c_export=False,
     ),

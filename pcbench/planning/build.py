@@ -150,7 +150,7 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     Of observers whose bits depend on it, as many in every call (`Entry.lanes`). The definition has as many in all calls of a
     program with the observers `labels`.
     """
-    if _is_defined(cell):
+    if cell.engine == "definition":
         return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
     if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(fixed)
@@ -211,7 +211,7 @@ def draft(
         tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
-    unslowed = cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell
+    unlimited = cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell  # of any processor
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
@@ -224,28 +224,23 @@ def draft(
         scattered=bool(belief.initial_box),
         pending=loop_setup.pending(cell),
         consistency=choices.consistency,
-        defined=_is_defined(cell),
+        defined=cell.engine == "definition",
     )
     return Plan(
         cell=cell,
         layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
-        bound=bound(unslowed, known, ask) if options else None,
+        bound=bound(unlimited, known, ask) if options else None,
         predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
         reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
 
 
-def _is_defined(cell: Cell) -> bool:
-    """Whether the definition computes the runs: the engines decide before a run which samples arrive."""
-    return cell.engine == "definition" or bool(_trigger(cell.scenario.sampling))
-
-
 def _trigger(measured: Sampling) -> Trigger | tuple[()]:
-    """Return which samples are sent; (): every one, as no sensor has a threshold, not even 0."""
-    if not measured.send_threshold and not measured.try_once_discard:
+    """Return which samples are sent; (): every one."""
+    if not measured.sensors_decide:
         return ()
     threshold = measured.send_threshold or (0.0,) * len(measured.delay)
     return Trigger(np.array(threshold), np.asarray(measured.try_once_discard))

@@ -54,8 +54,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
 
 def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
     """Return how many ticks back an observer may ask for an input: to the oldest sample that may still be used again."""
-    measured = cell.scenario.sampling
-    if measured.send_threshold or measured.try_once_discard:  # the newest sample that was sent may be any
+    if cell.scenario.sampling.sensors_decide:  # the newest sample that was sent may be any
         found = ticks
     elif cell.times.random:
         found = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)

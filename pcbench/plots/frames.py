@@ -52,13 +52,12 @@ def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str
     """
     if signals is None:
         return signals_by_default(result, scenario, metric)
-    if metric in OF_RUN and any(name in result.signals(scenario) for name in signals):
-        return signals_by_default(result, scenario, metric)
     every, there = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
         if name not in every:
             raise unknown("--signal", "signal of the study", name, every)
-    return [s for s in there if s in signals] if signals else there
+    there = [s for s in there if s in signals] if signals else there
+    return signals_by_default(result, scenario, metric) if there and metric in OF_RUN else there
 
 
 def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:

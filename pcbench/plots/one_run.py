@@ -60,9 +60,8 @@ def several(
     they are), arrival (of no signal: rows in which what is held differs from the row before) or target (of a closed loop).
     Where the study asks for consistency, also sigma (the assumed standard deviation of this run) and, of no signal, nees,
     nees_low and nees_high (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true).
-    Runs that are all alike,
-    and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an
-    observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
+    Runs that are all alike, and those with schedules of their own, have no low, high and rms. None where it does not stand
+    there and the code of an observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
     """
     chosen = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
     seed = study.first_seed if seed is None else seed

@@ -93,6 +93,11 @@ class Sampling(NamedTuple):
     timestamp_jitter: float = 0.0
     delay_sequence: tuple[float | str, ...] = ()  # s, or LOST
 
+    @property
+    def sensors_decide(self) -> bool:
+        """Whether sensors decide which samples they send, if only by a threshold of 0."""
+        return bool(self.send_threshold or self.try_once_discard)
+
 
 class Belief(NamedTuple):
     """What designers and observers assume."""

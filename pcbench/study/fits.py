@@ -27,14 +27,14 @@ REACH = 10  # times the horizon: no sample that is later ever arrives
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError if times do not fit together, or if a measurement error is impossible or has no effect."""
-    apart = list(sensors(s))
+    each_sensor = list(sensors(s))
     misfits = itertools.chain(
         _of_continuous(s),
         _of_loop(s),
-        _of_clocks(s, apart),
-        _of_sensors(s, apart),
+        _of_clocks(s, each_sensor),
+        _of_sensors(s, each_sensor),
         _of_correlation(s),
-        _of_delays(s, apart),
+        _of_delays(s, each_sensor),
         _of_stamps(s),
         _of_trigger(s),
         _of_processor(s),
@@ -107,10 +107,10 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
         )
 
 
-def _of_clocks(s: Scenario, apart: list[Scenario]) -> Iterator[str]:
+def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each delay beyond the run, and for each jitter or assumed delay that does not fit."""
     ticks, error = to_ticks(s.duration, s), s.belief.assumed_delay_error
-    for one in apart:  # before their steps are listed
+    for one in each_sensor:  # before their steps are listed
         mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
             continue
@@ -142,9 +142,9 @@ def _of_clocks(s: Scenario, apart: list[Scenario]) -> Iterator[str]:
             )
 
 
-def _of_sensors(s: Scenario, apart: list[Scenario]) -> Iterator[str]:
+def _of_sensors(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each noise, loss or delay of a sensor that is impossible or has no effect."""
-    for one in apart:
+    for one in each_sensor:
         measured, belief = one.sampling, one.belief
         noiseless = not any(measured.noise_std)
         if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
@@ -212,7 +212,7 @@ def _of_correlation(s: Scenario) -> Iterator[str]:
         yield f"got noise_correlation in {s.name} with a noise_std of 0, expected noise in every channel; write its noise_std."
 
 
-def _of_delays(s: Scenario, apart: list[Scenario]) -> Iterator[str]:
+def _of_delays(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each field without effect, and for delays that cannot be a Markov chain or a sequence."""
     for name, needs in (("outlier_scale", "outlier_probability"), ("delay_gamma_shape", "delay_gamma_mean")):
         if not s.value(needs) and s.value(name) != Sampling._field_defaults[name]:
@@ -221,7 +221,7 @@ def _of_delays(s: Scenario, apart: list[Scenario]) -> Iterator[str]:
                 f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, so it has no effect, "
                 "expected both or neither; leave it out."
             )
-    for one in apart:
+    for one in each_sensor:
         values, stay = one.sampling.delay_values, one.sampling.delay_self_transition
         if stay and not values:
             yield (

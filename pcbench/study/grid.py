@@ -72,9 +72,10 @@ def cell_of(
 ) -> Cell:
     """Return a scenario as a cell that belongs to no study, with its times in ticks."""
     values, parameters, choices = values or {}, parameters or {}, choices or Choices()
-    return Cell(
+    cell = Cell(
         scenario, number, values, parameters, choices, times_of(scenario), options={}, own={}, told={}, digest=""
     )
+    return cell._replace(engine="definition") if scenario.sampling.sensors_decide else cell
 
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
@@ -118,7 +119,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         cell = cell_of(s, index, values | of_plant, parameters, choices)
         here = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
         by_label = digests | {o: options_digest(each, mine.get(o)) for o, each in here.items()}
-        identified = cell._replace(digest=identity(cell, study.root_seed), engine=usable(study.engine or "steps"))
+        identified = cell._replace(digest=identity(cell, study.root_seed), engine=engine_of(s, study.engine or "steps"))
         out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
 
@@ -240,7 +241,14 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
         name = usable(study.engine or "steps")
     else:
         name = engine if study.engine is None or usable(study.engine) == engine else study.engine
-    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=usable(name)) for c in every])
+    return Grid(
+        study.model_copy(update={"engine": name}), [c._replace(engine=engine_of(c.scenario, name)) for c in every]
+    )
+
+
+def engine_of(s: Scenario, engine: str) -> str:
+    """Return the engine of a scenario: the definition where sensors decide, as others fix before a run what arrives."""
+    return "definition" if s.sampling.sensors_decide else usable(engine)
 
 
 def usable(engine: str) -> str:
@@ -252,7 +260,7 @@ def usable(engine: str) -> str:
 
 def engine_warnings(grid: Grid) -> list[str]:
     """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
-    slower = any(c.engine == "definition" for c in grid.cells)
+    slower = any(c.engine == "definition" and not c.scenario.sampling.sensors_decide for c in grid.cells)
     if not slower or grid.study.engine == "definition" or grid.study.evaluation == "exact":
         return []
     return [

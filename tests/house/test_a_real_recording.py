@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from documents import PAGES, blocks, commands, fenced
+from documents import PAGES, blocks, commands, fenced, is_printed, tables
 
 PAGE = "a_real_recording.md"
 
@@ -34,46 +34,29 @@ def printed(tmp_path_factory):
     return folder, out
 
 
-def table(head):
-    """The rows of a table of the page, as texts."""
-    lines = PAGES[PAGE].splitlines()
-    first = next(i for i, line in enumerate(lines) if line.startswith(f"| {head} |"))
-    rows = []
-    for line in lines[first + 2 :]:
-        if not line.startswith("|"):
-            return rows
-        rows.append([cell.strip() for cell in line.strip("|").split("|")])
-    return rows
-
-
-def same(value, text):
-    """Whether a number is the one that is printed, to its last digit."""
-    return abs(value - float(text)) <= 0.51 * 10 ** -len(text.partition(".")[2])
-
-
 @pytest.mark.nightly
 def test_noise_and_tests_are_those_of_the_page(printed):
     _, out = printed
     first, again = (json.loads(out[f"tune {i}"]) for i in (1, 2))
     found = {row["name"]: row for row in first["intensities"]}
-    for name, start, value, interval, _ in table("intensity"):
+    for name, start, value, interval, _ in tables(PAGES[PAGE], "intensity"):
         row = found[name.strip("`")]
         assert row["start"] == pytest.approx(float(start))
         assert [row["found"], row["low"], row["high"]] == pytest.approx(
             [float(text) for text in (value, *interval.split(" to "))], rel=0.05
         )
-    rows = {name: cells for name, *cells in table("result")}
+    rows = {name: cells for name, *cells in tables(PAGES[PAGE], "result")}
     for i, tuned in enumerate((first, again)):
         held_out = tuned["held_out"]["tuned"]
-        assert same(tuned["found"]["R"] ** 0.5, rows["standard deviation of the receiver's noise [m/s]"][i])
+        assert is_printed(tuned["found"]["R"] ** 0.5, rows["standard deviation of the receiver's noise [m/s]"][i])
         assert float(rows["`ljung_box_p` of the held-out part"][i]) == pytest.approx(held_out["ljung_box_p"], rel=0.05)
         nis, verdict = rows["NIS of the held-out part"][i].split(", ")
-        assert same(held_out["nis"], nis)
+        assert is_printed(held_out["nis"], nis)
         assert held_out["verdict"] == verdict
-        assert same(held_out["log_likelihood"], rows["log-likelihood of the held-out part"][i])
+        assert is_printed(held_out["log_likelihood"], rows["log-likelihood of the held-out part"][i])
     for i, replay in enumerate(("replay 1", "replay 3")):
         errors = {row["metric"]: row["value"] for row in json.loads(out[replay])["metrics"]}
-        assert same(errors["steady_rmse"], rows["RMS error of the speed [m/s]"][i])
+        assert is_printed(errors["steady_rmse"], rows["RMS error of the speed [m/s]"][i])
     (row,) = json.loads(out["replay 1"])["innovations"]
     assert (row["verdict"], round(row["nis"], 3)) == ("consistent", 0.998)
     assert row["ljung_box_p"] == pytest.approx(0.0002, rel=0.2)
@@ -83,17 +66,17 @@ def test_noise_and_tests_are_those_of_the_page(printed):
 @pytest.mark.nightly
 def test_delay_and_its_likelihoods_are_those_of_the_page(printed):
     folder, out = printed
-    ((_, delay, interval),) = table("channel")
+    ((_, delay, interval),) = tables(PAGES[PAGE], "channel")
     found = json.loads(out["tune 2"])["delay"]["y1"]
     for name, text in zip(("estimate", "low", "high"), (delay, *interval.split(" to ")), strict=True):
         assert found[name] == pytest.approx(float(text), abs=5e-4)
-    profile = {float(delay): numbers for delay, *numbers in table("assumed delay [s]")}
+    profile = {float(delay): numbers for delay, *numbers in tables(PAGES[PAGE], "assumed delay [s]")}
     compared = json.loads((folder / "compared" / "replay.json").read_text())["innovations"]
     assert [row["assumed_delay_error"] for row in compared] == list(profile)
     for row in compared:
         texts = profile[row["assumed_delay_error"]]
-        assert same(row["log_likelihood"], texts[0])
-        assert same(row["log_likelihood_held_out"], texts[1])
+        assert is_printed(row["log_likelihood"], texts[0])
+        assert is_printed(row["log_likelihood_held_out"], texts[1])
     errors = [
         {m["metric"]: m["value"] for m in json.loads(out[f"replay {i}"])["metrics"]}["steady_rmse"] for i in (1, 3)
     ]
@@ -108,7 +91,7 @@ def test_filter_in_c_equals_the_replay(printed):
     assert [line.partition(":")[0] for line in lines] == ["speed", "bias"]
     for line in lines:
         assert float(line.split(" at most")[0].split(", ")[1]) < 1e-12
-    assert same(float(lines[0].rpartition("error ")[2].split()[0]), "0.044")
+    assert is_printed(float(lines[0].rpartition("error ")[2].split()[0]), "0.044")
     assert (folder / "second" / "report.html").stat().st_size < 1.2e6
 
 

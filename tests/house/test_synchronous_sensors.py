@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from documents import PAGES, fenced, lines
+from documents import PAGES, fenced, is_printed, lines, tables
 from reference import leg
 from scipy.signal import welch
 
@@ -44,43 +44,28 @@ def columns():
     return frame.t.to_numpy(), *values
 
 
-def rows(head):
-    """The rows of each table of the page with this first head, as texts."""
-    found, inside = [], False
-    for line in PAGES[PAGE].splitlines():
-        inside = line.startswith("|") and (inside or line.startswith(f"| {head} |"))
-        if inside and not line.startswith((f"| {head} |", "|---")):
-            found.append([cell.strip() for cell in line.strip("|").split("|")])
-    return found
-
-
-def same(value, text):
-    """Whether a number is the one that is printed, to its last digit."""
-    return abs(value - float(text)) <= 0.51 * 10 ** -len(text.partition(".")[2])
-
-
 @pytest.mark.nightly
 def test_delays_are_those_of_the_page(printed):
     _, out = printed
     found = [out[name]["delay"]["y1"] for name in ("found", "again")]
-    for delay, (_, estimate, interval) in zip(found, rows("channel"), strict=True):
+    for delay, (_, estimate, interval) in zip(found, tables(PAGES[PAGE], "channel"), strict=True):
         for name, text in zip(("estimate", "low", "high"), (estimate, *interval.split(" to ")), strict=True):
-            assert same(delay[name], text)
+            assert is_printed(delay[name], text)
     moved = found[1]["estimate"] - found[0]["estimate"]
     assert moved == pytest.approx(0.06, abs=2e-4)  # a twentieth of a tick
-    assert same(1e3 * moved, "59.9")
+    assert is_printed(1e3 * moved, "59.9")
     assert "differ by 59.9 ms" in PAGES[PAGE]
-    (text,) = [cells[1] for cells in rows("method") if "find-delay" in cells[0]]
-    assert same(1e3 * (found[0]["estimate"] + HALF_ROW), text)
+    (text,) = [cells[1] for cells in tables(PAGES[PAGE], "method") if "find-delay" in cells[0]]
+    assert is_printed(1e3 * (found[0]["estimate"] + HALF_ROW), text)
 
 
 @pytest.mark.nightly
 def test_model_with_the_hum_of_50_hz_is_more_likely(printed):
     folder, out = printed
-    for name, (_, *texts) in zip(("plain", "hum"), rows("model"), strict=True):
+    for name, (_, *texts) in zip(("plain", "hum"), tables(PAGES[PAGE], "model"), strict=True):
         (row,) = out[name]["innovations"]
         for key, text in zip(("log_likelihood", "log_likelihood_held_out", "nis"), texts, strict=True):
-            assert same(row[key], text)
+            assert is_printed(row[key], text)
         assert row["ljung_box_p"] < 1e-100
     assert out["found"]["kept_start"]
     assert out["found"]["held_out"]["tuned"]["ljung_box_p"] < 1e-100
@@ -94,7 +79,7 @@ def test_model_with_the_hum_of_50_hz_is_more_likely(printed):
 @pytest.mark.ci
 def test_lags_by_least_squares_are_those_of_the_page(columns):
     t, w, m = columns
-    texts = {name: text for name, text in rows("method") if "find-delay" not in name}
+    texts = {name: text for name, text in tables(PAGES[PAGE], "method") if "find-delay" not in name}
     for name, text in texts.items():
         number = int("".join(c for c in name if c.isdigit()))
         if "angle" in name:
@@ -102,7 +87,7 @@ def test_lags_by_least_squares_are_those_of_the_page(columns):
         else:
             lag, rest = leg.lag_in_space(t, w, m, number)
             assert rest < 0.011  # the field is constant: it turns as the gyroscope measures
-        assert same(1e3 * lag, text), name
+        assert is_printed(1e3 * lag, text), name
         assert abs(lag) < 1.6e-3
     assert len(texts) == 5
 

@@ -1,8 +1,11 @@
 """How many runs a call has: as many in every call for observers whose last bits depend on it."""
 
+from types import SimpleNamespace
+
 import pytest
 
 import pcbench
+from pcbench.engine import runner
 from pcbench.planning import build
 from pcbench.study import parse
 
@@ -32,3 +35,16 @@ def test_a_run_has_the_same_bits_among_16_and_128_others(observer):
         for n in (16, 128)
     )
     assert few.equals(many.loc[few.index])
+
+
+@pytest.mark.parametrize(
+    ("flags", "bits"), [("fpu avx2 avx512f avx512dq", "512"), ("fpu avx avx2", "256"), (None, "256")]
+)
+def test_vectors_are_as_wide_as_those_of_the_processor(monkeypatch, flags, bits):
+    def read_text(path):
+        if flags is None:
+            raise FileNotFoundError(path)
+        return f"processor : 0\nflags : {flags}\n"
+
+    monkeypatch.setattr(runner, "Path", lambda path: SimpleNamespace(read_text=lambda: read_text(path)))
+    assert runner.vector_width() == bits

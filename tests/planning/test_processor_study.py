@@ -2,10 +2,10 @@
 
 import re
 from math import inf
-from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import PAGES, tables
 from scipy import stats
 
 import pcbench
@@ -13,7 +13,7 @@ from pcbench import plots
 from pcbench.plots import crossings
 from pcbench.report import captions
 
-PAGE = (Path(pcbench.__file__).parent / "guide" / "processor.md").read_text()
+PAGE = PAGES["processor.md"]
 PAIRS = [("ekf", "ukf"), ("ekf", "particle"), ("ukf", "particle")]
 pytestmark = pytest.mark.ci
 
@@ -21,12 +21,6 @@ pytestmark = pytest.mark.ci
 @pytest.fixture(scope="module")
 def result():
     return pcbench.run("processor")
-
-
-def rows(heading):
-    """The cells of the table whose head begins so, as lists."""
-    table = PAGE.partition(f"\n| {heading}")[2].partition("\n\n")[0]
-    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
 
 
 def by_hand(runs, below, above):
@@ -59,7 +53,7 @@ def test_observers_do_not_cross_the_other_way(result):
 
 def test_errors_of_the_page_come_out(result):
     table = result.stats[result.stats.metric == "steady_rmse"].set_index(["processor_speed", "observer"])
-    shown = rows("multiplications/s")
+    shown = tables(PAGE, "multiplications/s")
     assert len(shown) == 6
     for speed, *errors in shown:
         for observer, text in zip(("ekf", "ukf", "particle"), errors, strict=True):
@@ -69,7 +63,7 @@ def test_errors_of_the_page_come_out(result):
 
 
 def test_crossings_of_the_page_come_out(result):
-    shown = rows("better | than")
+    shown = tables(PAGE, "better | than")
     assert len(shown) == 3
     for above, below, value, interval in shown:
         found = crossings.crossing(result, "processor_speed", below, above)

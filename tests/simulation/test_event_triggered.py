@@ -9,11 +9,13 @@ from reference import event_triggered
 from reference import linear as reference
 
 import pcbench
+from pcbench.dataset import block_files, storage
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.simulation import measurements, simulate_runs
 from pcbench.simulation.measurements import Trigger
 from pcbench.synthesis import send_on_delta
+from pcbench.tables.layout import tables
 
 ODD_CASE = Case(ODD, 5, 12, ticks=400, h=0.01, noise_std=0.2, seed=5, x0=[2.0, -4.0, 5.0], xhat0=[0.5, -1.0, 2.0])
 CART_CASE = Case(CART, 60, 180, noise_std=0.7, x0=[2.0, 3.0], seed=3)
@@ -281,3 +283,33 @@ counts = pcbench.Observer(
     on_sample=lambda gains, memory, now, mask: memory.at[0].add(jnp.any(mask) * 1.0),
 )
 """
+
+
+@pytest.mark.ci
+def test_record_of_a_study_names_the_engine_that_computes_it(tmp_path):
+    study = WIENER | {"lti": DRIVEN | {"duration": 2.0}, "axes": {"send_threshold": [0.1]}}
+    found = pcbench.run(study, seeds=2, out=tmp_path / "out")
+    assert found.provenance["engines"] == ["definition"]
+    assert {
+        block_files.about_block(t, b)["engine"]
+        for t in [storage.target(str(tmp_path / "out"))]
+        for b in block_files.present(t)
+    } == {"definition"}
+    assert pcbench.run(study | {"axes": {}}, seeds=2, out=tmp_path / "all").provenance["engines"] == ["steps"]
+
+
+@pytest.mark.ci
+def test_one_number_per_run_has_one_table_whatever_signal_is_named():
+    """It is in the row of the first signal, which is not the one in the headline here."""
+    scenario = {"base": "quadruple-tank/delayed", "delay": [0.0, 0.0], "duration": 100.0, "steady_start": 50.0}
+    study = {"name": "tank", "scenario": scenario, "observers": ["kf"], "axes": {"send_threshold": [0.0, 0.5]}}
+    result = pcbench.run(study, seeds=2)
+    shown = [tables(result, "sent_fraction", signals) for signals in (None, [], ["level_2"], ["level_1", "level_4"])]
+    assert [len(each) for each in shown] == [1, 1, 1, 1]
+    assert len({str(each) for each in shown}) == 1
+    assert len(tables(result, "rmse", [])) == 4
+    for signals in (["levl_2"], ["level_1", "levl_2"]):
+        with pytest.raises(UserError, match="levl_2"):
+            tables(result, "sent_fraction", signals)
+    first, second = result.stats[result.stats.metric == "sent_fraction"]["mean"]
+    assert first == 1 > second

@@ -3,18 +3,12 @@
 import re
 
 import pytest
-from documents import PAGES
+from documents import PAGES, tables
 
 import pcbench
 
 PAGE = PAGES["send_on_delta.md"]
 pytestmark = pytest.mark.nightly
-
-
-def rows(heading):
-    """The cells of the table whose head begins so, as lists."""
-    table = PAGE.partition(f"\n| {heading}")[2].partition("\n\n")[0]
-    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
 
 
 def means(result, signal, metric):
@@ -26,7 +20,7 @@ def test_thresholds_and_periods():
     result = pcbench.run("send-on-delta")
     errors, share = means(result, "level_2", "steady_rmse"), means(result, "level_1", "sent_fraction")
     nees = means(result, "level_1", "nees")
-    printed = rows("threshold [cm]")
+    printed = tables(PAGE, "threshold [cm]")
     for cell, (threshold, sent, kf, event, alone, square) in enumerate(printed):
         assert f"{errors['levels', cell, 'model-only']:.4f}" == alone
         assert f"{nees['levels', cell, 'kf-event']:.2f}" == square
@@ -39,7 +33,7 @@ def test_thresholds_and_periods():
         overrides=["axes.send_threshold=0", "axes.sampling_period=[5,12,22,40]"],
     )
     periodic = means(regular, "level_2", "steady_rmse")
-    (line,) = (row for row in rows("sampling period [s]") if row[0].startswith("kf"))
+    (line,) = (row for row in tables(PAGE, "sampling period [s]") if row[0].startswith("kf"))
     assert [f"{periodic['levels', cell, 'kf']:.4f}" for cell in (1, 2, 3)] == line[1:]
     ratios = [float(row[3]) / float(value) for row, value in zip(printed[1:4], line[1:], strict=True)]
     better = [f"{100 * (1 - r):.0f}" for r in ratios]
@@ -50,7 +44,7 @@ def test_thresholds_and_periods():
 def test_protocols():
     stats = pcbench.run("ncs-reactor").stats.query("metric == 'steady_rmse'").set_index(["signal", "scenario"])
     columns = [(signal, name) for signal in ("x1", "x2") for name in ("round-robin", "try-once-discard")]
-    for interval, *printed in rows("interval between transmissions [s]"):
+    for interval, *printed in tables(PAGE, "interval between transmissions [s]"):
         for (signal, name), text in zip(columns, printed, strict=True):
             mean, half = re.match(r"(\S+) ± (\S+)", text).groups()
             row = stats.loc[signal, f"{name}-{interval}"]

@@ -38,6 +38,21 @@ def blocks(language, *names):
     return [b.text for name in names or TEXTS if name in RUN for b in fenced(name) if b.language == language]
 
 
+def tables(text, head):
+    """The rows of all tables of a page whose first head is this one, as texts without code marks."""
+    found, inside = [], False
+    for line in text.splitlines():
+        inside = line.startswith("|") and (inside or line.startswith(f"| {head} |"))
+        if inside and not line.startswith((f"| {head} |", "|---")):
+            found.append([cell.strip(" `") for cell in line.strip("|").split("|")])
+    return found
+
+
+def is_printed(value, text):
+    """Whether a number is the one that is printed, to its last digit."""
+    return abs(value - float(text)) <= 0.51 * 10 ** -len(text.partition(".")[2])
+
+
 def prose(text):
     """A page without its blocks of code."""
     return re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
