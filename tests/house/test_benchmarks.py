@@ -41,6 +41,7 @@ ROWS = {  # what each prints, and how often
     "own_code": {"here, ": 2, "workers, ": 2},
     "replay": {"replay: ": 1},
     "first_use": {"short: ": 1},
+    "accelerator": {"cart, pccebo and kfbo": 1, "reactor, ekf": 1, "helicopter, ": 2},
 }
 
 
