@@ -9,7 +9,8 @@ limit of a chain of integrators is in `synthesis/sampled_high_gain`: theta T < 4
 `parts/held_innovation` writes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
 Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S instead of
 constant gains, for a plant of positions, rates and parameters.
-A stable mode faster than theta is slowed to theta, by a large gain that may not bear the period.
+A stable mode faster than theta is slowed to theta, by a large gain that may diverge at long periods. So the default of theta is
+the decay rate of the fastest mode, but at least 4 1/s.
 Not claimed: convergence on a nonlinear plant, nor at varying intervals or with delay.
 """
 
@@ -25,12 +26,17 @@ from pcbench.synthesis.constant_periods import predictor_map, spectral_radius
 from pcbench.synthesis.error_bounds import rate_of
 
 OBSERVER = held_innovation.OBSERVER
+SLOWEST = 4.0  # 1/s, the least theta that is chosen by itself
 
 
 class Options(StrictOptions):
     """The tuning."""
 
-    theta: float = tunable(4.0, gt=0, description="gain parameter [1/s]; larger is faster")
+    theta: float | None = tunable(
+        None,
+        gt=0,
+        description="gain parameter [1/s]; larger is faster; default: decay rate of the fastest mode, 4 or more",
+    )
 
 
 def design(setting: DesignContext, options: Options) -> Design:
@@ -40,12 +46,13 @@ def design(setting: DesignContext, options: Options) -> Design:
     if len(model.C) > 1:
         raise UserError(f"{where}: got {len(model.C)} outputs, expected one; use lmi-sampled or kf.")
     require_observable(model, where)
-    L = binomial_gain(model.A, model.C, options.theta)
+    theta = options.theta or max(SLOWEST, float(-np.linalg.eigvals(model.A).real.min()))
+    L = binomial_gain(model.A, model.C, theta)
     gains = held_innovation.gains_of(setting, L, model.C @ L)
     intervals = setting.intervals or setting.period
     period = max(intervals) * setting.dt
     radius = spectral_radius(predictor_map(model.A, L, model.C, period))
-    numbers = {"L": L, "theta_Ts": options.theta * period, "radius": radius}
+    numbers = {"L": L, "theta": theta, "theta_Ts": theta * period, "radius": radius}
     reason = ""
     if setting.field is not None:
         reason = "the plant is nonlinear; the radius is of its linear model"

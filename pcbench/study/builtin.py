@@ -43,6 +43,8 @@ FIELD = (
     "cascade-predictor",
     "super-twisting",
     "finite-time",
+    "high-gain-predictor",
+    "lmi-sampled",
 )  # observers of the literature for samples of one age
 WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
 BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4

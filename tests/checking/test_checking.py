@@ -18,9 +18,6 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis.certificate import Design
 
 WHERE = {"smo": "arm/sampled", "pio": "arm/sampled", "high-gain": "helicopter/constant"}  # what they are made for
-WHERE["high-gain-predictor"] = (
-    "flexible-joint/sampled"  # it slows the fast mode of the cart by a gain that is too large
-)
 QUICK = ("model-only", "kfbo", "no-delay")
 ENTRY = ObserverSpec(own.nudge, own.Options, own.design, True, "a share of a late innovation", "one clock")
 SEEN, SHARE, TIMES, COUNT = [], [0.1], [np.array([1])], itertools.count()

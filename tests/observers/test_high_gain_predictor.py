@@ -64,6 +64,14 @@ def test_certificate_of_a_chain_ends_at_its_limit():
     assert below.rate == pytest.approx(rate, rel=1e-9)
 
 
+def test_the_default_does_not_slow_a_fast_mode():
+    """With 4 1/s the error on the cart, whose velocity decays at 122 1/s, grows by 1e9 and more from sample to sample."""
+    assert design(Case(CART, 200, 0, h=1e-3), None).certificate.numbers["theta"] == pytest.approx(122)
+    assert design(Case(CART, 200, 0, h=1e-3), None).certificate.numbers["radius"] < 1e-9
+    assert design(Case(CART, 200, 0, h=1e-3), 4.0).certificate.numbers["radius"] > 1e9
+    assert design(Case(CHAIN, 20, 0, h=0.01), None).certificate.numbers["theta"] == 4
+
+
 def test_it_bears_longer_periods_than_the_held_innovation_with_the_same_gain():
     theta, h, te = 2.0, 0.01, 70
     known = setting(Case(CHAIN, te, 0, h=h))

@@ -299,7 +299,7 @@ def test_the_guides_table_is_what_comes_out():
     name = "delayed-measurements"
     stats, costs = pcbench.run(name).stats, pcbench.operation_counts(name).set_index(["cell", "observer"])
     stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])
-    assert len(rows) == 11
+    assert len(rows) == 13
     for name, said, products in rows:
         *errors, consistency = said.split(" | ")
         found = stats.loc[name, "steady_rmse"]["mean"].sort_index()

@@ -44,7 +44,7 @@ def tables(text, head):
     for line in text.splitlines():
         inside = line.startswith("|") and (inside or line.startswith(f"| {head} |"))
         if inside and not line.startswith((f"| {head} |", "|---")):
-            found.append([cell.strip(" `") for cell in line.strip("|").split("|")])
+            found.append([cell.replace("`", "").strip() for cell in line.strip("|").split("|")])
     return found
 
 
