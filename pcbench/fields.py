@@ -292,8 +292,8 @@ FIELDS = (
     Field(
         "send_threshold",
         "unit of the output",
-        "change of an output from its last value sent at which its sensor sends a sample (send on delta); 0: every sample. A "
-        "list if output channels differ",
+        "change of an output since its last value sent, from which on its sensor sends a sample (send on delta); 0: every "
+        "sample. A list if output channels differ",
         title="samples sent at a change of",
         form="outputs",
         per="output",
@@ -301,8 +301,8 @@ FIELDS = (
     Field(
         "try_once_discard",
         "1",
-        "1: of the outputs sampled together only the one that has changed most since it was last sent is sent, in units of "
-        "its send_threshold if it has one; 0: all",
+        "1: of the outputs sampled together, only the one that has changed most since it was last sent is sent; changes are "
+        "divided by send_threshold, if set. 0: all are sent",
         title="protocol",
         form="try-once-discard",
         limit=Limit(lambda n: n in (0, 1), "1 (try-once-discard) or 0 (all outputs)."),
@@ -347,8 +347,7 @@ FIELDS = (
     Field(
         "processor_speed",
         "multiplications/s",
-        "speed of the processor of each observer, which computes one sample at a time and makes estimates late; inf: no "
-        "limit",
+        "speed of each observer's own processor, whose computing time delays the estimate; inf: no limit",
         title="speed of each observer's processor",
         form="{} multiplications/s",
         word="inf",

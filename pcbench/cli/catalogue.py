@@ -57,7 +57,7 @@ def observer(o: observers.ObserverSpec) -> Description:
         "summary": o.summary,
         "knows_schedule": o.knows_schedule,
         "samples": TAKES[o.takes],
-        "plants": "linear and nonlinear" if o.nonlinear else "linear",
+        "plants": "linear and nonlinear" if o.nonlinear else "linear, or linearised at an equilibrium",
         **facts.observer_facts(o),
         "options": options(o.options),
     }

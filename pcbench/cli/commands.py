@@ -20,7 +20,7 @@ ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, an
     "find-limit": (runs.find_limit, "Find the largest period, delay or noise for an error limit"),
     "simulate": (runs.simulate, "Simulate one run and write it tick by tick"),
     "info": (recordings.info, "Show the rates, gaps and delays of a recording"),
-    "convert": (recordings.convert, "Make a slow, delayed recording of a fast one"),
+    "convert": (recordings.convert, "Make a slow, delayed recording from a fast one"),
     "replay": (recordings.replay, "Run observers on a recording"),
     "status": (runs.status, "Show how many runs of a study are complete"),
     "verify": (runs.verify, "Check every file, and compute some runs again"),

@@ -40,7 +40,7 @@ def info(
 ) -> None:
     """Show what a recording contains: rates, gaps, delays, lags, out-of-order or repeated samples, clock drift.
 
-    Of a file without a TOML file it prints topics, fields, counts, rates and ranges.
+    For a file without a TOML file it prints topics, fields, counts, rates and ranges.
 
     Examples: pcbench info flight.bag;  pcbench info flight.bag --toml --out flight.toml;  pcbench info flight.toml
     """
@@ -95,7 +95,7 @@ def convert(
     ] = None,
     seed: Annotated[int, option("Seed of the delays that are drawn", min=0)] = 0,
 ) -> None:
-    """Make of a fast recording what a slow, delayed sensor would have brought; all of its measurements are the truth.
+    """Make a slow, delayed recording from a fast one; all measurements of the fast one become the truth.
 
     Example: pcbench convert encoder.csv.toml --thin 10 --delay from:camera --truth angle --out slow
     """

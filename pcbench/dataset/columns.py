@@ -25,7 +25,7 @@ CONSISTENCY = (
 )
 MEANING = {
     "study": "name of the study",
-    "scenario": "published experiment",
+    "scenario": "name of the scenario",
     "plant": "plant of the scenario",
     "observer": "observer, with the options in study.toml",
     "observer_a": "first observer of the pair",
@@ -53,7 +53,7 @@ MEANING = {
     "steady_mse": "mean of e^2 from steady_start on [unit squared]",
     "steady_max_abs_error": "largest |e| from steady_start on",
     "tracking_rmse": "root mean square of the set point minus the state, in a closed loop; null: the signal has no set point",
-    "steady_tracking_rmse": "tracking_rmse from steady_start on",
+    "steady_tracking_rmse": "the same as tracking_rmse, from steady_start on",
     "status": "diverged; or unsettled: the error of this signal left its band after steady_start; or settled",
     "diverged": "in runs: the error became non-finite or exceeded the scenario's divergence threshold (its metrics are null). "
     "In stats: the number of such runs, which are left out of all means",
@@ -65,7 +65,7 @@ MEANING = {
     + CONSISTENCY,
     "method": "runs: an estimate from simulated runs; exact: the expected value over all noise, with an se of 0. If the "
     "schedule is random, it is a mean over schedules, and se belongs to this mean. none: no number, see `reason`",
-    "reason": "why a number is missing that only runs can give; null: no number is missing",
+    "reason": "why there is no exact number; null: no number is missing",
     "t": "time [s]",
     "std": "standard deviation of the error e at t, over all noise; `mean` is its mean",
     "n": "number of runs in the estimate; for an exact number 0, or the number of schedules in its mean",
@@ -79,14 +79,14 @@ MEANING = {
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
     "lq_cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "
     "in a closed loop with weights; one number per run, in the row of its first signal",
-    "steady_lq_cost": "lq_cost from steady_start on",
+    "steady_lq_cost": "the same as lq_cost, from steady_start on",
     "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a closed loop; one number per run, in the row of its "
     "first signal",
-    "steady_input_rms": "input_rms from steady_start on",
+    "steady_input_rms": "the same as input_rms, from steady_start on",
     "nees": "normalised estimation error squared: e' P^-1 e / n at tick N-1. P is the observer's covariance of its error of "
     "the plant's n states, without states that are known exactly. The mean is 1 if P is true. One number per run, in the row "
     "of its first signal",
-    "nees_dof": "the n of nees",
+    "nees_dof": "number of states n in nees",
     "nis": "normalised innovation squared: the sum of nu' S^-1 nu over all measurements that the observer tests, divided by "
     "nis_dof. The innovation nu is a measurement minus its prediction from all earlier arrivals, and S is the observer's "
     "covariance of nu. One number per run, in the row of its first signal; null: no measurement was tested. In stats: the sum "
@@ -98,7 +98,7 @@ MEANING = {
     "the bounds of the observer",
     "sent_fraction": "number of samples sent divided by the number of samples taken, of all outputs together. One number per "
     "run, in the row of its first signal",
-    "signal_nees": "e^2 divided by the observer's variance of e, at tick N-1; null: this state is known exactly",
+    "signal_nees": "square of e, divided by the observer's variance of e, at tick N-1; null: this state is known exactly",
 }
 MEANING |= {f.name: f.meaning for f in FIELDS}
 MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}

@@ -83,7 +83,7 @@ def export_observer(
             )
         if cell.entry(called).observer.uses_silence:
             raise UserError(
-                f"{observer}: got an observer that uses that no sample was sent, which a program in C does not report, "
+                f"{observer}: got an observer that uses silence (no sample was sent), which a program in C does not report, "
                 "expected one that uses samples alone; export kf."
             )
         title = title_of_scenario(asked, cell.scenario.name)

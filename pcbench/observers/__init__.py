@@ -163,14 +163,14 @@ OBSERVERS = {
         smooth=False, nonlinear=True
     ),
     "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
-    "high-gain-predictor": _of(high_gain_predictor, "high-gain observer of any plant with one output")._replace(
+    "high-gain-predictor": _of(high_gain_predictor, "high-gain observer for any plant with one output")._replace(
         nonlinear=True
     ),
     "interval": _of(interval, "interval observer: bounds of the state", "one clock"),
     "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
     "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
     "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
-    "kf-event": _of(kf_event, "Kalman filter that uses that no sample was sent"),
+    "kf-event": _of(kf_event, "Kalman filter for send on delta, which uses silence"),
     **NONLINEAR,
     **LATE,
     **DELAYS,

@@ -193,7 +193,7 @@ METHODS = {
     "kf-event": Method(
         "Kalman filter for send on delta",
         "As `kf`. If a sensor sends no sample, the last value received is used with a larger variance.",
-        f"{FILTER}, and the `send_threshold`",
+        f"{AGES}, the variances of measurement and process noise, the prior of the initial state, and the `send_threshold`",
         "Nguyen, Suh 2008, doi 10.3390/s8020897",
         exact_moments=False,
         c_export=False,

@@ -18,7 +18,7 @@ GAIN, SERVO_GAIN = 8.0, 4.0  # 1/s, commanded velocity per offset
 
 FOLLOWING = Scenario(
     name="camera-target/following",
-    summary="loop follows a target, camera 5 Hz and 0.2 s late",
+    summary="closed loop follows a target; camera at 5 Hz, delayed by 0.2 s",
     source="Xiao, Chen 2020, the task; numbers are ours",
     plant="camera-target",
     observers=("kf", "kf-ignore-delay"),
@@ -45,7 +45,7 @@ CAMERA_TARGET = (
     ),
     FOLLOWING.having(
         name="camera-target/camera",
-        summary="as following, platform moved along a sine, estimate only",
+        summary="as following, but in open loop: the platform moves along a sine",
         observers=("kf", "kf-shifted-innovation", "kf-ignore-delay", "model-only"),
         controller="",
         control={},

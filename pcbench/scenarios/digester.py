@@ -33,7 +33,7 @@ def _too_little(nitrogen: float, substrates: tuple[float, ...]) -> tuple[float, 
 
 MULTIRATE = Scenario(
     name="digester/multirate",
-    summary="gas each 2 h, laboratory each day, 21 h late",
+    summary="gas every 2 h; laboratory every day, delayed by 21 h",
     source="Hellmann, Wilms, Streif, Weinrich 2025",
     plant="digester",
     observers=("ekf", "kf", "kf-ignore-delay", "model-only"),
@@ -63,7 +63,7 @@ DIGESTER = (
     MULTIRATE,
     MULTIRATE.having(
         name="digester/printed-feed",
-        summary="as multirate, fed as much as in the public program",
+        summary="as multirate, with the larger feed of the public program",
         model={"point": "printed"},
         input=_fed(1008.0, 432.0),
         xhat0=_too_little(0.651, (9.86, 11.5, 4.14, 1.29, 0.405)),

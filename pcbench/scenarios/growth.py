@@ -18,7 +18,7 @@ from pcbench.toml_text import TomlTable
 UKF: TomlTable = {"alpha": 1.0, "beta": 0.0, "kappa": 2.0}
 GORDON = Scenario(
     name="growth-model/gordon",
-    summary="x^2/20 measured at each of 50 steps",
+    summary="measurement of x^2/20 at each of 50 steps",
     source="Gordon, Salmond, Smith 1993",
     plant="growth-model",
     observers=("ekf", "ukf", "particle"),
@@ -35,7 +35,7 @@ GROWTH = (
     GORDON,
     GORDON.having(
         name="growth-model/arulampalam",
-        summary="phase of the new state, 100 steps, 50 particles",
+        summary="cosine at the time of the new state, 100 steps, 50 particles",
         source="Arulampalam, Maskell, Gordon, Clapp 2002",
         model={"phase": 1.0},
         x0=(0.0,),

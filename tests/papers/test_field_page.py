@@ -113,4 +113,4 @@ def test_errors_of_the_camera_come_out():
         reductions.append(round(100 * (1 - values[2] / values[0])))
         diverged = {name for name, value in here.loc["kf-ignore-delay"].items() if value != value}
         assert diverged == ({"following", "servo-8"} if float(first) >= 0.2 else set())
-    assert "falls by {}, {} and {} %".format(*reductions) in PAGE
+    assert "is {}, {} and {} % smaller".format(*reductions) in PAGE

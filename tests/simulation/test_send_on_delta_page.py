@@ -37,7 +37,7 @@ def test_thresholds_and_periods():
     assert [f"{periodic['levels', cell, 'kf']:.4f}" for cell in (1, 2, 3)] == line[1:]
     ratios = [float(row[3]) / float(value) for row, value in zip(printed[1:4], line[1:], strict=True)]
     better = [f"{100 * (1 - r):.0f}" for r in ratios]
-    assert f"{better[0]} % better than regular samples at 0.05 cm, {better[1]} % better at 0.1 cm" in PAGE
+    assert f"{better[0]} % better than periodic samples at 0.05 cm, {better[1]} % better at 0.1 cm" in PAGE
     assert f"{-int(better[2])} % worse at 0.2 cm" in PAGE
 
 

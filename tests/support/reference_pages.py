@@ -214,10 +214,10 @@ One list of values per axis. See [Axes](axis_list.md).
 
 ## [observers.NAME]
 
-One table per observer, instead of the list `observers`. NAME is the label in tables and figures. An empty table takes the
-observer of that name. Other keys are the observer's options:
+One table per observer, instead of the list `observers`. NAME is the label in tables and figures. A built-in observer is
+selected by NAME: `kf`, or a label that begins with `kf-`. Other keys are the observer's options:
 
-- `use` (text): MODULE:NAME of your own observer, or one of pcbench whose name begins NAME
+- `use` (text): MODULE:NAME of your own observer. For a built-in observer you can leave it out
 
 ## [options.OBSERVER]
 
