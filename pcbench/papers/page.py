@@ -10,11 +10,11 @@ from pcbench.papers.claim import FINDING, NOT_OBTAINED, VERDICTS, Claim, counts
 HEAD = """# Reproduction
 
 This page compares the claims and printed numbers of five papers, and of standard examples of the field, with what pcbench
-computes. It is made by `pcbench reproduce all --page REPRODUCTION.md`, which computes every number under "what comes out". A
+computes. The command `pcbench reproduce all --page REPRODUCTION.md` writes it and computes every number under "computed". A
 test repeats this.
 
-- **reproduced**: the claim or number comes out, as closely as the evidence shows.
-- **misprint**: the printed value does not come out, but another reading does.
+- **reproduced**: the computed result agrees with the claim or number, as closely as the evidence shows.
+- **misprint**: the printed value does not agree, but another reading of it does.
 - **does not hold**: the claim is not true if you compute it as the paper describes.
 - **not determinable**: the paper does not contain enough to compute it.
 
@@ -22,9 +22,9 @@ Findings are results of pcbench that no paper contains, so they have no verdict.
 period, d is the delay (in `arm` also the unknown input), and rms is the root mean square. In findings, a number after +- is
 half the width of a 95 % interval.
 
-Under `field`, each number has a mark. [S] means that it was seen in a public source. [V] means that a program computed it that
-shares no code with pcbench. A number that nobody could read in its source is no claim. The last table lists those as not
-obtained.
+Under `field`, each number has a mark. [S] means that it was seen in a public source. [V] means that it was computed by a
+program that shares no code with pcbench. A number whose source could not be obtained is no claim. The last table lists these
+numbers.
 """
 
 
@@ -42,13 +42,13 @@ def _summary(every: dict[str, list[Claim]]) -> list[str]:
 
 def _paper(name: str, rows: list[Claim]) -> list[str]:
     said = [row for row in rows if row.verdict in VERDICTS]
-    heads, keys = ["claim", "printed", "what comes out", "verdict"], ["claim", "printed", "reproduced", "verdict"]
+    heads, keys = ["claim", "printed", "computed", "verdict"], ["claim", "printed", "reproduced", "verdict"]
     if any(row.source for row in said):
         heads, keys = ["claim", "reference", "source", *heads[2:]], ["claim", "printed", "source", *keys[2:]]
     out = [f"## {name}", "", PAPERS[name][0] + ".", ""]
     out += [*_table(heads, _cells(said, keys)), ""]
     if ours := [row for row in rows if row.verdict == FINDING]:
-        out += ["### Findings", "", *_table(["what", "what comes out"], _cells(ours, ["claim", "reproduced"])), ""]
+        out += ["### Findings", "", *_table(["what", "computed"], _cells(ours, ["claim", "reproduced"])), ""]
     if missing := [row for row in rows if row.verdict == NOT_OBTAINED]:
         heads, keys = ["source", "not obtained", "instead"], ["source", "claim", "reproduced"]
         out += ["### Not obtained", "", *_table(heads, _cells(missing, keys)), ""]

@@ -31,7 +31,7 @@ QUESTIONS = {  # that each study answers
     "camera-target": "How much better is a filter for a delayed camera than visual servoing?",
     "outage": "How far does the error grow during an outage?",
     "send-on-delta": "How does the error depend on the number of messages (send on delta)?",
-    "processor": "On which processor does a particle filter lose to a Kalman filter?",
+    "processor": "On which processor is a particle filter worse than a Kalman filter?",
     "all": "Which observer is best in each published scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }

@@ -27,7 +27,7 @@ MISSING = {  # by source: what is missing, and what the table has instead
         "text of the paper, and the bounds of later papers for variable periods",
         "gain seen in AntonSelivanov/CDC16a; the largest constant period",
     ),
-    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", "the remembered covariance"),
+    "Arasaratnam, Haykin 2009": ("initial covariance, and curves of the errors", "a covariance from memory"),
     "Julier, Uhlmann, Durrant-Whyte 2000": (
         "text of the paper, curves of the errors",
         "constants seen in wengjn/MatlabDBN, errors of an independent program",
@@ -35,7 +35,7 @@ MISSING = {  # by source: what is missing, and what the table has instead
     "Gopalakrishnan, Kaisare, Narasimhan 2011": ("equations, parameters, tables", ""),
     "Hellmann et al., arXiv 2512.20354": ("model, delays, tables", "an earlier program of the first author"),
     "Xiao, Chen 2020": ("text of the paper, period and latency of its camera, target model", "numbers of our own"),
-    "Natori, Oboe, Ohnishi 2008": ("text of the paper", "the remembered structure, and its limit computed"),
+    "Natori, Oboe, Ohnishi 2008": ("text of the paper", "the structure from memory, and its computed limit"),
     "Ferrante, Seuret, arXiv 2102.10652": ("matrices and intervals of the example", ""),
     "Sferlazza, Tarbouriech, Zaccarian 2019": ("matrices and intervals of the example", ""),
     "Karafyllis, Kravaris 2009": ("text of the paper", ""),
