@@ -77,10 +77,14 @@ FEATURES = {  # what exists, and the words by which a page would name it
     "student_t_dof": r"Student's t|outliers?",
     "command_loss": r"commands",
     "parameter_drift": r"\bdrift",
+    "try_once_discard": r"\bprotocols?\b",
+    "processor_speed": r"execution times?|\bprocessors?\b",
 }
 REVIEWED = {  # sentences that name what exists and are right
     "*pcbench lacks:* several objects, data association, tuning on a recorded truth.": "tunes on recordings by likelihood",
     "There is no certificate for": "a test above compares the list",
+    "*pcbench lacks:* schedulers, several tasks on one processor, network protocols other than": "two are built in",
+    "Several tasks on one processor are not supported.": "each observer has a processor of its own",
 }
 
 
@@ -116,10 +120,15 @@ def test_features_exist_and_reviewed_sentences_are_on_a_page():
         ("There is no smoothing.", {"replay"}),
         ("*pcbench lacks:* tuning on data, other languages.", {"tune", "external run"}),
         ("There is no `pcbench find-limit` yet.", {"find-limit"}),
+        ("*pcbench lacks:* network protocols, tasks with execution times.", {"try_once_discard", "processor_speed"}),
     ],
 )
 def test_wrong_claims_are_found(text, there):
     assert [names for _, names in claims(f"# Title\n\n{text}\n")] == [there]
+
+
+def test_comparison_counts_observers():
+    assert f"| pcbench | {len(OBSERVERS)} observers |" in PAGES["comparison.md"]
 
 
 def test_every_check_of_an_observer_is_named():
