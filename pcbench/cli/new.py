@@ -114,7 +114,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         *("results", "figures", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
         "versioning",
     ),
-    "Findings": ("five-papers", "the-field"),
+    "Findings": ("five-papers", "the-field", "field-findings"),
     "About": ("comparison", "decisions"),  # the decisions' own pages follow
 }
 

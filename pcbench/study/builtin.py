@@ -26,6 +26,7 @@ QUESTIONS = {  # that each study answers
     "intermittent": "How does the error grow near the critical loss?",
     "quadruple-tank": "How much error does a delayed level cost?",
     "flexible-joint": "Up to which period do filters follow the joint?",
+    "falling-body": "How much does an unscented filter gain over an EKF on a falling body?",
     "coordinated-turn": "Which filter follows a turning target, and at which delay?",
     "digester": "How late may laboratory measurements arrive?",
     "camera-target": "How much better is a filter for a delayed camera than visual servoing?",
@@ -273,6 +274,12 @@ STUDIES = {
         seeds=256,
         axes={"sampling_period": [0.05, 0.1, 0.2, 0.4]},
         options={"scenario": {"random_initial_state": True}},
+    ),
+    "falling-body": Study(
+        name="falling-body",
+        scenarios=["falling-body/radar"],
+        seeds=400,
+        axes={"delay": [0.0, 0.5, 1.0, 2.0]},
     ),
     "coordinated-turn": Study(
         name="coordinated-turn",

@@ -1,4 +1,4 @@
-"""The page on standard examples: its tables name what exists, its numbers are in the ledger, its findings come out."""
+"""The pages on standard examples: their tables name what exists, numbers are in the ledger, findings come out."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,8 @@ import pcbench
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.builtin import STUDIES
 
-PAGE = (Path(pcbench.__file__).parent / "guide" / "the_field.md").read_text()
+GUIDE = Path(pcbench.__file__).parent / "guide"
+PAGE = "\n".join((GUIDE / name).read_text() for name in ("the_field.md", "field_findings.md"))
 SIGNALS = ("inorganic_nitrogen", "biomass")
 LEDGER = (Path(__file__).parents[2] / "REPRODUCTION.md").read_text().partition("\n## field\n")[2]
 
@@ -83,6 +84,20 @@ def test_errors_of_the_digester_come_out():
         for observer, text in zip(["ekf", "kf", "kf-ignore-delay", "model-only"], shown, strict=True):
             assert float(text) == pytest.approx(nitrogen[observer], rel=0.01)
         assert biomass.min() > 0.975 * biomass["model-only"]
+
+
+@pytest.mark.nightly
+def test_errors_of_the_falling_body_come_out():
+    result = pcbench.run("falling-body")
+    stats = result.stats.query("metric == 'steady_rmse' and signal == 'altitude'").set_index(["observer", "delay"])
+    runs = result.runs.query("signal == 'altitude'").groupby(["observer", "delay"])
+    for first, *shown in rows("delay [s] | `ukf` | `ekf` | diverged"):
+        for observer, error, diverged in zip(("ukf", "ekf"), shown[:2], shown[2:], strict=True):
+            at = observer, float(first)
+            mean, half = (float(number) for number in error.split(" ± "))
+            assert mean == pytest.approx(stats.loc[at, "mean"], abs=0.06 * half + 0.5)
+            assert half == pytest.approx((stats.loc[at, "ci_high"] - stats.loc[at, "ci_low"]) / 2, abs=0.51)
+            assert int(diverged) == pytest.approx(runs.get_group(at).diverged.sum(), abs=1)
 
 
 @pytest.mark.nightly

@@ -22,6 +22,7 @@ PROGRAMS = {
     "equal-tuning-reactor": 2,
     "all": 30,
     "growth-model": 2,
+    "falling-body": 1,
     "coordinated-turn": 1,
     "digester": 1,
     "camera-target": 2,
