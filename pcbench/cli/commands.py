@@ -13,7 +13,7 @@ ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, an
     "list": (lists.list_, "List observers, scenarios, plants, studies, metrics and more"),
     "guide": (new.guide, "Print a page of the guide, or the list of its pages"),
     "show": (lists.show, "Describe a scenario, or print it as a study file"),
-    "new": (new.new, "Create a template: observer, plant, controller or scenario"),
+    "new": (new.new, "Create a template of your own code, or copy a recording"),
     "run": (runs.run, "Run a study and write its tables to a folder"),
     "report": (report.report, "Write the results as one HTML page, or as figures"),
     "tables": (report.tables, "Print tables for a paper as LaTeX, Markdown or CSV"),

@@ -64,7 +64,7 @@ def prepare(
     folder: Annotated[str, out("Folder for the study")],
     seeds: Annotated[int | None, option("Runs per grid point [default: the study's]")] = None,
     observers: Annotated[
-        str | None, option("Comma-separated names of observers to compare with, or all: those that can run")
+        str | None, option("Comma-separated names of observers to compare with, or all (that support the study)")
     ] = None,
     changes: Set = None,
     csv: Annotated[bool, option("Write the tables also as CSV files", "--csv")] = False,

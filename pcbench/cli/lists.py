@@ -58,7 +58,7 @@ def show(
     as_toml: Annotated[bool, option("Print a study file with all fields and their units", "--toml")] = False,
     with_costs: Annotated[
         bool,
-        option("Show multiplications per sample and per tick and bytes of memory of its observers", "--operations"),
+        option("Show each observer's multiplications per sample and per tick, and its bytes of memory", "--operations"),
     ] = False,
     changes: Set = None,
     as_json: Json = False,

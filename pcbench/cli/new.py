@@ -49,7 +49,7 @@ def new(
         Example | None, option("Recording to copy: a car, or the leg of a walking person [default: car]")
     ] = None,
 ) -> None:
-    """Create a template that runs, with comments; for a plant also a study. A recording is a real one, in a folder.
+    """Create a commented template that runs, for a plant with a study; or copy a real recording into a folder.
 
     Examples: pcbench new observer nudge;  pcbench new recording walk --example leg
     """

@@ -17,7 +17,7 @@ Folder = Annotated[str, argument("Folder or URI of a result of pcbench run")]
 Study = Annotated[str, argument("Study, scenario or TOML file")]
 Scenario = Annotated[str, argument("Name of a scenario, or TOML file")]
 Observer = Annotated[str, argument("Name of an observer")]
-Observers = Annotated[str | None, option("Comma-separated names of observers, or all: those that can run")]
+Observers = Annotated[str | None, option("Comma-separated names of observers, or all (that support the study)")]
 Signals = Annotated[
     str | None,
     option("Comma-separated signals to show, or all [default: the main signals of each scenario]", "--signal"),

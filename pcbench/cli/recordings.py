@@ -142,7 +142,7 @@ def _seconds(text: str) -> float:
 def replay(
     file: File,
     plant: Annotated[str, option("Study with one scenario, whose outputs are the channels of the recording")],
-    observers: Annotated[str, option("Comma-separated names of observers, or all: those that can run")],
+    observers: Annotated[str, option("Comma-separated names of observers, or all (that support the plant)")],
     folder: Annotated[str, out("Folder for the estimates and their statistics")],
     delay: Late = None,
     start: Start = None,

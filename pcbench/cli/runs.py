@@ -233,7 +233,7 @@ def find_limit(
 
 def simulate(
     scenario: Scenario,
-    observer: Annotated[str, option("Comma-separated names of observers, or all: those that can run")],
+    observer: Annotated[str, option("Comma-separated names of observers, or all (that support the scenario)")],
     file: Annotated[str, out("File to write: .parquet or .csv")],
     seed: Annotated[int, option("Index of the seed")] = 0,
     log: Annotated[
@@ -262,7 +262,7 @@ def simulate(
 def status(folder: Folder, as_json: Json = False) -> None:
     """Show how many runs of a study are complete, and which files are damaged. Exit code 1 if one is damaged.
 
-    It reads no numbers; `pcbench verify` does.
+    It does not check numbers. Use `pcbench verify` for that.
 
     Example: pcbench status results/quick
     """

@@ -335,7 +335,7 @@ def test_command_writes_the_recording_and_the_noise_that_are_most_likely(tmp_pat
     assert alone == each.innovations.log_likelihood[2]
     commands.tune("plant.toml", "kf", **how)
     printed = capsys.readouterr().out
-    assert "time from the physical instant to the stamp" in printed
+    assert "time from the physical instant of a measurement to its" in printed
     assert "pcbench replay tuned/recording.toml --plant tuned/tuned.toml" in printed
 
 

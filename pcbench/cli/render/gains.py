@@ -98,7 +98,7 @@ def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None
             Column("95 % interval", [f"{d.low:.4g} to {d.high:.4g}" for d in found.delays]),
             Column("searched", [f"{d.searched[0]:.4g} to {d.searched[1]:.4g}" for d in found.delays], spare=1),
         ]
-        screen.fit("time from the physical instant to the stamp of a sample, added to what the recording says", columns)
+        screen.fit("delay: time from the physical instant of a measurement to its recorded timestamp", columns)
     rows, held = found.intensities, found.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
     roots = [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
