@@ -292,8 +292,8 @@ FIELDS = (
     Field(
         "send_threshold",
         "unit of the output",
-        "change of an output since its last value sent, from which on its sensor sends a sample (send on delta); 0: every "
-        "sample. A list if output channels differ",
+        "least change of an output since its last sample sent at which its sensor sends a sample (send on delta); 0: every "
+        "sample is sent. A list if output channels differ",
         title="samples sent at a change of",
         form="outputs",
         per="output",

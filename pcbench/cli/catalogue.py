@@ -164,7 +164,7 @@ def axis(name: str) -> Description:
 
 METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
     "pooled_rmse": "square root of the mean of e^2 over ticks and runs; it weights bad runs more than the mean of rmse does",
-    "steady_pooled_rmse": "the same from steady_start on",
+    "steady_pooled_rmse": "the same as pooled_rmse, from steady_start on",
     "rms_efficiency": "the Kalman bound divided by steady_pooled_rmse; 1 is best. The bound is the least steady_pooled_rmse of "
     "any causal estimator, on average over x(0)",
     "divergence_rate": "fraction of runs whose error became non-finite or exceeded the scenario's divergence threshold",
