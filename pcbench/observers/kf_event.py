@@ -1,7 +1,7 @@
 """kf-event: the Kalman filter for samples that are sent only if an output has changed (send on delta).
 
-If a sensor sends no sample, its output is within d of the last value sent, y_s. The difference is assumed to be uniform, so the
-sample that is missing is replaced by y_s with a larger variance:
+If a sensor sends no sample, its output differs from the last value sent, y_s, by less than d. The difference is assumed to be
+uniform, so y_s replaces the missing sample, with a larger variance:
 
     sent:      y,    R
     not sent:  y_s,  R + d^2 / 3
@@ -52,7 +52,7 @@ def init(gains: Gains, xhat0: Float[PyTree, " n"]) -> Memory:
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Use what arrives, and that nothing else does."""
+    """Use the samples that arrive, and silence of the other outputs."""
     ratio = jnp.ones_like(arrival.value)
     received = jnp.where(arrival.mask, arrival.value, memory.received)
     if arrival.silent is not None:
@@ -66,7 +66,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what is expected of it; silence is not judged."""
+    """Return the innovation statistics of the samples that arrive; silence is excluded."""
     ratio = jnp.ones_like(arrival.value)
     return linear_filter.innovation(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
 
@@ -84,7 +84,7 @@ OBSERVER = Observer(
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; raise UserError for thresholds that do not fit the outputs."""
+    """Return the gains and assumptions of the filter; raise UserError for thresholds that do not fit the outputs."""
     where, q = f"kf-event in {setting.scenario}", len(setting.noise_std)
     if options.threshold is not None and not setting.send_threshold:
         raise UserError(

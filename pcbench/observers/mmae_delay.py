@@ -1,19 +1,18 @@
 """mmae-delay: a Kalman filter for each of several delays, weighted by likelihood.
 
-Filter j believes samples to be late by d_j in the mean, one by as much more as its stamp says (`parts/unknown_delay`), and is
-`kf` of that delay: it updates at that time, and goes to now under the stored inputs. With nu and s its innovations and
-their variances,
+Filter j assumes the mean delay d_j. The delay of a single sample differs from it as its timestamp shows
+(`parts/unknown_delay`). The filter is `kf` for that delay: it updates at that time, and predicts to the present under the
+stored inputs. With its innovations nu and their variances s,
 
     log w_j <- log w_j - (nu^2 / s + log s) / 2,   weights of sum 1,   xhat = sum w_j xhat_j,   tau = sum w_j d_j
 
-and the covariance is that of the mixture. At the start w_j is the prior's density at d_j. With the right delay among the d_j
-and true noise this is the posterior mean: no causal estimator has a smaller mean square over the prior that the d_j are.
-Not claimed: anything of a delay between two of them; the weights then settle on one of its neighbours, and the filter believes
-to know it. Nor of delays that vary and no stamp tells of. A step between delays should be below the spread that the samples
-can tell (`statistics.distributions`), and a finer one costs in proportion.
-Time index: the estimate is of now, after the jump. A sample that comes after a newer one is put in its place
-(`parts/reorder_buffer`), and weighs as if it had come in order. One that would be of a tick that has not been is of its
-arrival's.
+and the covariance is that of the mixture. At the start w_j is the prior's density at d_j. If the true delay is one of the d_j
+and the assumed noise is true, this is the posterior mean: no causal estimator has a smaller mean square error over that prior.
+Not claimed: anything for a delay between two of them, where the weights converge to one neighbour and the covariance is too
+small; nor for delays that vary without timestamps. The step between delays should be smaller than the standard deviation that
+the samples allow (`statistics.distributions`). The computing time is proportional to the number of delays.
+Time index: the estimate is of now, after the jump. An out-of-sequence sample is put in order (`parts/reorder_buffer`), with the
+weight that it would have in order. A sample whose assumed sampling tick is in the future counts as taken at its arrival.
 Source: Magill, IEEE Trans. Automatic Control 10 (1965), 434.
 """
 

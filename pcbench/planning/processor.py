@@ -1,25 +1,25 @@
 """A processor of limited speed: the computing time of an observer, and the samples that it has time for.
 
-Each observer has a processor of its own, which makes v multiplications a second (`operation_counts`). At every tick of h
-seconds it first moves the estimate: c_t multiplications. What is left of the tick goes to one sample, of c_s multiplications:
+Each observer has a processor of its own with v multiplications per second (`operation_counts`). At every tick of h seconds it
+first predicts the estimate with c_t multiplications. It uses the rest of the tick for one sample of c_s multiplications:
 
     computing time  tau = c_s / (v - c_t / h),   in ticks w, the nearest
-    used            every m-th sample, m = max(1, ceil(w / p)) of a period of p ticks, so that none waits for the processor
-    usable          w ticks after its arrival: its age is then d + w of a delay of d ticks
+    used            every m-th sample, m = max(1, ceil(w / p)) for a period of p ticks, so that none waits for the processor
+    usable          w ticks after its arrival: its age is then d + w for a delay of d ticks
 
-So a sample that is used takes part in the estimate when its arithmetic is done; until then the estimate is the prediction from
-the samples before it. The schedule is fixed before the run, as a control engineer plans it, and designs know m and w. A
-processor that ignores samples while it is busy has the same schedule. An observer that goes on tick by tick has more to do
-with an older sample (age a = d + w), and after a longer interval i = m p. So c_s depends on w, the least that suffices:
+The estimate includes a sample when its arithmetic is complete. Until then it is the prediction from the samples before. The
+schedule is fixed before the run, and designs use m and w. A processor that ignores samples while it is busy has the same
+schedule. An observer that predicts tick by tick needs more multiplications for an older sample (age a = d + w), and after a
+longer interval i = m p. So c_s depends on w, and w is the smallest value that is sufficient:
 
     c_s(a, i) = c(d, p) + (c(d + p, p) - c(d, p)) (a - d) / p + (c(d, 2p) - c(d, p)) (i - p) / p
 
-with counts c, and no slope below 0. An observer that needs more than a run, or all multiplications of a tick to move its
-estimate, uses no sample; its estimate is then the prediction from the start.
+with counts c, and no slope below 0. An observer that needs more time than a run, or all multiplications of a tick for the
+prediction, uses no sample. Its estimate is then the prediction from the start.
 
-Not claimed: the time of additions, of memory, of random numbers; a processor that several observers share, or a controller;
-the time of the prediction itself, whose result is usable in its tick. Gains are those for the scenario's own delay when c is
-counted. A w below half a tick is 0: a shorter tick resolves it.
+Not included: the time of additions, memory access and random numbers; a processor that several observers or a controller share;
+the time of the prediction itself, whose result is usable in its tick. The counts c are for the gains of the scenario's own
+delay. A w below half a tick is 0: a shorter tick resolves it.
 """
 
 from collections.abc import Callable
@@ -33,10 +33,10 @@ from pcbench.study.times import Timing, times_of
 
 
 class Load(NamedTuple):
-    """What a processor has time for."""
+    """The samples that a processor has time for."""
 
     wait: int  # ticks, computing time of a sample; NEVER: it does not end within a run
-    every: int  # of the samples every so many-th is used
+    every: int  # m: every m-th sample is used
 
 
 NEVER = -1
@@ -50,9 +50,9 @@ def computing_time(sample: float, tick: int, speed: float, dt: float) -> float:
 
 
 def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: float, dt: float) -> Load:
-    """Return what a processor of a speed [multiplications/s] has time for, of the samples of a clock over a horizon.
+    """Return the load of a processor of a speed [multiplications/s], for the samples of a clock over a run.
 
-    `cost` is what an observer costs over the age of samples and the ticks between them.
+    `cost` returns the operations of an observer for the age of a sample and the ticks between samples.
     """
     period, delay = clock.period, clock.period if clock.delay is None else clock.delay
     own, older, rarer = (cost(*at) for at in ((delay, period), (delay + period, period), (delay, 2 * period)))
@@ -70,7 +70,7 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
 
 
 def slowed(times: Timing, load: Load) -> Timing:
-    """Return the times of a cell as they are to an observer whose processor has time for so much."""
+    """Return the times of a cell as an observer with this load of its processor has them."""
     if load == IDLE:
         return times
     return times._replace(clocks=[_slowed(clock, load, times.ticks) for clock in times.clocks])
@@ -84,7 +84,7 @@ def _slowed(clock: Clock, load: Load, ticks: int) -> Clock:
 
 
 def times_in(cell: Cell) -> tuple[float, int]:
-    """Return how long a sample takes an observer in its slowed cell [s], inf if too long; and of how many one is used."""
+    """Return the computing time of a sample in a slowed cell [s] (inf: too long), and m if every m-th sample is used."""
     (usual, mine), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
     if mine.outage == (0, N + 1):
         return inf, mine.stride

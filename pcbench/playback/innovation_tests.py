@@ -112,8 +112,8 @@ def describe_biased(rows: list[dict[str, Any]]) -> list[str]:
             side = "above" if row["mean"] > 0 else "below"
             out[row["channel"]] = (
                 f"{row['channel']} is {abs(row['mean']):.3g} predicted standard deviations {side} the predictions of "
-                f"{row['observer']} in the mean: if it has absolute values and the plant counts from an operating point, write "
-                "an offset in a TOML."
+                f"{row['observer']} on average: if its values are absolute, and those of the plant are deviations from an "
+                "operating point, write an offset in a TOML file."
             )
     return [*out.values()]
 

@@ -1,15 +1,15 @@
-"""What filters share that do not know how late samples are: a linear model, tick by tick, and what they believe of the delay.
+"""Shared parts of filters that estimate the delay: a linear model, tick by tick, and the prior of the delay.
 
-Samples of the first channel are late by tau in the mean, which nobody tells. By how much one sample is later than another its
-stamp says: an arrival at tick k with a believed age a, where the mean of the first channel is believed to be abar, was taken at
+The mean delay tau of the first channel is unknown. Timestamps show how much later one sample is than another: an arrival at
+tick k with the assumed age a, where abar is the assumed mean age of the first channel, was taken at
 
     k - (a - abar) - tau / h,
 
-so a constant error of all stamps is looked for, and ages may vary, samples be lost or overtake, and channels have clocks of
-their own. Without stamps (`stamps = false`) ages are not read: all are late by tau, and what varies about it is noise that the
-filter does not know of. A prior N(m, s^2) of tau, cut off at 0 and at `longest`, is the unknown of the plant where it has one
-that is a delay (`unknown0`, `unknown_std`), or else the believed delay and half of it. What is between a sample's time and now
-is gone through again under the stored inputs.
+so the filters estimate a constant error of all timestamps. Ages may vary, samples may be lost or out-of-sequence, and channels
+may have their own clocks. With `stamps = false` ages are not read: all samples are delayed by tau, and the variation about it
+is noise that the filter does not model. The prior of tau is N(m, s^2), cut off at 0 and at `longest`. It is the unknown of the
+plant if that is a delay (`unknown0`, `unknown_std`), otherwise the assumed delay and half of it. The model is propagated again
+from the time of a sample to the present under the stored inputs.
 """
 
 from typing import NamedTuple
