@@ -189,11 +189,12 @@ def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
 
 
 def installed():
-    """Whether LaTeX with both packages is there."""
+    """Whether LaTeX with both packages and the journals' classes is there."""
     if not shutil.which("pdflatex") or not shutil.which("kpsewhich"):
         return False
-    found = subprocess.run(["kpsewhich", "siunitx.sty", "booktabs.sty"], capture_output=True, text=True, check=False)
-    return len(found.stdout.split()) == 2
+    files = ["siunitx.sty", "booktabs.sty", "IEEEtran.cls", "elsarticle.cls"]
+    found = subprocess.run(["kpsewhich", *files], capture_output=True, text=True, check=False)
+    return len(found.stdout.split()) == len(files)
 
 
 class Made:
@@ -261,10 +262,10 @@ MEASURED = r"""
 \BeforeBeginEnvironment{tabular}{\begin{lrbox}{\measured}}
 \AfterEndEnvironment{tabular}{\end{lrbox}\typeout{WIDTH \the\wd\measured\space OF \the\linewidth}\usebox\measured}
 """
-CLASSES = {  # widths as in IEEEtran, and in elsarticle with the options 5p and 1p; Computer Modern, which is wider than Times
-    "ieee": r"\documentclass[twocolumn]{article}\setlength\textwidth{516pt}\setlength\columnsep{12pt}",
-    "elsevier": r"\documentclass[twocolumn]{article}\setlength\textwidth{522pt}\setlength\columnsep{18pt}",
-    "elsevier-1p": r"\documentclass{article}\setlength\textwidth{384pt}",
+CLASSES = {
+    "ieee": r"\documentclass[journal]{IEEEtran}",
+    "elsevier": r"\documentclass[final,5p,twocolumn]{elsarticle}",
+    "elsevier-1p": r"\documentclass[final,1p]{elsarticle}",
 }
 
 
@@ -280,7 +281,7 @@ def compiled(body, folder, begin):
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
+@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("journal", CLASSES)
 def test_tables_of_every_study_fit_their_journal(made, tmp_path, journal, plain):
@@ -300,7 +301,7 @@ def test_tables_of_every_study_fit_their_journal(made, tmp_path, journal, plain)
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
+@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
 @pytest.mark.parametrize("plain", [False, True])
 def test_latex_takes_it(result, tmp_path, plain):
     odd = [Entry(row(*numbers, diverged=1), mark) for numbers, mark in zip(LATEX, [True, False] * 4, strict=False)]
