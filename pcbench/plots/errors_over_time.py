@@ -65,7 +65,8 @@ def draw_bands(
     arrivals = whole.t[whole.kind == "arrival"].to_numpy()
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
-    at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
+    names = frames.titles(result, stats)
+    at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
     title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
     title = f"{with_unit('|error| of ' + signal.replace('_', ' '), unit)}: {title}"
     spread = part[part.kind.isin(one_run.SIZES) & part.series.isin([*look])].value

@@ -85,7 +85,7 @@ def bearing(
             mine = parts[parts.axis == name].sort_values("value")
             place = set_values(ax, "x", list(dict.fromkeys(mine.value)))
             set_range(ax, "y", [*parts.part, 1.0])
-            ax.set_xlabel(frames.label(name, frames.units(result, whole)))
+            ax.set_xlabel(frames.label(name, frames.titles(result, whole)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for observer, style in look.items():
                 line = mine[mine.observer == observer]

@@ -3,7 +3,9 @@
 Every frame is of one signal of one scenario. Axes that vary are those with more than one value among the scenario's cells.
 """
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,6 +15,7 @@ from pcbench import statistics
 from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
+from pcbench.fields import names as names_of_fields
 from pcbench.plants import output_units, states_of
 from pcbench.plots import layout
 from pcbench.statistics import ranking
@@ -85,18 +88,63 @@ def rows(result: Result, scenario: str | None, signal: str | None, metric: str) 
     if not len(part):
         known = set(result.stats.metric) if metric not in set(result.stats.metric) else set(stats.metric)
         raise unknown(f"study {result.study.name}", "metric", metric, sorted(known))
-    for name in axes_of(dict.fromkeys(part.columns)):
-        part[name] = [plain(value) for value in part[name]]
+    part = simplify_axes(result, part)
     for name in ("mean", "ci_low", "ci_high", "p50"):
         part[name] = np.where(np.abs(part[name]) < ROUNDING, 0.0, part[name])
     return part.reset_index(drop=True)
 
 
-def plain(value: Any) -> Any:
-    """Return an axis' value as a number or a word: of channels that differ with commas."""
-    if isinstance(value, np.ndarray | list | tuple):
-        return ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in value)
-    return value.item() if isinstance(value, np.generic) else value
+def simplify_axes(result: Result, part: pd.DataFrame) -> pd.DataFrame:
+    """Return rows of one scenario with each value of an axis as a number or a word.
+
+    If an axis has one value per channel, and the channels that change have equal values, its value is their number, and its
+    title names them. Otherwise the value is a word that names each channel that changes: "y1: 20, y2: 40".
+    """
+    cells = _cells(result, part)
+    split = {name: _split(result, cells, name)[0] for name in axes_of(dict.fromkeys(part.columns))}
+    by_cell = {name: dict(zip(cells.cell, values, strict=True)) for name, values in split.items()}
+    return part.assign(**{name: [values[cell] for cell in part.cell] for name, values in by_cell.items()})
+
+
+def _cells(result: Result, part: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per grid point of the scenario of some rows."""
+    return result.stats[result.stats.scenario == part.scenario.iloc[0]].drop_duplicates("cell")
+
+
+def _split(result: Result, cells: pd.DataFrame, axis: str) -> tuple[list[Any], list[int]]:
+    """Return the values of an axis as numbers or words, and the channels of which they are (none: all)."""
+    column = [value.tolist() if isinstance(value, np.ndarray | np.generic) else value for value in cells[axis]]
+    many = next((len(value) for value in column if isinstance(value, list)), 0)
+    if not many:
+        return column, []
+    each = [value if isinstance(value, list) else [value] * many for value in column]
+    changing = [i for i, values in enumerate(zip(*each, strict=True)) if len(set(values)) > 1]
+    shown = [[value[i] for i in changing] for value in each]
+    if changing and all(len(set(values)) == 1 for values in shown):
+        return [values[0] for values in shown], changing if len(changing) < many else []
+    names = _channel_names(result, cells, axis)
+    used = changing or range(many)
+    return [name_values([names[i] for i in used], [layout.word(value[i]) for i in used]) for value in each], []
+
+
+def name_values(names: Sequence[str], values: Sequence[str]) -> str:
+    """Return the values of channels with their names, successive equal ones as one: "y1 to y3: 0, y4: 7"."""
+    ends = [i for i in range(1, len(values)) if values[i] != values[i - 1]]
+    parts = pairwise([0, *ends, len(values)])
+    return ", ".join(f"{_joined(names[a:b])}: {values[a]}" for a, b in parts)
+
+
+def _joined(names: Sequence[str]) -> str:
+    """Return the names of successive channels: "y4 to y6"."""
+    return f"{names[0]} to {names[-1]}" if len(names) > 2 else " and ".join(names)
+
+
+def _channel_names(result: Result, cells: pd.DataFrame, axis: str) -> list[str]:
+    """Return the names of what an axis has one value for: states, or outputs as in a trace."""
+    scenario = scenarios_of(result.study)[cells.scenario.iloc[0]]
+    if axis in names_of_fields(per="state"):
+        return [name.replace("_", " ") for name, _ in states_of(scenario)]
+    return [f"y{i + 1}" for i in range(len(scenario.sampling.noise_std))]
 
 
 def varying(part: pd.DataFrame) -> list[str]:
@@ -104,27 +152,48 @@ def varying(part: pd.DataFrame) -> list[str]:
     return [name for name in axes_of(dict.fromkeys(part.columns)) if part[name].nunique(dropna=False) > 1]
 
 
-def label(axis: str, units: dict[str, str] | None = None) -> str:
-    """Return an axis' title with its unit, by `units` of this scenario where it has one of its own."""
-    unit = (units or {}).get(axis) or AXIS_UNITS.get(axis, "")
+class AxisTitle(NamedTuple):
+    """How an axis of a scenario is called."""
+
+    unit: str = ""
+    channels: str = ""  # whose values it has; empty: all, or its values name them
+
+
+def label(axis: str, titles: Mapping[str, AxisTitle] | None = None) -> str:
+    """Return an axis' name with its channels and its unit: "delay of y2 [s]"; `titles` are those of its scenario."""
+    title = (titles or {}).get(axis) or AxisTitle(AXIS_UNITS.get(axis, ""))
+    text = name_of(axis, title)
+    return f"{text} [{title.unit}]" if title.unit not in ("", "1") else text
+
+
+def name_of(axis: str, title: AxisTitle) -> str:
+    """Return an axis' name with its channels: "delay of y2"."""
     text = axis.removeprefix("plant.").replace("_", " ")
-    return f"{text} [{unit}]" if unit not in ("", "1") else text
+    return f"{text} of {title.channels}" if title.channels else text
 
 
-def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
-    """Return the units of a scenario's axes that depend on its plant: of noise, of process noise."""
+def titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
+    """Return the titles of a scenario's axes: their channels, and units that depend on its plant, such as of noise."""
+    cells = _cells(result, part)
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
     measured = output_units(scenario)
     each = dict.fromkeys(("noise_std", "quantization_step", "send_threshold"), measured)
     each["process_std"] = [u for _, u in states_of(scenario)]
-    return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
+    out = {}
+    for axis in axes_of(dict.fromkeys(cells.columns)):
+        channels, found = _split(result, cells, axis)[1], each.get(axis, [])
+        found = [found[i] for i in channels] if found and channels else found
+        unit = ", ".join(dict.fromkeys(found)) if found and all(found) else AXIS_UNITS.get(axis, "")
+        names = _channel_names(result, cells, axis)
+        out[axis] = AxisTitle(unit, _joined([names[i] for i in channels]) if channels else "")
+    return out
 
 
-def format_axis(axis: str, value: object) -> str:
-    """Return an axis' name with a value and its unit: "delay 0.2 s"."""
-    unit = AXIS_UNITS.get(axis, "")
-    text = f"{axis.removeprefix('plant.').replace('_', ' ')} {layout.word(value)}"
-    return f"{text} {unit}" if unit == "s" and not isinstance(value, str) else text
+def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None = None) -> str:
+    """Return an axis' name with a value and its unit: "delay of y2: 0.2 s"; `titles` are those of its scenario."""
+    title = (titles or {}).get(axis) or AxisTitle(AXIS_UNITS.get(axis, ""))
+    text = f"{name_of(axis, title)}{':' if title.channels else ''} {layout.word(value)}"
+    return f"{text} {title.unit}" if AXIS_UNITS.get(axis) == "s" and not isinstance(value, str) else text
 
 
 def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:

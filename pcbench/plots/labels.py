@@ -58,7 +58,7 @@ def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     return ", ".join(
         [
             title_of_scenario(result.study, part.scenario.iloc[0]),
-            *(frames.format_axis(axis, value) for axis, value in at.items()),
+            *(frames.format_axis(axis, value, frames.titles(result, part)) for axis, value in at.items()),
             describe_runs(frames.runs_of(part)),
         ]
     )

@@ -15,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
@@ -174,7 +175,8 @@ def _lay_out(
     figure.set_size_inches(width, tall * paper.em + height * len(grid))
     figure.draw_without_rendering()
     for ax in axes:
-        _thin_out(ax)
+        _thin_out(ax, "x")
+        _thin_out(ax, "y")
     figure.set_layout_engine("none")  # laid out once, for all files
 
 
@@ -187,17 +189,19 @@ def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
     return 1
 
 
-def _thin_out(ax: Axes) -> None:
-    """Leave out labels of the lower axis that would touch: every second, third ... stays."""
-    low, high = sorted(ax.get_xlim())
-    ticks = [t for t in ax.xaxis.get_major_ticks() if t.label1.get_visible() and low <= t.get_loc() <= high]
+def _thin_out(ax: Axes, side: str) -> None:
+    """Leave out labels of an axis, x or y, that would touch: every second, third ... stays."""
+    axis: Axis = getattr(ax, f"{side}axis")
+    low, high = sorted(axis.get_view_interval())
+    ticks = [t for t in axis.get_major_ticks() if t.label1.get_visible() and low <= t.get_loc() <= high]
     boxes = [t.label1.get_window_extent() for t in ticks if t.label1.get_text()]
-    gap = 0.3 * float(ax.xaxis.label.get_fontsize()) * ax.figure.dpi / 72
-    steps = range(1, len(boxes) + 1)
-    step = next((n for n in steps if all(a.x1 + gap < b.x0 for a, b in zip(boxes[::n], boxes[n::n], strict=False))), 1)
+    ends = sorted((getattr(box, f"{side}0"), getattr(box, f"{side}1")) for box in boxes)
+    gap = (0.3 if side == "x" else 0.0) * float(axis.label.get_fontsize()) * ax.figure.dpi / 72
+    steps = range(1, len(ends) + 1)
+    step = next((n for n in steps if all(a[1] + gap < b[0] for a, b in zip(ends[::n], ends[n::n], strict=False))), 1)
     if step > 1:
         labels = [t.label1.get_text() if i % step == 0 else "" for i, t in enumerate(ticks)]
-        ax.set_xticks([t.get_loc() for t in ticks], labels)
+        axis.set_ticks([t.get_loc() for t in ticks], labels)
 
 
 def is_wide(values: ArrayLike) -> bool:
@@ -234,7 +238,7 @@ def set_limits(ax: Axes, side: str, low: float, high: float, log: bool = False) 
     ax.set(**{f"{side}scale": "log" if log else "linear", f"{side}lim": (low, high)})
     axis = getattr(ax, f"{side}axis")
     if log:
-        steps = (1.0,) if log10(high / low) >= 3 else (1.0, 2.0, 5.0)
+        steps = (1.0,) if log10(high / low) >= 2 else (1.0, 2.0, 5.0)
         even = MaxNLocator(TICKS - 1, steps=[1, 2, 2.5, 5, 10])
         axis.set_major_locator(even if high < NARROW * low else LogLocator(subs=steps, numticks=TICKS))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))

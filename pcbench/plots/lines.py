@@ -98,7 +98,7 @@ def curves(
         set_range(ax, "y", ends, is_positive(ends))
         numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
         ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
-        ax.set_xlabel(frames.label(axis, frames.units(result, whole)))
+        ax.set_xlabel(frames.label(axis, frames.titles(result, whole)))
         look = styles(whole.observer)
         for i, (observer, style) in enumerate(look.items()):
             mine = part[part.observer == observer]

@@ -183,7 +183,7 @@ def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> C
 def _side(result: Result, part: pd.DataFrame, axis: str) -> Side:
     values = list(dict.fromkeys(part[axis]))
     ordered = sorted(values) if all(isinstance(v, int | float) for v in values) else values
-    return Side(frames.label(axis, frames.units(result, part)), ordered)
+    return Side(frames.label(axis, frames.titles(result, part)), ordered)
 
 
 def _norm(values: pd.Series) -> Normalize:

@@ -35,6 +35,7 @@ ENDS = ("lowest", "highest")  # of an interval
 POINTS = 120  # ticks that are kept, or up to twice as many
 SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
 MEDIAN = "abs_p50"
+UNDER = "plant under "  # begins the series of the plant of each observer of a closed loop
 RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
 
 Floats = NDArray[np.float64]
@@ -160,7 +161,7 @@ def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFram
     t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
     shown = outputs_of_states(scenario)
-    plant = f"plant under {plan.labels[0]}" if closed else "plant"
+    plant = f"{UNDER}{plan.labels[0]}" if closed else "plant"
 
     def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})

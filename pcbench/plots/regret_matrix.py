@@ -117,7 +117,8 @@ def regrets_of(
 
 def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the name of a scenario at a grid point: what differs from others of the study."""
-    words = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, part, cell).items()]
+    names = frames.titles(result, part)
+    words = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, part, cell).items()]
     several = len(result.scenarios) > 1
     return ", ".join([title_of_scenario(result.study, part.scenario.iloc[0])] * (several or not words) + words)
 
@@ -134,7 +135,7 @@ def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tup
     found = [Level("", [title.removeprefix(_shared(titles)) for title in titles])]
     values = [frames.values_at(by[scenario], cell) for scenario, cell in situations.values()]
     for axis in result.study.axes:
-        names = {frames.label(axis, frames.units(result, part)) for part in parts}
+        names = {frames.label(axis, frames.titles(result, part)) for part in parts}
         name = names.pop() if len(names) == 1 else frames.label(axis).partition(" [")[0]
         found.append(Level(name, [layout.word(point[axis]) if axis in point else "" for point in values]))
     return [level for level in found if len(set(level.words)) > 1]

@@ -30,9 +30,12 @@ DEPTH = 1e-6  # of the largest error: what is smaller lies at the lower edge
 RUNAWAY = 30.0  # times the plant's range: errors beyond leave the picture
 NINE = 1.6448536269514722  # standard deviations on both sides of the mean, within which nine in ten lie
 TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
+LOOP_WIDTH, LOOP_PALE = 2.6, 0.35  # of the plants of a closed loop, one per observer
+FAR = 10.0  # times the plant's range: an estimate of which even the best goes farther leaves the picture
 BINS = 40
 DIGITS = 9  # of a second: what is less is rounding
 SIGMA = "_sigma"  # label of lines that are assumed standard deviations; the legend leaves it out
+LOOPED = "plant (thick)"  # label of the plants of a closed loop
 INTERVAL = "_interval"  # label of the ends of an interval; likewise
 DROP = 12.0  # of a log-likelihood below its maximum that is shown
 
@@ -73,9 +76,13 @@ def draw_run(
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
-    at = [frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items()]
+    names = frames.titles(result, stats)
+    at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
     title = ", ".join([title_of_scenario(result.study, scenario), *at, f"seed {seed}"])
-    plant = Line2D([], [], color=pale(PLANT, TRUTH_PALE), linewidth=TRUTH_WIDTH, label="plant")
+    looped = bool(part.series.str.startswith(one_run.UNDER).any())
+    words = LOOPED if looped else "plant"
+    width, share = (LOOP_WIDTH, LOOP_PALE) if looped else (TRUTH_WIDTH, TRUTH_PALE)
+    plant = Line2D([], [], color=pale(PLANT, share), linewidth=width, label=words)
     has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
     with sheet(paper, title, 1 + has_truth, sharex=True, keys=[plant] * has_truth) as (figure, axes):
         below = axes[-1]
@@ -128,11 +135,12 @@ def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) ->
 def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> None:
     low, high = ax.get_ylim()
     for (series, kind), mine in part.groupby(["series", "kind"], sort=False):
-        observer = str(series).removeprefix("plant under ")
+        observer = str(series).removeprefix(one_run.UNDER)
         if kind == "truth":
-            colour = look[observer]["color"] if observer in look else PLANT
-            label = "plant" if series == "plant" else f"_{series}"
-            ax.plot(mine.t, mine.value, color=pale(colour, TRUTH_PALE), linewidth=TRUTH_WIDTH, label=label, zorder=1.6)
+            looped = observer in look
+            width, share = (LOOP_WIDTH, LOOP_PALE) if looped else (TRUTH_WIDTH, TRUTH_PALE)
+            colour, label = look[observer]["color"] if looped else PLANT, f"_{series}" if looped else "plant"
+            ax.plot(mine.t, mine.value, color=pale(colour, share), linewidth=width, label=label, zorder=1.6)
         elif kind == "measured":
             ax.step(mine.t, mine.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
         elif kind == "target":
@@ -175,10 +183,23 @@ def _range(part: pd.DataFrame) -> tuple[float, float]:
     low, high = float(mine.min()), float(mine.max())
     near = part.value[part.kind.isin(["estimate", *one_run.ENDS]) & np.isfinite(part.value)]
     room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
+    best = _best_estimate(part)
+    ends = best[best.between(low - FAR * room / ROOM, high + FAR * room / ROOM)]
     if len(near):
-        low, high = max(low - room, min(low, near.min())), min(high + room, max(high, near.max()))
+        low, high = (
+            min(ends.min(), max(low - room, min(low, near.min()))),
+            max(ends.max(), min(high + room, max(high, near.max()))),
+        )
     room = 0.05 * (high - low) or room
     return low - room, high + room
+
+
+def _best_estimate(part: pd.DataFrame) -> pd.Series:
+    """Return the finite values of the estimate with the least rms error."""
+    errors = part[part.kind == "error"].groupby("series", sort=False).value
+    size = errors.apply(lambda values: float(np.sqrt(np.mean(np.square(values)))))
+    mine = part[(part.kind == "estimate") & (part.series == size.idxmin())] if size.notna().any() else part[:0]
+    return mine.value[np.isfinite(mine.value)]
 
 
 def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
@@ -229,7 +250,8 @@ def nees(
 def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
     """Draw the NEES of a frame of `one_run.of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
-    at = (frames.format_axis(axis, value) for axis, value in frames.named_values(result, stats, cell).items())
+    names = frames.titles(result, stats)
+    at = (frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items())
     title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))

@@ -4,6 +4,7 @@ For each curve: the largest value of its axis at which each observer's error is 
 study are considered; `pcbench find-limit` finds values between them.
 """
 
+from collections.abc import Mapping
 from math import isfinite
 from typing import cast
 
@@ -20,7 +21,7 @@ from pcbench.plots.labels import describe_runs, quantity, times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
-from pcbench.plots.time_series import INTERVAL, SIGMA, over
+from pcbench.plots.time_series import INTERVAL, LOOPED, SIGMA, over
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import Answer
@@ -160,6 +161,8 @@ def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = f
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
     errors, of = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
     log, said = errors.get_yscale() == "log", []
+    if LOOPED in keys_of(figure):
+        said.append("Thick lines: the plant of each observer's loop, in the observer's colour.")
     if any(_leaves(ax) for ax in figure.axes):
         said.append("Values outside the range are cut off.")
     if errors.collections:
@@ -308,9 +311,9 @@ def fair(table: pd.DataFrame) -> str:
     return ", ".join(said) + "."
 
 
-def where(part: pd.DataFrame, cell: int) -> str:
+def where(part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
-    return ", ".join(frames.format_axis(axis, value) for axis, value in frames.values_at(part, cell).items())
+    return ", ".join(frames.format_axis(axis, value, titles) for axis, value in frames.values_at(part, cell).items())
 
 
 def _format_value(value: float, unit: str) -> str:

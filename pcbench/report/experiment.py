@@ -210,10 +210,11 @@ def _one_source(part: Source) -> str:
 
 
 def _each(values: Sequence[float | str], units: list[str]) -> str:
-    """Return one number if all channels are equal, otherwise all numbers."""
+    """Return one number if all channels are equal, otherwise all numbers with the names of their channels."""
     pairs = zip(values, units, strict=False)
     words = [quantity(number(v), unit) if not isinstance(v, str) else "one interval" for v, unit in pairs]
-    return words[0] if len(set(words)) == 1 else ", ".join(words)
+    names = [f"y{i + 1}" for i in range(len(words))]
+    return words[0] if len(set(words)) == 1 else frames.name_values(names, words)
 
 
 def _plain(value: object) -> str:

@@ -18,7 +18,7 @@ import pandas as pd
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from pcbench.dataset.columns import MEANING, axes_of
+from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result
 from pcbench.errors import printable
 from pcbench.plots import frames, layout
@@ -123,13 +123,13 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
     stats = pd.concat([result.stats_of(scenario, signal) for signal in signals])
     grid = Grid(list(dict.fromkeys(stats.observer)), sorted(set(stats.cell)))
     points = stats.drop_duplicates("cell").sort_values("cell").reset_index(drop=True)
-    points = points.assign(**{name: [frames.plain(v) for v in points[name]] for name in axes_of(points.columns)})
-    units = frames.units(result, points)
+    points = frames.simplify_axes(result, points)
+    titles = frames.titles(result, points)
     axes, places = [], []
     for name in frames.varying(points):
         values = list(dict.fromkeys(map(layout.word, points[name])))
         places.append([values.index(layout.word(v)) for v in points[name]])
-        axes.append(_axis(name, values, points[name], units))
+        axes.append(_axis(name, values, points[name], titles))
     lost = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
     return {
         "title": printable(title_of_scenario(result.study, scenario)),
@@ -150,12 +150,12 @@ def _rows(stats: pd.DataFrame, grid: Grid) -> Rows:
     return Rows({name: stats[name].to_numpy() for name in kept}, (i, j), (len(grid.observers), len(grid.cells)))
 
 
-def _axis(name: str, words: list[str], column: pd.Series, units: dict[str, str]) -> Table:
+def _axis(name: str, words: list[str], column: pd.Series, titles: dict[str, frames.AxisTitle]) -> Table:
     found = list(dict.fromkeys(column)) if len(words) == column.nunique(dropna=False) else words
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in found)
     return {
         "name": name,
-        "label": printable(frames.label(name, units)),
+        "label": printable(frames.label(name, titles)),
         "words": list(map(printable, words)),
         "values": found if numeric else None,
         "log": bool(numeric and layout.is_wide(found)),

@@ -102,7 +102,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
     every = frames.rows(result, scenario, signal, shown.metric)
     part, axes = every[every.cell == cell], frames.varying(every)
-    at, units = frames.values_at(every, cell), frames.units(result, every)
+    at, titles = frames.values_at(every, cell), frames.titles(result, every)
     words, unit = describe_metric(shown.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
     if found := ratios_of(result, scenario, signal, shown.metric, cell):
@@ -125,7 +125,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(every)
-        over = f"{frames.label(x, units)} and {frames.label(y, units)}"
+        over = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
         figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, shown.metric)
         note = captions.winners_note(standings, figure, frames.runs_of(every))
         yield Picture(f"{name}-winners", f"Winners over {over}", figure, captions.winners(standings), note)
@@ -142,7 +142,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         crossed = captions.crossed(crossings.changes(result, axis, **where)) if axis in CROSSED else ""
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
-            title=f"{title} over {frames.label(axis, units)}",
+            title=f"{title} over {frames.label(axis, titles)}",
             figure=figure,
             text=captions.curve(values, axis, unit),
             note=captions.curves_note(figure, " ".join(filter(None, [limit, crossed]))),
@@ -175,7 +175,8 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
         part = frames.fix_axes(lost, [x, y], rest)
-        title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
+        titles = frames.titles(result, lost)
+        title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if shown.seed is None else shown.seed

@@ -101,7 +101,8 @@ def _cell(
         cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
-    at = ", ".join(frames.format_axis(a, first[a]) for a in frames.varying(part))
+    titles = frames.titles(result, part)
+    at = ", ".join(frames.format_axis(a, first[a], titles) for a in frames.varying(part))
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
     heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
     heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]

@@ -38,6 +38,7 @@ WORDS = {
     "grid point": "one combination of the values of a study's axes",
 }
 MANY = 4  # scenarios: of more, the size of the error over time is drawn for the first alone, so that a page stays small
+BROAD = 1.25  # columns: broader figures come last, as they have a row of their own
 HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
 POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
@@ -100,7 +101,8 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
             picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
     drawn = (part.pictures for section in sections for part in section.parts)
     first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
-    head = [*([first] if first else []), *map(_inline, figures.of_study(result, shown))]
+    whole = sorted(figures.of_study(result, shown), key=lambda p: p.figure.get_figwidth() > BROAD * shown.paper.width)
+    head = [*([first] if first else []), *map(inline_picture, whole)]
     meaning = {m: MEANING.get(m, explorer.OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
@@ -164,19 +166,22 @@ def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
     """Return the section of a scenario; without `bands` it lacks the largest figures, those of the error over time."""
     result, scenario, shown, parts = place.result, place.scenario, place.shown, []
     for signal, pictures in figures.of_scenario(place):
-        drawn = [_inline(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
+        drawn = [inline_picture(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
         if signal is None:
             parts += [Part("All signals", [], "", drawn)] if drawn else []
             continue
         tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, None if parts else place.costs)
-        at = captions.where(frames.rows(result, scenario, signal, shown.metric), place.cell)
+        every = frames.rows(result, scenario, signal, shown.metric)
+        at = captions.where(every, place.cell, frames.titles(result, every))
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, drawn))
     return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
 
 
-def _inline(p: figures.Picture) -> dict[str, str]:
-    return {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
+def inline_picture(p: figures.Picture) -> dict[str, str]:
+    """Return a figure and its texts as the page's template takes them, with its natural width."""
+    texts = {"name": p.name, "title": p.title, "text": p.text, "note": p.note}
+    return texts | {"svg": inline(p.figure, p.name), "width": f"{72 * p.figure.get_figwidth():.0f}pt"}
 
 
 def _what(result: Result) -> str:
@@ -195,6 +200,10 @@ def _how_sure(result: Result) -> str:
         return "Numbers without an interval are exact, and so are the differences between them."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
         return "One run each: no difference is significant."
+    if len(result.scenarios) < 2:
+        return ""
+    if summary.keeps_order(result):
+        return "Scenarios are in the order of the study."
     return "Scenarios with noise come first, then those in which the best observer has the largest lead."
 
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from pcbench.errors import unknown
 from pcbench.plots import replay_frames, replays
-from pcbench.plots.labels import inline
 from pcbench.plots.layout import PAPER, Paper, number
 from pcbench.plots.palette import styles
 from pcbench.plots.replay_frames import Replayed
@@ -56,7 +55,7 @@ def page(r: Replayed, signals: list[str] | None = None) -> str:
     """Return the page's HTML, with some signals (None or empty: all); raise UserError for an unknown one."""
     about, parts = r.summary, []
     for each in sections(r, signals, PAPER):
-        drawn = [p._asdict() | {"svg": inline(p.figure, p.name)} for p in each.pictures]
+        drawn = [study_page.inline_picture(p) for p in each.pictures]
         parts.append(each._asdict() | {"pictures": drawn})
     seconds = f"{about['rows']:,} measurements, {short(r.end)} s in ticks of {about['dt']:g} s"
     many = f"{len(r.observers)} observer{'s' * (len(r.observers) > 1)}"

@@ -68,12 +68,19 @@ def stood(result: Result, metric: str, signals: list[str] | None) -> list[Stood]
 
 
 def rows(result: Result, found: list[Stood]) -> list[Row]:
-    """Return a row for each scenario and signal; scenarios in order of what they tell."""
+    """Return a row for each scenario and signal; scenarios in order of what they tell, or in that of the study."""
     every = [_row(result, each) for each in found]
+    if keeps_order(result):
+        return every
     tells: dict[str, float] = {}
     for row in every:
         tells[row.scenario] = max(tells.get(row.scenario, -np.inf), row.tells)
     return sorted(every, key=lambda row: -tells[row.scenario])
+
+
+def keeps_order(result: Result) -> bool:
+    """Return whether a study's own scenarios are shown in its order: they are changes of one, as values of an axis are."""
+    return set(result.scenarios) <= set(result.study.tables or {})
 
 
 def tally(every: list[Stood]) -> list[Tally]:

@@ -169,7 +169,7 @@ STUDIES = {
             "model-only",
         ],
         seeds=256,
-        options={"scenario": {"random_initial_state": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "delayed-measurements": Study(  # of one age all others of the family are kf
         name="delayed-measurements",

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
@@ -133,7 +132,7 @@ def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.D
 
 def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame, axis: str) -> Table:
     """Return the table of a signal with the values of one axis as columns."""
-    units, others = frames.units(result, part), [a for a in frames.varying(part) if a != axis]
+    titles, others = frames.titles(result, part), [a for a in frames.varying(part) if a != axis]
     entries = [e for _, cell in part.groupby("cell", sort=False) for e in _entries(result, cell, metric)]
     by = {tuple(_value(e.row[a]) for a in (*others, "observer", axis)): e for e in entries}
     values, groups = (list(dict.fromkeys(found)) for found in zip(*((at[-1], at[:-2]) for at in by), strict=True))
@@ -145,10 +144,10 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
         title=title,
         signal=signal,
         about=about,
-        stub=[*(_axis(a, units) for a in others), Head("observer")],
+        stub=[*(_axis(a, titles[a]) for a in others), Head("observer")],
         heads=[Head(value) for value in values],
         rows=[_row(place, [by.get((*place, value)) for value in values]) for place in places],
-        over=_axis(axis, units),
+        over=_axis(axis, titles[axis]),
     )
 
 
@@ -158,10 +157,9 @@ def _row(words: Iterable[str], entries: list[Entry | None]) -> tuple[list[str], 
     return [*values, mark_uncertified(observer, [e.row.get("certified") for e in entries if e])], entries
 
 
-def _axis(name: str, units: dict[str, str]) -> Head:
-    """The head of an axis, its unit by `units` of this scenario; a unit in words is left out."""
-    unit = units.get(name) or AXIS_UNITS.get(name, "")
-    return Head(_words(name.removeprefix("plant.")), "" if " " in unit or unit == "1" else unit)
+def _axis(name: str, title: frames.AxisTitle) -> Head:
+    """The head of an axis; a unit in words is left out."""
+    return Head(frames.name_of(name, title), "" if " " in title.unit or title.unit == "1" else title.unit)
 
 
 def _value(value: object) -> str:
