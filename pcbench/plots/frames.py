@@ -24,6 +24,7 @@ from pcbench.statistics.metric_matrix import OF_RUN, SIGNED
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
 
+UNKNOWN = "unit of the output"  # of an axis, of outputs without one
 METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
@@ -193,7 +194,9 @@ def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None
     """Return an axis' name with a value and its unit: "delay of y2: 0.2 s"; `titles` are those of its scenario."""
     title = (titles or {}).get(axis) or AxisTitle(AXIS_UNITS.get(axis, ""))
     text = f"{name_of(axis, title)}{':' if title.channels else ''} {layout.word(value)}"
-    return f"{text} {title.unit}" if AXIS_UNITS.get(axis) == "s" and not isinstance(value, str) else text
+    return (
+        text if title.unit in ("", "1", UNKNOWN) or isinstance(value, str) or value is None else f"{text} {title.unit}"
+    )
 
 
 def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:

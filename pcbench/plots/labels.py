@@ -18,6 +18,7 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
 from pcbench.plots.layout import TIMES, number
+from pcbench.statistics.metric_matrix import OF_RUN
 from pcbench.study import title_of_scenario
 
 WORDS = {
@@ -27,6 +28,7 @@ WORDS = {
     "max_abs_error": "largest |error|",
     "final_error": "error at the end",
     "tracking_rmse": "rms tracking error",
+    "nees": "NEES, squared error / assumed covariance",
 }
 
 
@@ -45,6 +47,8 @@ def describe_metric(metric: str, signal: str) -> str:
     late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
     pooled = ", pooled over runs" if "pooled" in metric else ""
     words = WORDS.get(plain, plain.replace("_", " "))
+    if metric in OF_RUN:
+        return words
     return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if late else "") + pooled
 
 

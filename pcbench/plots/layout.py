@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import pairwise
 from math import ceil, floor, isfinite, isinf, log10
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower
 BEYOND = 2.5  # margins between the largest number of an axis and infinity
 MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
+EVEN = 1.5  # ticks whose largest step is less than so many times the least are even
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 TICK = {"color": SOFT, "labelcolor": INK, "major.pad": 2, "major.size": 2.5, "major.width": 0.6}
 LOOK = {
@@ -190,18 +192,31 @@ def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
 
 
 def _thin_out(ax: Axes, side: str) -> None:
-    """Leave out labels of an axis, x or y, that would touch: every second, third ... stays."""
+    """Leave out labels of an axis, x or y, that would touch: every second, third ... stays; of uneven ticks those with room."""
     axis: Axis = getattr(ax, f"{side}axis")
     low, high = sorted(axis.get_view_interval())
     ticks = [t for t in axis.get_major_ticks() if t.label1.get_visible() and low <= t.get_loc() <= high]
     boxes = [t.label1.get_window_extent() for t in ticks if t.label1.get_text()]
-    ends = sorted((getattr(box, f"{side}0"), getattr(box, f"{side}1")) for box in boxes)
+    if len(boxes) < 2:
+        return
+    ends = [(getattr(box, f"{side}0"), getattr(box, f"{side}1")) for box in boxes]
     gap = (0.3 if side == "x" else 0.0) * float(axis.label.get_fontsize()) * ax.figure.dpi / 72
-    steps = range(1, len(ends) + 1)
-    step = next((n for n in steps if all(a[1] + gap < b[0] for a, b in zip(ends[::n], ends[n::n], strict=False))), 1)
-    if step > 1:
-        labels = [t.label1.get_text() if i % step == 0 else "" for i, t in enumerate(ticks)]
+    kept = [0]
+    for i in range(1, len(ends)):
+        if _apart(ends[kept[-1]], ends[i], gap):
+            kept.append(i)
+    steps = np.abs(np.diff([sum(each) / 2 for each in ends]))
+    if steps.max() < EVEN * steps.min():
+        every = (list(range(0, len(ends), n)) for n in range(1, len(ends) + 1))
+        kept = next(each for each in every if all(_apart(ends[i], ends[j], gap) for i, j in pairwise(each)))
+    if len(kept) < len(ends):
+        labels = [t.label1.get_text() if i in kept else "" for i, t in enumerate(ticks)]
         axis.set_ticks([t.get_loc() for t in ticks], labels)
+
+
+def _apart(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool:
+    """Return whether two intervals are more than a gap apart."""
+    return a[1] + gap < b[0] or b[1] + gap < a[0]
 
 
 def is_wide(values: ArrayLike) -> bool:

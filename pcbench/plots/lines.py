@@ -30,6 +30,7 @@ from pcbench.plots.layout import (
     sheet,
 )
 from pcbench.plots.palette import SOFT, LineLook, styles
+from pcbench.statistics.consistency import BANDS
 from pcbench.toml_text import TomlTable
 
 APART = 2.2  # points of the page, between points of observers at one value that is a word
@@ -95,7 +96,7 @@ def curves(
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
         place = set_values(ax, "x", every, next((f.infinite for f in FIELDS if f.name == axis and f.infinite), "∞"))
-        set_range(ax, "y", ends, is_positive(ends))
+        set_range(ax, "y", [*ends.ravel(), *[1.0] * (metric in BANDS)], is_positive(ends))
         numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
         ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
         ax.set_xlabel(frames.label(axis, frames.titles(result, whole)))
@@ -113,6 +114,8 @@ def curves(
             ax.plot(where[:joined], mine["mean"][:joined], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
                     transform=beside, **look_of)  # fmt: skip
             ax.plot(where[joined:], mine["mean"][joined:], linestyle="none", transform=beside, **look_of)
+        if metric in BANDS:
+            ax.axhline(1.0, color=SOFT, linewidth=0.9, zorder=1.2)
         for one in crossings.changes(result, axis, **named) if axis in CROSSED else []:
             ax.axvspan(one.low, one.high, color=SOFT, alpha=0.25, linewidth=0, zorder=0.5)
             ax.axvline(one.value, color=SOFT, linestyle=":", linewidth=0.9, zorder=0.6)
@@ -208,7 +211,8 @@ def cost(
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
     look, row = styles(both.observer), chosen.iloc[0]
     with sheet(paper, about(result, chosen, frames.named_values(result, whole, cell))) as (figure, (ax,)):
-        set_range(ax, "x", both[by], margin=0.12)
+        wide = is_wide(both[by])
+        set_range(ax, "x", both[by] if wide else [0.0, *both[by]], wide, margin=0.12)
         set_range(ax, "y", both[["mean", "ci_low", "ci_high"]], is_wide(both["mean"]), margin=0.12)
         ax.set(title=title_of(metric, row.signal, row.unit), xlabel=COSTS[by])
         for one in both.to_dict("records"):

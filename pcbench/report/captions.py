@@ -35,6 +35,7 @@ CALIBRATION = (
     "Below the diagonal, or with a peak of the PIT at 1, a filter is optimistic; the band contains 95 % of the results of a "
     "true covariance."
 )
+NEES = "Above 1 a filter is optimistic, below 1 pessimistic. Bars: 95 % intervals of the mean."
 NINETY_FIVE = 0.95
 TIMES = 2.0  # the default limit divided by the least mean of the axis
 SAME = 1.0005  # a ratio below it is written as 1

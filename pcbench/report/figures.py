@@ -46,6 +46,7 @@ class FigureOptions(NamedTuple):
 
 
 SHOWN = FigureOptions()
+NEES = "nees"  # metric
 
 
 class Picture(NamedTuple):
@@ -178,6 +179,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         titles = frames.titles(result, lost)
         title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
+    yield from _consistency(place)
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if shown.seed is None else shown.seed
         figure, note = (
@@ -194,6 +196,25 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
+
+
+def _consistency(place: Place) -> Iterator[Picture]:
+    """Yield the NEES of the filters over each axis."""
+    result, scenario, cell, _, _, shown = place
+    stats = result.stats[(result.stats.scenario == scenario) & (result.stats.metric == NEES)]
+    if not len(stats):
+        return
+    every = frames.rows(result, scenario, None, NEES)
+    for axis in frames.varying(every):
+        rest = {a: v for a, v in frames.values_at(every, cell).items() if a != axis}
+        name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-nees-over-{axis.replace('.', '-')}"
+        yield Picture(
+            name,
+            f"Consistency over {frames.label(axis, frames.titles(result, every))}",
+            plots.curves(result, axis, scenario=scenario, metric=NEES, at=rest, paper=shown.paper),
+            captions.curve(frames.fix_axes(every, [axis], rest), axis, ""),
+            captions.NEES,
+        )
 
 
 def of_study(result: Result, shown: FigureOptions) -> Iterator[Picture]:
