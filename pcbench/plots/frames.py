@@ -24,7 +24,6 @@ from pcbench.statistics.metric_matrix import OF_RUN, SIGNED
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
 
-UNKNOWN = "unit of the output"  # of an axis, of outputs without one
 METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
@@ -193,10 +192,11 @@ def titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
 def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None = None) -> str:
     """Return an axis' name with a value and its unit: "delay of y2: 0.2 s"; `titles` are those of its scenario."""
     title = (titles or {}).get(axis) or AxisTitle(AXIS_UNITS.get(axis, ""))
-    text = f"{name_of(axis, title)}{':' if title.channels else ''} {layout.word(value)}"
-    return (
-        text if title.unit in ("", "1", UNKNOWN) or isinstance(value, str) or value is None else f"{text} {title.unit}"
-    )
+    text, name = layout.word(value), f"{name_of(axis, title)}{':' if title.channels else ''}"
+    unit = "" if title.unit == "1" or " " in title.unit or value is None else f" {title.unit}".rstrip()
+    if isinstance(value, str):  # a word has no unit, but the numbers of channels have
+        return f"{name} {text.replace(', ', f'{unit}, ')}{unit}" if ": " in value else f"{name} {text}"
+    return f"{name} {text}{unit}"
 
 
 def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:

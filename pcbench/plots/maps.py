@@ -25,7 +25,7 @@ from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import INK, SOFT, Style, on, pale, styles
 from pcbench.statistics.aggregate import Row
 
-FINE = 24  # values of an axis beyond which a map is an image
+FINE = 16  # values of an axis beyond which a map is an image
 SIDE = 2.2  # inches of an image
 LINES = 6  # values of both axes from which on lines of equal value are drawn
 ROW, TALL = 0.42, 2.6  # inches of a cell, where there are few; of a map, where there are many

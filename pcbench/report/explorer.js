@@ -305,6 +305,8 @@ const range = (low, high) => {
   const [a, b] = [number(low, 3), number(high, 3)];
   return finite(low) && finite(high) && a !== b ? ` (${a} to ${b})` : "";
 };
+// The value of an axis with its unit, that of each channel with its own; a word has none, and a unit in words is left out.
+const withUnit = (word, unit) => !unit || unit.includes(" ") || (/^[a-z]/.test(word) && !word.includes(": ")) ? word : `${word.replaceAll(", ", ` ${unit}, `)} ${unit}`;
 const unitOf = p => p.unit === "1" || !p.unit ? "" : ` ${p.unit}`;
 function valueOf(p) { return finite(p.value) ? `${number(p.value)}${range(p.low, p.high)}${unitOf(p)}` : "no value"; }
 function ratioOf(p) {
@@ -326,7 +328,7 @@ function where(p) { // the grid point in words
   const fixed = p.s.axes.filter(a => a.name === state.x || a.words.length > 1 && !(data.alone && axisOf(p.s, state.x) >= 0));
   fixed.sort((a, b) => (b.name === state.x) - (a.name === state.x));
   return [p.s.title, ...fixed.map(a => a.label.replace(/^(.*?)(?: \[(.*)\])?$/, (_, name, unit) =>
-    `${name} ${a.words[p.s.cells[p.cell][axisOf(p.s, a.name)]]}${unit ? ` ${unit}` : ""}`))].join(", ");
+    `${name}${/ of y\d/.test(name) ? ":" : ""} ${withUnit(a.words[p.s.cells[p.cell][axisOf(p.s, a.name)]], unit)}`))].join(", ");
 }
 
 function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q => q.px), tip = false) { // show one point's numbers
