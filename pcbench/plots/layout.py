@@ -32,6 +32,7 @@ DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower
 BEYOND = 2.5  # margins between the largest number of an axis and infinity
 MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
+FEW = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)  # ticks of less than a decade, in which 1, 2 and 5 may be one or two
 EVEN = 1.5  # ticks whose largest step is less than so many times the least are even
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 TICK = {"color": SOFT, "labelcolor": INK, "major.pad": 2, "major.size": 2.5, "major.width": 0.6}
@@ -253,7 +254,7 @@ def set_limits(ax: Axes, side: str, low: float, high: float, log: bool = False) 
     ax.set(**{f"{side}scale": "log" if log else "linear", f"{side}lim": (low, high)})
     axis = getattr(ax, f"{side}axis")
     if log:
-        steps = (1.0,) if log10(high / low) >= 2 else (1.0, 2.0, 5.0)
+        steps = (1.0,) if log10(high / low) >= 2 else (1.0, 2.0, 5.0) if high > 10 * low else FEW
         even = MaxNLocator(TICKS - 1, steps=[1, 2, 2.5, 5, 10])
         axis.set_major_locator(even if high < NARROW * low else LogLocator(subs=steps, numticks=TICKS))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))

@@ -82,7 +82,6 @@ LOOKS = {
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
 OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
 OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))
-LIGHT = 0.25  # luminance of white paper is 1
 SHADES = (0.0, 0.34, -0.42, 0.5, -0.6, 0.18, -0.22)  # of white or black, for the first, second ... label of a base
 
 
@@ -113,7 +112,6 @@ def _style(base: str, rank: int) -> Style:
     dotted = ((*look.dash, 1.0, 1.4) if look.dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
     first = 3 * list(LOOKS).index(base) if base in LOOKS else number
     shade = SHADES[rank % len(SHADES)]
-    shade = -abs(shade) if _lightness(look.colour) > LIGHT else shade  # a lighter one would be pale on white
     colour = mix_gray(look.colour, abs(shade), 255 if shade >= 0 else 0)
     return Style(colour, dotted, SIBLINGS[(first + rank) % len(SIBLINGS)])
 
@@ -131,11 +129,7 @@ def pale(colour: str, share: float = 0.75) -> str:
 
 def on(colour: str) -> str:
     """Return the ink that is read on a colour: dark or white."""
-    return INK if _lightness(colour) > 0.22 else "#FFFFFF"
-
-
-def _lightness(colour: str) -> float:
-    """Return the relative luminance of a colour."""
     parts = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return sum(w * (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4)
-               for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
+    light = sum(w * (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4)
+                for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
+    return INK if light > 0.22 else "#FFFFFF"

@@ -154,7 +154,7 @@ function collect() { // all points of the figure, and the categories or values o
 function ticks(low, high, log) {
   const out = [];
   if (log && high / low > 3) {
-    const steps = high / low > 1e3 ? [1] : high / low > 30 ? [1, 3] : [1, 2, 5];
+    const steps = high / low > 1e3 ? [1] : high / low > 30 ? [1, 3] : high / low > 10 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 7];
     const each = Math.ceil(Math.log10(high / low) / 6);
     for (let e = Math.floor(Math.log10(low)); e <= Math.log10(high); e++)
       for (const step of steps) if (e % each === 0 && step * 10 ** e >= low && step * 10 ** e <= high) out.push(step * 10 ** e);
