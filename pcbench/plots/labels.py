@@ -5,6 +5,7 @@ Text stays text in SVG and PDF.
 
 import io
 import re
+import zlib
 from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
@@ -93,9 +94,8 @@ DPI = 200  # of PNG
 FAMILY = f"'{TIMES}', 'STIX Two Text', 'Times New Roman', 'Times'"  # where the first is not installed
 TIP = re.compile(rb'<g id="tip:([^"]*)">')
 TAG, PRECISE = re.compile(r"<[^>]*>"), re.compile(r"(\d+\.\d\d)\d+")  # numbers inside a tag say where, not what
-IDENTITY = re.compile(
-    r' id="(?:figure|axes|patch|text|line2d|matplotlib|xtick|ytick|\w+Collection|QuadMesh|QuadContourSet)[\w.]*"'
-)
+USED = re.compile(r'(?:href="#|url\(#)([^")]+)')  # an identifier
+WRAPPED = re.compile(r"<g>\s*(<(?:path|use)\b[^>]*/>|<text\b[^>]*>[^<]*</text>)\s*</g>")  # in a group that says nothing
 
 
 def render_figure(figure: Figure, kind: str) -> bytes:
@@ -120,17 +120,27 @@ def save(figure: Figure, file: str | Path) -> None:
 
 
 def inline(figure: Figure, name: str) -> str:
-    """Return a figure as SVG for a page: without header, with few digits, and with identifiers that begin with `name`."""
+    """Return a figure as SVG for a page: without header, with few digits, and with identifiers of its `name`."""
     text = render_figure(figure, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
-    text = IDENTITY.sub("", text)
     text = POLYLINE.sub(lambda found: f' d="{_compact(found[1])}"', text)
     text = TAG.sub(lambda tag: PRECISE.sub(r"\1", tag.group()), text)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="1.1"', "", text, count=3).replace("xlink:href", "href")
-    text = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = _with_short_ids(text, name).replace("\n<g>\n</g>", "")
+    while (flat := WRAPPED.sub(r"\1", text)) != text:
+        text = flat
+    text = re.sub(r' transform="rotate\(-0 [^"]*"', "", text)
     text = re.sub(r' style="[^"]*"', lambda found: found[0].replace(": ", ":").replace("; ", ";"), text)
     return re.sub(r"\n\s*", "\n", text)
+
+
+def _with_short_ids(text: str, name: str) -> str:
+    """Return a figure whose identifiers are few letters that no figure of another `name` has; those never used are left out."""
+    first = f"f{zlib.crc32(name.encode()):x}-"
+    short = {found: f"{first}{i}" for i, found in enumerate(dict.fromkeys(USED.findall(text)))}
+    text = re.sub(r' id="([^"]*)"', lambda found: f' id="{short[found[1]]}"' if found[1] in short else "", text)
+    return USED.sub(lambda found: found[0].replace(found[1], short[found[1]]), text)
 
 
 def _compact(path: str) -> str:

@@ -170,7 +170,9 @@ def _standing(look: dict[str, Style], row: Row) -> Cell:
     if row["winner"]:
         p = f", p {row['p']:.1g}" if isfinite(row["p"]) else ""
         return Cell(
-            colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} significantly better{p}, second {ahead}"
+            colour,
+            (f"{row['best']}\n{ahead}", row["best"], ahead),
+            f"{row['best']} significantly better{p}, second {ahead}",
         )
     tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")

@@ -304,3 +304,39 @@ def test_dark_mode_changes_page_and_keeps_figures_light(browser, report):
     browser.call("Emulation.setEmulatedMedia", features=[])
     assert colours[0] == ["rgb(255, 255, 255)"] * 2
     assert colours[1] == ["rgb(22, 24, 26)", "rgb(255, 255, 255)"]
+
+
+@needs_browser
+def test_figures_take_the_width_of_the_page(browser, report):
+    """At 1024 pixels two figures stood on the left, and a quarter of the page was empty."""
+    script = """JSON.stringify([...document.querySelectorAll('.pictures')].filter(box => box.children.length > 1).map(box =>
+        [Math.max(...[...box.children].map(each => each.getBoundingClientRect().right)), box.getBoundingClientRect().right]))"""
+    for width in (1024, 1600):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.call("Emulation.setDeviceMetricsOverride", **size)
+        visit(browser, report.as_uri())
+        ends = json.loads(ask(browser, script))
+        assert ends
+        assert all(0.93 * page < right <= page + 1 for right, page in ends)
+    browser.call("Emulation.clearDeviceMetricsOverride")
+
+
+@needs_browser
+def test_two_figures_stand_side_by_side_on_paper(browser, report):
+    """Of figures that did not fit side by side, each had a page of its own."""
+    size = {"width": 718, "height": 1000, "deviceScaleFactor": 1, "mobile": False}  # A4 without margins, and a scroll bar
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    visit(browser, report.as_uri())
+    script = """JSON.stringify([...document.querySelectorAll('section[id^=scenario] .pictures')].map(box =>
+        [...box.children].map(each => each.getBoundingClientRect().top)))"""
+    tops = json.loads(ask(browser, script))
+    browser.call("Emulation.setEmulatedMedia", media="")
+    browser.call("Emulation.clearDeviceMetricsOverride")
+    assert any(len(set(each)) < len(each) for each in tops)
+
+
+@needs_browser
+def test_axis_of_the_interactive_figure_has_more_than_one_tick(browser, report):
+    visit(browser, report.as_uri())
+    assert all(ask(browser, f"ticks({low}, {3.5 * low}, true).length") > 2 for low in (0.024, 1.1, 1.9, 2.6, 4.2))

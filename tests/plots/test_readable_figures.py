@@ -1,0 +1,123 @@
+"""Figures are readable: labels do not touch, plants of loops are no pale lines, and an estimate far from its plant is seen."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_rgb
+
+import pcbench
+from pcbench import plots
+from pcbench.plots import frames, layout, time_series
+from pcbench.report import captions, figures, summary
+from pcbench.study import STUDIES
+
+LOOP = {
+    "name": "loop",
+    "scenarios": ["ncs-two-state/held"],
+    "observers": ["kf"],
+    "seeds": 2,
+    "axes": {"noise_std": [0.01, 0.02]},
+    "options": {"scenario": {"consistency": True, "random_initial_state": True}},
+}
+
+
+def touching(ax, side):
+    """The labels of an axis that touch the next one."""
+    ticks = [t for t in getattr(ax, f"{side}axis").get_major_ticks() if t.label1.get_text() and t.label1.get_visible()]
+    boxes = [t.label1.get_window_extent() for t in ticks]
+    ends = sorted((getattr(b, f"{side}0"), getattr(b, f"{side}1")) for b in boxes)
+    return [(a, b) for a, b in pairwise(ends) if a[1] > b[0]]
+
+
+@pytest.mark.parametrize("high", [4.0, 30.0, 99.0, 500.0])
+def test_labels_of_a_low_panel_do_not_touch(high):
+    with layout.sheet(plots.Paper(), "", 2, 2, height=0.6) as (_, axes):
+        layout.set_range(axes[0], "y", [2e-4, 2e-4 * high], log=True)
+        layout.set_range(axes[1], "y", [0.0, high], log=False)
+    for ax in axes:
+        assert touching(ax, "y") == []
+        assert len([t for t in ax.get_yticklabels() if t.get_text()]) > 1
+
+
+def test_only_labels_that_touch_are_left_out_of_uneven_ticks():
+    with layout.sheet(plots.Paper(), "") as (_, (ax,)):
+        layout.set_values(ax, "x", [0.0, 0.05, 0.1, 0.2, 0.4, 0.8])
+        ax.set_xlim(-0.05, 1.2)
+    assert [t.get_text() for t in ax.get_xticklabels() if t.get_text()] == ["0", "0.1", "0.2", "0.4", "0.8"]
+
+
+@pytest.mark.parametrize("high", [3.2, 4.0, 6.0, 9.0])
+def test_axis_of_less_than_a_decade_has_more_than_two_ticks(high):
+    with layout.sheet(plots.Paper(), "") as (_, (ax,)):
+        layout.set_range(ax, "y", [0.25, 0.25 * high], log=True)
+        low, top = ax.get_ylim()
+        assert len([t for t in ax.get_yticks() if low <= t <= top]) > 2
+
+
+def test_best_estimate_stays_in_the_picture():
+    """Of an estimate far from its plant only vertical lines were left; one that runs away leaves the picture."""
+    t = np.linspace(0.0, 1.0, 5)
+    series = {"far": 0.01 * t - 1.0, "farther": 0.01 * t - 1.5, "lost": 1e6 * t}
+    rows = [pd.DataFrame({"series": "plant", "kind": "truth", "t": t, "value": 0.2 * t})]
+    for name, estimate in series.items():
+        rows.append(pd.DataFrame({"series": name, "kind": "estimate", "t": t, "value": estimate}))
+        rows.append(pd.DataFrame({"series": name, "kind": "error", "t": t, "value": 0.2 * t - estimate}))
+    low, high = time_series._range(pd.concat(rows, ignore_index=True))
+    assert -1.2 < low < -1.0
+    assert 0.2 < high < 0.5
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return pcbench.run(LOOP)
+
+
+@pytest.mark.ci
+def test_plants_of_a_closed_loop_are_no_pale_lines(loop):
+    figure = plots.time(loop)
+    thick = [line for line in figure.axes[0].get_lines() if line.get_linewidth() >= 2]
+    assert thick
+    assert all(np.mean(to_rgb(line.get_color())) < 0.6 for line in thick)
+    assert time_series.LOOPED in captions.keys_of(figure)
+    run = pd.DataFrame({"signal": [], "series": [], "kind": [], "t": [], "value": []})
+    assert "Thick lines" in captions.time(run, "m", figure)[1]
+
+
+@pytest.mark.ci
+def test_consistency_is_shown_over_each_axis(loop):
+    """Which filter is optimistic at a grid point that the other figures do not show."""
+    place = figures.Place(loop, "ncs-two-state/held", 0, None, None, figures.SHOWN)
+    pictures = {p.name: p for p in figures.of_all_signals(place)}
+    picture = pictures["ncs-two-state-held-nees-over-noise_std"]
+    (ax,) = picture.figure.axes
+    stats = loop.stats[(loop.stats.metric == "nees")]
+    drawn = next(line for line in ax.get_lines() if line.get_label() == "kf")
+    np.testing.assert_allclose(drawn.get_ydata(), stats["mean"])
+    assert any(np.all(np.asarray(line.get_ydata()) == 1.0) for line in ax.get_lines())
+    assert "NEES" in ax.get_title("left")
+    assert "optimistic" in picture.note
+
+
+@pytest.mark.ci
+def test_figures_of_one_observer_show_its_largest_error(loop):
+    assert frames.telling(loop, "ncs-two-state/held", "position") == 1
+
+
+def test_model_mismatch_has_consistency_and_begins_with_the_correct_model():
+    study = STUDIES["model-mismatch"]
+    assert study.options["scenario"]["consistency"]
+    assert study.scenarios[0] == "as-assumed"
+    assert set(study.scenarios) <= set(study.tables)
+
+
+@pytest.mark.ci
+def test_scenarios_of_a_study_keep_its_order():
+    """Changes of one scenario are as values of an axis: the first figure is not that of the largest lead."""
+    wrong = {"base": "cart/white", "assumed_delay_error": 0.04}
+    study = {"name": "own", "observers": ["kf", "model-only"], "seeds": 2}
+    own = study | {"scenarios": {"true": {"base": "cart/white"}, "wrong": wrong}}
+    for names in (["wrong", "true"], ["true", "wrong"]):
+        result = pcbench.run(own | {"scenarios": {name: own["scenarios"][name] for name in names}})
+        assert [row.scenario for row in summary.rows(result, summary.stood(result, "steady_rmse", None))] == names
