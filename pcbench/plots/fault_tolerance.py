@@ -80,7 +80,8 @@ def bearing(
     look = styles(parts.observer)
     axes = list(dict.fromkeys(parts.axis))
     columns = min(BESIDE, len(axes))
-    with sheet(paper, about(result, whole, {}), len(axes), columns, height=1.1) as (figure, drawn):
+    words = f"{describe_metric(metric, whole.signal.iloc[0])} divided by that of {ALONE} [-]"
+    with sheet(paper, f"{words}: {about(result, whole, {})}", len(axes), columns, height=1.1) as (figure, drawn):
         for ax, name in zip(drawn, axes, strict=True):
             mine = parts[parts.axis == name].sort_values("value")
             place = set_values(ax, "x", list(dict.fromkeys(mine.value)))
@@ -91,5 +92,4 @@ def bearing(
                 line = mine[mine.observer == observer]
                 ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
                         linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
-        drawn[0].set_title(f"{describe_metric(metric, whole.signal.iloc[0])} divided by that of {ALONE}")
     return figure

@@ -92,7 +92,8 @@ def curves(
         )
     part = frames.fix_axes(whole, [axis], at)
     every = list(dict.fromkeys(part[axis]))
-    others = {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
+    others = frames.named_values(result, whole, int(part.cell.iloc[0]))
+    others = {a: value for a, value in others.items() if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
         place = set_values(ax, "x", every, next((f.infinite for f in FIELDS if f.name == axis and f.infinite), "∞"))

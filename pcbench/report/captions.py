@@ -4,7 +4,6 @@ For each curve: the largest value of its axis at which each observer's error is 
 study are considered; `pcbench find-limit` finds values between them.
 """
 
-from collections.abc import Mapping
 from math import isfinite
 from typing import cast
 
@@ -14,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.crossings import Crossing
@@ -36,6 +36,7 @@ CALIBRATION = (
     "true covariance."
 )
 NEES = "Above 1 a filter is optimistic, below 1 pessimistic. Bars: 95 % intervals of the mean."
+FIRST_VALUES = "the first values of all axes"
 NINETY_FIVE = 0.95
 TIMES = 2.0  # the default limit divided by the least mean of the axis
 SAME = 1.0005  # a ratio below it is written as 1
@@ -312,9 +313,11 @@ def fair(table: pd.DataFrame) -> str:
     return ", ".join(said) + "."
 
 
-def where(part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
+def where(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
-    return ", ".join(frames.format_axis(axis, value, titles) for axis, value in frames.values_at(part, cell).items())
+    titles = frames.titles(result, part)
+    named = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
+    return ", ".join(named) or (FIRST_VALUES if frames.varying(part) else "")
 
 
 def _format_value(value: float, unit: str) -> str:

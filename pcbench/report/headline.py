@@ -9,6 +9,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import with_unit
 from pcbench.plots.palette import styles
+from pcbench.report.captions import where
 from pcbench.report.summary import Stood, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
@@ -101,8 +102,7 @@ def _cell(
         cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
-    titles = frames.titles(result, part)
-    at = ", ".join(frames.format_axis(a, first[a], titles) for a in frames.varying(part))
+    at = where(result, part, cell)
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
     heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
     heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]

@@ -172,7 +172,7 @@ def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
             continue
         tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, None if parts else place.costs)
         every = frames.rows(result, scenario, signal, shown.metric)
-        at = captions.where(every, place.cell, frames.titles(result, every))
+        at = captions.where(result, every, place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, drawn))
     return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)

@@ -121,3 +121,17 @@ def test_scenarios_of_a_study_keep_its_order():
     for names in (["wrong", "true"], ["true", "wrong"]):
         result = pcbench.run(own | {"scenarios": {name: own["scenarios"][name] for name in names}})
         assert [row.scenario for row in summary.rows(result, summary.stood(result, "steady_rmse", None))] == names
+
+
+@pytest.mark.ci
+def test_titles_of_axes_that_vary_alone_name_those_that_differ_from_the_first_value():
+    axes = {"loss": [0.0, 0.5], "delay": [0.2, 0.4], "sampling_jitter": [0.0, 0.02]}
+    study = {"name": "alone", "scenarios": ["cart/white"], "observers": ["kf", "model-only"], "seeds": 2}
+    result = pcbench.run(study | {"vary": "one-at-a-time", "axes": axes})
+    assert plots.curves(result, "delay").legends[0].get_title().get_text() == "cart/white, 2 runs"
+    rows = frames.rows(result, "cart/white", "position", "steady_rmse")
+    assert captions.where(result, rows, 0) == captions.FIRST_VALUES
+    assert captions.where(result, rows, 1) in ("loss 0.5", "delay 0.4 s", "sampling jitter 0.02 s")
+    figure = plots.bearing(result)
+    assert "divided by that of model-only [-]" in figure.legends[0].get_title().get_text().replace("\n", " ")
+    assert all("\n" not in ax.get_title("left") for ax in figure.axes)

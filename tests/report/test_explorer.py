@@ -324,7 +324,12 @@ def test_figures_take_the_width_of_the_page(browser, report):
 @needs_browser
 def test_two_figures_stand_side_by_side_on_paper(browser, report):
     """Of figures that did not fit side by side, each had a page of its own."""
-    size = {"width": 718, "height": 1000, "deviceScaleFactor": 1, "mobile": False}  # A4 without margins, and a scroll bar
+    size = {
+        "width": 718,
+        "height": 1000,
+        "deviceScaleFactor": 1,
+        "mobile": False,
+    }  # A4 without margins, and a scroll bar
     browser.call("Emulation.setDeviceMetricsOverride", **size)
     browser.call("Emulation.setEmulatedMedia", media="print")
     visit(browser, report.as_uri())
