@@ -295,10 +295,10 @@ def telling(result: Result, scenario: str | None = None, signal: str | None = No
     """Return the number of the cell that tells most: where a significant winner is farthest ahead of the second.
 
     Where nobody significantly wins anywhere, as among those that are one filter to rounding: where the most are significantly
-    worse than the best. Of one observer: where its error is largest. The first of several.
+    worse than the best. Where none is compared, as of one observer: where the error is largest. The first of several.
     """
     found = standings(result, scenario, signal, metric)
-    if rows(result, scenario, signal, metric).observer.nunique() == 1:
+    if found.factor.isna().all() and not found.alike.map(len).any():
         return int(found.cell.iloc[int(np.argmax(np.nan_to_num(found["mean"], nan=-np.inf)))])
     ahead = np.where(found.winner != "", np.nan_to_num(found.factor, nan=1.0, posinf=1.0), 1.0)
     tells = ahead if (found.winner != "").any() else -found.alike.map(len)

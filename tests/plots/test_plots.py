@@ -206,7 +206,7 @@ def test_one_run_in_time_is_the_trace(result):
     figure = plots.time(result, cell=2, seed=3)
     above, below = figure.axes
     assert {"position [m]", "t [s]", "pccebo", "plant", "measured, held"} <= set(said(figure))
-    assert "cart/white, delay 0.4 s, noise std 0.1, seed 3" in said(figure)
+    assert "cart/white, delay 0.4 s, noise std 0.1 m, seed 3" in said(figure)
     lines = {line.get_label(): line for line in above.get_lines()}
     assert set(lines) == {"plant", "pccebo", "kfbo", "pccebo-twin", "measured, held"}
     at = ["axes.delay=0.4", "axes.noise_std=0.1"]
