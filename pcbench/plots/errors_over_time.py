@@ -21,6 +21,7 @@ from pcbench.study import scenarios_of, title_of_scenario
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
 POINTS = 60  # of a line, at most
+FAR = 1e3  # times the largest error of the best observer: larger ones leave the picture, as of runs that diverge
 DEPTH = 1e-4  # of the largest error: what is smaller lies at the lower edge
 DASHED = (0, (3.0, 1.6))
 
@@ -69,7 +70,7 @@ def draw_bands(
     at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
     title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
     title = f"{with_unit('|error| of ' + signal.replace('_', ' '), unit)}: {title}"
-    spread = part[part.kind.isin(one_run.SIZES) & part.series.isin([*look])].value
+    spread = sizes_in_picture(part[part.series.isin([*look])])
     keys = [
         Line2D([], [], color=SOFT, linewidth=1.6, label="median"),
         Patch(color=SOFT, alpha=0.45, linewidth=0, label="50 %"),
@@ -86,6 +87,12 @@ def draw_bands(
             _draw_panel(ax, mine, str(line["color"]), spread, arrivals)
             ax.set(title=observer, xlabel="t [s]" if i + columns >= len(look) else "")
     return figure
+
+
+def sizes_in_picture(part: pd.DataFrame) -> pd.Series:
+    """Return the finite quantiles of |e| of all observers; of one that runs away, up to FAR times the largest of the best."""
+    sizes = part[part.kind.isin(one_run.SIZES) & np.isfinite(part.value)]
+    return sizes.value.clip(upper=FAR * float(sizes.groupby("series").value.max().min()))
 
 
 def _draw_panel(ax: Axes, mine: dict[str, pd.DataFrame], colour: str, spread: pd.Series, arrivals: np.ndarray) -> None:

@@ -225,7 +225,8 @@ def bands_note(figure: Figure) -> str:
     """Return how to read the bands of |e| over time."""
     assumed = "assumed std" in keys_of(figure)
     dashed = ", and the assumed standard deviation (dashed), which a consistent filter has at about its 68 % point"
-    return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{dashed if assumed else ''}."
+    cut = " Values outside the range are cut off." if any(_leaves(ax) for ax in figure.axes) else ""
+    return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{dashed if assumed else ''}.{cut}"
 
 
 def profiles_note(figure: Figure) -> str:

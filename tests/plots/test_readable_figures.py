@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 
 import pcbench
 from pcbench import plots
-from pcbench.plots import frames, layout, time_series
+from pcbench.plots import errors_over_time, frames, layout, one_run, palette, time_series
 from pcbench.report import captions, figures, summary
 from pcbench.study import STUDIES
 
@@ -135,3 +135,24 @@ def test_titles_of_axes_that_vary_alone_name_those_that_differ_from_the_first_va
     figure = plots.bearing(result)
     assert "divided by that of model-only [-]" in figure.legends[0].get_title().get_text().replace("\n", " ")
     assert all("\n" not in ax.get_title("left") for ax in figure.axes)
+
+
+def test_an_observer_that_diverges_hides_no_other():
+    """On an axis up to 10^13 the errors of all others lay on its lower edge."""
+    t = np.linspace(0.0, 1.0, 5)
+    rows = []
+    for name, size in (("kf", 0.1), ("lost", 1e13)):
+        for share, kind in enumerate(one_run.SIZES, 1):
+            rows.append(
+                pd.DataFrame({"signal": "position", "series": name, "kind": kind, "t": t, "value": size * share})
+            )
+    look = {"kf": palette.LOOKS["kf"], "lost": palette.LOOKS["pco"]}
+    part = pd.concat(rows, ignore_index=True)
+    spread = errors_over_time.sizes_in_picture(part)
+    with layout.sheet(plots.Paper(), "", len(look)) as (_, axes):
+        for ax, name in zip(axes, look, strict=True):
+            mine = {str(kind): each for kind, each in part[part.series == name].groupby("kind")}
+            errors_over_time._draw_panel(ax, mine, look[name].colour, spread, np.array([]))
+    low, high = axes[0].get_ylim()
+    assert low < 0.1
+    assert high < 1e4
