@@ -21,8 +21,8 @@ from pcbench.study import scenarios_of, title_of_scenario
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
 POINTS = 60  # of a line, at most
-FAR = 1e3  # times the largest error of the best observer: larger ones leave the picture, as of runs that diverge
-DEPTH = 1e-4  # of the largest error: what is smaller lies at the lower edge
+FAR = 1e2  # times the largest error of the best observer: larger ones leave the picture, as of runs that diverge
+DEPTH = 1e-4  # of the largest error of the best observer: what is smaller lies at the lower edge
 DASHED = (0, (3.0, 1.6))
 
 
@@ -90,18 +90,18 @@ def draw_bands(
 
 
 def sizes_in_picture(part: pd.DataFrame) -> pd.Series:
-    """Return the finite quantiles of |e| of all observers; of one that runs away, up to FAR times the largest of the best."""
+    """Return the finite quantiles of |e| of all observers, between DEPTH and FAR times the largest of the best one."""
     sizes = part[part.kind.isin(one_run.SIZES) & np.isfinite(part.value)]
-    return sizes.value.clip(upper=FAR * float(sizes.groupby("series").value.max().min()))
+    best = float(sizes.groupby("series").value.max().min())
+    return sizes.value.clip(DEPTH * best, FAR * best)
 
 
 def _draw_panel(ax: Axes, mine: dict[str, pd.DataFrame], colour: str, spread: pd.Series, arrivals: np.ndarray) -> None:
-    largest = float(spread[np.isfinite(spread)].max())
-    floor = DEPTH * largest
+    floor = float(spread.min())
     t = mine[one_run.MEDIAN].t.to_numpy()
     step = ceil(len(t) / POINTS)
     set_limits(ax, "x", 0.0, float(t.max()))
-    set_range(ax, "y", spread.clip(lower=floor), log=True)
+    set_range(ax, "y", spread, log=True)
     size, t = {kind: np.maximum(mine[kind].value.to_numpy()[::step], floor) for kind in one_run.SIZES}, t[::step]
     for low, high, alpha in (("abs_p05", "abs_p95", 0.2), ("abs_p25", "abs_p75", 0.35)):
         ax.fill_between(t, size[low], size[high], color=colour, alpha=alpha, linewidth=0)
