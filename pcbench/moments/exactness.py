@@ -17,7 +17,9 @@ import numpy as np
 from pcbench.moments.affinity import ROUNDING
 from pcbench.moments.error_sums import AMPLIFIED, relative_deviation
 from pcbench.moments.solve import CellMoments
-from pcbench.planning.digits import EPS, amount
+from pcbench.planning import drafts
+from pcbench.planning.digits import EPS, amount, describe_response, response_size
+from pcbench.planning.padding import fit
 from pcbench.plants import signals_of
 
 SQUARES = 1e-6  # of E e^2
@@ -73,11 +75,21 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         return f"{where} {said}; shorten the horizon, or {instead}."
     part = relative_deviation(s, mine, cell.reached)
     worst = int(np.argmax(part))
+    failed = part[worst] > ROUNDING
+    kept = response_size(fit(list(drafts([p.cell])))[0], label) if failed and p.layout.controller else None
+    if kept is not None:
+        apart = np.asarray(s.apart)[mine].max(-1)[: len(kept)]
+        rounding = (part[: len(kept)] > ROUNDING) & (apart <= AMPLIFIED * EPS * kept)
+        if rounding.any():
+            return (
+                f"{where} {describe_response(p, kept, rounding)}, which leaves too few digits for an exact answer; shorten the "
+                f"horizon, take ekf, or {instead}."
+            )
     reach = s.reach[mine].max(-1)
     bounded = (
         np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()
     )  # or the run itself, where linear maps overflow
-    if part[worst] > ROUNDING and (np.isfinite(part[worst]) or bounded):
+    if failed and (np.isfinite(part[worst]) or bounded):
         off = f"{part[worst]:.1g} of its size" if np.isfinite(part[worst]) else "more than a number can hold"
         return (
             f"{where} is not affine in the noise: {names[worst]} is off by {off} where an affine observer is off by less than "

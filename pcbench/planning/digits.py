@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from pcbench.errors import DigitsError
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
-from pcbench.protocols import Gains
 from pcbench.runtime import program_cache
 from pcbench.simulation.types import GridPointParams, Layout, RunSums, present
 
@@ -37,8 +36,7 @@ def require(p: Plan, outcome: RunSums) -> None:
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True) if np.size(outcome.actual) else ():
         steady_mae = np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail
         require_of(p, np.asarray(outcome.actual), steady_mae)
-        if p.layout.controller is not None:
-            _require_response(p, label, p.problem.gains[name], steady_mae)
+        _require_response(p, label, steady_mae)
 
 
 def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
@@ -69,9 +67,10 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
 def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
     """Raise DigitsError where rounding decides the errors of an observer of one run: x [N+1, n + s], estimates [N+1, m]."""
     last = p.cell.times.ticks
-    for found in estimates:
+    for label, found in zip(p.labels, estimates, strict=True):
         error = np.abs(x[p.cell.times.tail : last, : found.shape[1]] - found[p.cell.times.tail : last])
         require_of(p, x[last - 1][:, None], error.mean(0)[:, None])
+        _require_response(p, label, error.mean(0)[:, None])
 
 
 def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
@@ -83,27 +82,40 @@ def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floa
     return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
-def _require_response(p: Plan, label: str, gains: Gains, steady_mae: Floats) -> None:
-    """Raise DigitsError where an observer in a loop sums the input's response without the feedback, and that grows too large.
+def response_size(p: Plan, label: str) -> Floats | None:
+    """Return how large the response to the input gets that an observer in a loop keeps, [n]; None if it keeps none.
 
     In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
     """
-    Phi = getattr(getattr(gains, "motion", None), "Phi", None)
-    if Phi is None:
-        return
+    names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
+    Phi = getattr(getattr(p.problem.gains[names[label]], "motion", None), "Phi", None)
+    if p.layout.controller is None or Phi is None:
+        return None
     s, n = p.cell.scenario, len(p.problem.x0)
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.abs(np.linalg.matrix_power(np.asarray(Phi), p.cell.times.ticks)[:n, :n])
-        size = moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std))
-    lost = (EPS * size[:, None] > PART * steady_mae[:n]).mean(-1) > 0.5
-    lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[:n]
+        return np.asarray(moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std)))
+
+
+def describe_response(p: Plan, size: Floats, which: NDArray[np.bool_]) -> str:
+    """Return the middle of a sentence about the largest response among the states `which` [n]."""
+    i = int(np.argmax(np.where(which, size, 0.0)))
+    name, unit = signals_of(p.cell.scenario)[i]
+    reaches = amount(float(size[i]), unit)
+    return f"keeps the response of {name} to the input without the feedback, which grows to about {reaches}"
+
+
+def _require_response(p: Plan, label: str, steady_mae: Floats) -> None:
+    """Raise DigitsError where the response to the input that an observer in a loop keeps leaves too few digits."""
+    size = response_size(p, label)
+    if size is None:
+        return
+    lost = (EPS * size[:, None] > PART * steady_mae[: len(size)]).mean(-1) > 0.5
+    lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]
     if lost.any():
-        i = int(np.argmax(np.where(lost, size, 0.0)))
-        name, unit = signals_of(s)[i]
         raise DigitsError(
-            f"{s.name}, cell {p.cell.number}: {label} keeps the response of {name} to the input without the feedback, which "
-            f"grows to about {amount(float(size[i]), unit)}, so that fewer than two digits of its errors are left in float64; "
-            "expected a smaller one: take a shorter horizon, or ekf."
+            f"{p.cell.scenario.name}, cell {p.cell.number}: {label} {describe_response(p, size, lost)}, so that fewer than two "
+            "digits of its errors are left in float64; expected a smaller one: take a shorter horizon, or ekf."
         )
 
 

@@ -128,6 +128,16 @@ def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
     """There its error is 20 times too large at e^38, by rounding of what it keeps."""
     with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
         pcbench.run(closed(observer, 16))
+    with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
+        pcbench.simulate(closed(observer, 16), [observer])
+
+
+@pytest.mark.ci
+def test_exact_moments_name_the_response_that_is_kept_without_feedback():
+    """The deviation from linear maps is 1e-7 of the error, by rounding: the filter is affine."""
+    exact = pcbench.exact_moments("ncs-reactor/round-robin", observers=["kf"])
+    (reason,) = exact.stats.query("metric == 'steady_mse'").reason.unique()
+    assert "kf keeps the response of x1 to the input without the feedback, which grows to about" in reason
 
 
 @pytest.mark.slow
