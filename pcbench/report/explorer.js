@@ -32,7 +32,7 @@ const star = (corners, turn, inner = 1, r = 1.15) => Array.from({length: corners
 const CROSS = ["-.4,-1.1L.4,-1.1L.4,-.4L1.1,-.4L1.1,.4L.4,.4L.4,1.1L-.4,1.1L-.4,.4L-1.1,.4L-1.1,-.4L-.4,-.4", 0];
 const MARKERS = {
   o: star(24, 0, 1, 1), s: star(4, 0.25, 1, 1.3), "^": star(3, 0, 1, 1.3), v: star(3, 1, 1, 1.3), "<": star(3, -0.5, 1, 1.3),
-  ">": star(3, 0.5, 1, 1.3), D: star(4, 0, 1, 1.3), h: star(6, 0), p: star(5, 0), "*": star(10, 0, 0.45, 1.4), P: CROSS[0], X: CROSS[0],
+  ">": star(3, 0.5, 1, 1.3), D: star(4, 0, 1, 1.3), h: star(6, 0), H: star(6, 1 / 6), p: star(5, 0), "*": star(10, 0, 0.45, 1.4), P: CROSS[0], X: CROSS[0],
   8: star(8, 0), d: "0,-1.3L.75,0L0,1.3L-.75,0",
 };
 function marker(parent, {marker: kind, colour}, x, y, r) {

@@ -20,6 +20,7 @@ from pcbench.planning.operation_counts import count_multiplications
 from pcbench.plots import observer_costs
 from pcbench.report import headline
 from pcbench.study import parse
+from pcbench.study.schema import Study
 
 A, X = jnp.ones((3, 4)), jnp.ones(4)
 
@@ -84,7 +85,7 @@ def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
 def result_of(stats):
     """As much of a result as the picture asks for."""
     of = SimpleNamespace(
-        study=SimpleNamespace(name="costs", vary="product"),
+        study=Study(name="costs", scenarios=["cart/white"]),
         stats=stats.assign(n=8, diverged=0, p50=0.0),
         scenarios=list(dict.fromkeys(stats.scenario)),
     )
