@@ -265,7 +265,7 @@ STUDIES = {
         scenarios=["quadruple-tank/delayed", "quadruple-tank/right-zero"],
         seeds=256,
         axes={"delay": [[0.0, 0.0], [0.0, 30.0], [0.0, 60.0], [0.0, 120.0]]},
-        options={"scenario": {"random_initial_state": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "flexible-joint": Study(
         name="flexible-joint",
@@ -273,7 +273,7 @@ STUDIES = {
         observers=["ekf", "kf", "model-only"],
         seeds=256,
         axes={"sampling_period": [0.05, 0.1, 0.2, 0.4]},
-        options={"scenario": {"random_initial_state": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "falling-body": Study(
         name="falling-body",
