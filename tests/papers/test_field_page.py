@@ -86,6 +86,14 @@ def test_errors_of_the_digester_come_out():
         assert biomass.min() > 0.975 * biomass["model-only"]
 
 
+@pytest.mark.ci
+def test_operations_of_the_digester_come_out():
+    costs = pcbench.operation_counts("digester").query("cell == 3").set_index("observer")["sample"]
+    each = costs[["ekf", "kf", "kf-ignore-delay"]]
+    shown = "a sample costs `ekf` {} multiplications, `kf` {} and `kf-ignore-delay` {}.".format(*each)
+    assert shown in PAGE.replace("\n", " ")
+
+
 @pytest.mark.nightly
 def test_errors_of_the_falling_body_come_out():
     result = pcbench.run("falling-body")
