@@ -76,7 +76,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     part = relative_deviation(s, mine, cell.reached)
     worst = int(np.argmax(part))
     failed = part[worst] > ROUNDING
-    kept = response_size(fit(list(drafts([p.cell])))[0], label) if failed and p.layout.controller else None
+    alone = p.cell._replace(options={label: p.cell.options[label]})  # drafts of loops are of one observer each
+    kept = response_size(fit(list(drafts([alone])))[0], label) if failed and p.layout.controller else None
     if kept is not None:
         apart = np.asarray(s.apart)[mine].max(-1)[: len(kept)]
         rounding = (part[: len(kept)] > ROUNDING) & (apart <= AMPLIFIED * EPS * kept)
