@@ -17,6 +17,7 @@ from pcbench.plots.labels import with_unit
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import INK, SOFT
+from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of, title_of_scenario
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
@@ -90,9 +91,13 @@ def draw_bands(
 
 
 def sizes_in_picture(part: pd.DataFrame) -> pd.Series:
-    """Return the finite quantiles of |e| of all observers, between DEPTH and FAR times the largest of the best one."""
+    """Return the finite quantiles of |e| of all observers, between DEPTH and FAR times the largest of the best one.
+
+    An observer without errors is not the best one, unless no other has errors: all others would leave the picture.
+    """
     sizes = part[part.kind.isin(one_run.SIZES) & np.isfinite(part.value)]
-    best = float(sizes.groupby("series").value.max().min())
+    largest = sizes.groupby("series").value.max()
+    best = float(largest[largest > ROUNDING].min() if (largest > ROUNDING).any() else largest.min())
     return sizes.value.clip(DEPTH * best, FAR * best)
 
 

@@ -187,8 +187,8 @@ def _range(part: pd.DataFrame) -> tuple[float, float]:
     ends = best[best.between(low - FAR * room / ROOM, high + FAR * room / ROOM)]
     if len(near):
         low, high = (
-            min(ends.min(), max(low - room, min(low, near.min()))),
-            max(ends.max(), min(high + room, max(high, near.max()))),
+            min([max(low - room, min(low, near.min())), *ends]),
+            max([min(high + room, max(high, near.max())), *ends]),
         )
     room = 0.05 * (high - low) or room
     return low - room, high + room
@@ -197,7 +197,8 @@ def _range(part: pd.DataFrame) -> tuple[float, float]:
 def _best_estimate(part: pd.DataFrame) -> pd.Series:
     """Return the finite values of the estimate with the least rms error."""
     errors = part[part.kind == "error"].groupby("series", sort=False).value
-    size = errors.apply(lambda values: float(np.sqrt(np.mean(np.square(values)))))
+    with np.errstate(over="ignore"):  # of one that runs away
+        size = errors.apply(lambda values: float(np.sqrt(np.mean(np.square(values.to_numpy())))))
     mine = part[(part.kind == "estimate") & (part.series == size.idxmin())] if size.notna().any() else part[:0]
     return mine.value[np.isfinite(mine.value)]
 

@@ -69,6 +69,31 @@ def test_best_estimate_stays_in_the_picture():
     assert 0.2 < high < 0.5
 
 
+@pytest.mark.parametrize("far", [500.0, 1e200])
+def test_plant_stays_in_the_picture_if_every_estimate_is_far(far):
+    """The limits were NaN, and no page could be made."""
+    t = np.linspace(0.0, 1.0, 5)
+    values = {"truth": 0.0 * t, "estimate": 0.0 * t + far, "error": 0.0 * t - far}
+    rows = [pd.DataFrame({"series": "kf", "kind": kind, "t": t, "value": v}) for kind, v in values.items()]
+    low, high = time_series._range(pd.concat(rows, ignore_index=True))
+    assert -5.0 < low < 0.0 < high < 5.0
+
+
+def test_best_estimate_is_not_one_that_ends_in_nan():
+    t = np.linspace(0.0, 1.0, 3)
+    errors = {"lost": [0.0, np.nan, np.nan], "best": [1.0, 1.0, 1.0]}
+    rows = [pd.DataFrame({"series": s, "kind": "error", "t": t, "value": e}) for s, e in errors.items()]
+    rows += [pd.DataFrame({"series": s, "kind": "estimate", "t": t, "value": e}) for s, e in errors.items()]
+    assert time_series._best_estimate(pd.concat(rows)).tolist() == errors["best"]
+
+
+def test_errors_stay_in_the_picture_beside_an_observer_without_errors():
+    """Their axis ended at a hundred times its largest error, so theirs were all beyond."""
+    sizes = {"exact": [0.0, 1e-17, 0.0], "kf": [0.1, 0.2, 0.3]}
+    part = pd.concat([pd.DataFrame({"series": s, "kind": one_run.MEDIAN, "value": e}) for s, e in sizes.items()])
+    assert errors_over_time.sizes_in_picture(part).max() == 0.3
+
+
 @pytest.fixture(scope="module")
 def loop():
     return pcbench.run(LOOP)
