@@ -119,7 +119,7 @@ def _row(result: Result, stood: Stood) -> Row:
         sure=bool(leaders),
         won=_significance(found, won, best, deterministic, frames.runs_of(part)) if multiples[1:] else "one observer",
         value=value,
-        others=[(o, look[o].colour, times(m)) for o, m in multiples if o != best or (several and multiples[1:])][:MOST],
+        others=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
         tells=(0 if deterministic else 100)
         + (50 if len(won) else 0)
         + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0),

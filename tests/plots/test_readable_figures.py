@@ -1,5 +1,6 @@
 """Figures are readable: labels do not touch, plants of loops are no pale lines, and an estimate far from its plant is seen."""
 
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -123,6 +124,16 @@ def test_consistency_is_shown_over_each_axis(loop):
     assert any(np.all(np.asarray(line.get_ydata()) == 1.0) for line in ax.get_lines())
     assert "NEES" in ax.get_title("left")
     assert "optimistic" in picture.note
+
+
+@pytest.mark.ci
+def test_without_numbers_no_consistency_is_shown_and_one_observer_is_compared_with_none(loop):
+    """As of exact moments that have no answer: the axes were empty, and the observer was infinitely worse than none."""
+    lost = copy(loop)
+    lost.stats = loop.stats.assign(mean=np.nan)
+    place = figures.Place(lost, "ncs-two-state/held", 0, None, None, figures.SHOWN)
+    assert [p.name for p in figures.of_all_signals(place) if "nees" in p.name] == []
+    assert [row.others for row in summary.rows(lost, summary.stood(lost, "steady_rmse", ["position"]))] == [[]]
 
 
 @pytest.mark.ci
