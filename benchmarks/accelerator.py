@@ -51,10 +51,12 @@ def metrics_of(outcome: RunSums) -> dict[str, np.ndarray]:
 
 
 def difference(got: RunSums, expected: RunSums) -> float:
-    """Return the largest difference of a metric over the largest value of that metric and signal."""
+    """Return the largest difference of a metric over the largest value of that metric and signal; NaN if any is NaN."""
     mine, theirs = metrics_of(got), metrics_of(expected)
-    each = [np.abs(mine[o] - theirs[o]).max(-1) / np.abs(theirs[o]).max(-1) for o in theirs]
-    return float(max(one.max() for one in each))
+    apart = np.concatenate([np.abs(mine[o] - theirs[o]).max(-1) for o in theirs], -1)
+    size = np.concatenate([np.abs(theirs[o]).max(-1) for o in theirs], -1)
+    with np.errstate(divide="ignore"):
+        return float(np.divide(apart, size, out=np.zeros_like(apart), where=apart != 0).max())
 
 
 def rows_of(what: str, case: dict[str, Any], widths: list[int]) -> list[dict[str, Any]]:
@@ -134,12 +136,12 @@ def main() -> None:
         print(json.dumps({"unit": "million run-ticks a second", "rows": rows}, indent=2))
     else:
         show(rows)
-    worst = max(rows, key=lambda row: row["difference"])
-    if not worst["difference"] <= TOLERANCE:
-        raise SystemExit(
-            f"accelerator: {worst['what']}, {worst['runs']} runs: got metrics {worst['difference']:.1e} off the CPU's, "
-            f"expected {TOLERANCE:g} at most."
-        )
+    for row in rows:
+        if not row["difference"] <= TOLERANCE:
+            raise SystemExit(
+                f"accelerator: {row['what']}, {row['runs']} runs: got metrics {row['difference']:.1e} off the CPU's, "
+                f"expected {TOLERANCE:g} at most."
+            )
 
 
 if __name__ == "__main__":

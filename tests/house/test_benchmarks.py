@@ -5,6 +5,7 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import hurried
 import numpy as np
@@ -74,6 +75,20 @@ def test_throughput_refuses_to_time_other_numbers(script):
         agree("other", sums * [[[1 + 1e-6]], [[1.0]], [[1.0]]], sums, 10)
     with pytest.raises(SystemExit):
         agree("none", sums * np.nan, sums, 10)
+
+
+def test_accelerator_sees_a_difference_of_any_observer(script):
+    difference = script("accelerator")["difference"]
+
+    def sums(*values):
+        one = [SimpleNamespace(absolute=np.full((2, i + 1, 3), v), square=np.ones((2, i + 1, 3)), peak=np.ones((2, i + 1, 3)))
+               for i, v in enumerate(values)]  # fmt: skip
+        return SimpleNamespace(streams=dict(zip("ab", one, strict=False)))
+
+    assert difference(sums(1.0, 0.0), sums(1.0, 0.0)) == 0.0
+    assert difference(sums(1.0, 1.1), sums(1.0, 1.0)) == pytest.approx(0.1)
+    assert difference(sums(1.0, 1.0), sums(1.0, 0.0)) == np.inf
+    assert np.isnan(difference(sums(1.0, np.nan), sums(1.0, 1.0)))
 
 
 def test_random_schedules_refuses_runs_that_are_not_random(script):
