@@ -305,8 +305,8 @@ const range = (low, high) => {
   const [a, b] = [number(low, 3), number(high, 3)];
   return finite(low) && finite(high) && a !== b ? ` (${a} to ${b})` : "";
 };
-// The value of an axis with its unit, that of each channel with its own; a word has none, and a unit in words is left out.
-const withUnit = (word, unit) => !unit || unit.includes(" ") || (/^[a-z]/.test(word) && !word.includes(": ")) ? word : `${word.replaceAll(", ", ` ${unit}, `)} ${unit}`;
+// The value of an axis with its unit, that of each channel with its own; words have none, and a unit in words is left out.
+const withUnit = (word, unit) => !unit || unit.includes(" ") || (/^[a-z]|, /.test(word) && !word.includes(": ")) ? word : `${word.replaceAll(", ", ` ${unit}, `)} ${unit}`;
 const unitOf = p => p.unit === "1" || !p.unit ? "" : ` ${p.unit}`;
 function valueOf(p) { return finite(p.value) ? `${number(p.value)}${range(p.low, p.high)}${unitOf(p)}` : "no value"; }
 function ratioOf(p) {

@@ -345,3 +345,16 @@ def test_two_figures_stand_side_by_side_on_paper(browser, report):
 def test_axis_of_the_interactive_figure_has_more_than_one_tick(browser, report):
     visit(browser, report.as_uri())
     assert all(ask(browser, f"ticks({low}, {3.5 * low}, true).length") > 2 for low in (0.024, 1.1, 1.9, 2.6, 4.2))
+
+
+@needs_browser
+def test_units_of_an_axis_are_those_of_numbers_not_of_words(browser, report):
+    visit(browser, report.as_uri())
+    said = {
+        "0.1": "0.1 s",
+        "∞": "∞ s",
+        "none": "none",
+        "0, 0.1, lost": "0, 0.1, lost",
+        "y1: 0, y2: 1": "y1: 0 s, y2: 1 s",
+    }
+    assert {word: ask(browser, f"withUnit({json.dumps(word)}, 's')") for word in said} == said
