@@ -3,6 +3,7 @@
 A situation is a scenario at a grid point. Those whose least error is 0 are left out.
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 from math import ceil, inf, isfinite
 from typing import NamedTuple, cast
@@ -92,7 +93,8 @@ def regrets_of(
             leaders = {cell: {*leading, *alike} for cell, leading, alike in equal}
             best = dict(zip(stood.cell, stood.best, strict=True))
             least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
-            names = {cell: _situation(result, part, cell) for cell in best}
+            titles = frames.titles(result, part)
+            names = {cell: _situation(result, part, cell, titles) for cell in best}
             points |= {name: (scenario, cell) for cell, name in names.items()}
             every.append(part)
             rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
@@ -115,10 +117,9 @@ def regrets_of(
     return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
 
-def _situation(result: Result, part: pd.DataFrame, cell: int) -> str:
+def _situation(result: Result, part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
     """Return the name of a scenario at a grid point: what differs from others of the study."""
-    names = frames.titles(result, part)
-    words = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, part, cell).items()]
+    words = [frames.format_axis(axis, value, titles) for axis, value in frames.named_values(result, part, cell).items()]
     several = len(result.scenarios) > 1
     return ", ".join([title_of_scenario(result.study, part.scenario.iloc[0])] * (several or not words) + words)
 
