@@ -24,6 +24,7 @@ from pcbench.observers import OBSERVERS, entry_of
 SMALL = {"budget": 6, "training_seeds": (0, 16), "validation_seeds": (100, 140), "objective": "steady_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
 START["lmi-sampled"] = {"L": [[0.9], [0.4]]}
+START["high-gain-predictor"] = {"theta": 4.0}
 
 
 def options(observer):
