@@ -60,10 +60,11 @@ def unit_of(part: pd.DataFrame) -> str:
 
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return the title of a figure: the scenario, the values of the axes it does not show, and the number of runs."""
+    titles = frames.titles(result, part) if at else {}
     return ", ".join(
         [
             title_of_scenario(result.study, part.scenario.iloc[0]),
-            *(frames.format_axis(axis, value, frames.titles(result, part)) for axis, value in at.items()),
+            *(frames.format_axis(axis, value, titles) for axis, value in at.items()),
             describe_runs(frames.runs_of(part)),
         ]
     )

@@ -91,9 +91,17 @@ def regrets(found: Regrets) -> tuple[str, str]:
     if not all(map(np.isfinite, largest.values())):
         method += "; ∞: every run diverged" if found.runs else "; ∞: the expected value is infinite"
     if largest[first] < SAME:
-        return text, f"{first} has the least error, or one as good, in all {many} ({method})."
-    worst = f"at most {times(largest[first])} the least error in {many}"
-    return text, f"{first} has the smallest worst case: its error is {worst} ({method})."
+        note = f"{first} has the least error, or one as good, in all {many} ({method})."
+    else:
+        worst = f"at most {times(largest[first])} the least error in {many}"
+        note = f"{first} has the smallest worst case: its error is {worst} ({method})."
+    lost = found.rows[(found.rows.ratio < SAME) & found.rows.worse]  # least error, but not among the best
+    for observer, mine in lost.groupby("observer", sort=False):
+        note += (
+            f" Errors are of runs that do not diverge: {observer} diverges significantly more often in "
+            f"{len(mine)} of the situations."
+        )
+    return text, note
 
 
 def _joined(names: list[str]) -> str:

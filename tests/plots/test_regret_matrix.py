@@ -114,6 +114,21 @@ def test_caption_names_smallest_worst_case(result):
     assert f"{found.observers[1]} has the smallest worst case: its error is at most {worst} the least" in note
 
 
+@pytest.mark.ci
+def test_the_caption_names_who_has_the_least_error_because_lost_runs_are_left_out(result):
+    found = regret_matrix.regrets_of(result)
+    rows, first = found.rows.copy(), found.observers[0]
+    rows.loc[(rows.observer == first) & (rows.situation == found.situations[0]), ["ratio", "best", "worse"]] = [
+        1.0,
+        False,
+        True,
+    ]
+    _, note = captions.regrets(found._replace(rows=rows))
+    expected = f"of runs that do not diverge: {first} diverges significantly more often in 1 of the situations."
+    assert note.endswith(expected)
+    assert "diverge" not in captions.regrets(found)[1]
+
+
 @pytest.mark.parametrize(
     ("ratio", "text"),
     [(1.0, "1"), (1.004, "1"), (1.04, "1.04"), (1.4, "1.4"), (64.2, "64"), (213.0, "210"), (np.inf, "∞")],
