@@ -78,6 +78,8 @@ class Table(NamedTuple):
             notes += [f"Bold: the best, and each that is {test}."]
         if any(e.lost for e in self.entries):
             notes += ["Dagger: some runs diverged; the mean is over the others."]
+            if any(e.best for e in self.entries):
+                notes += ["An observer that diverges significantly more often than the best is not bold."]
         if any(words[-1].endswith(MARK) for words, _ in self.rows):
             notes += ["Asterisk: no certificate for its gains."]
         return notes

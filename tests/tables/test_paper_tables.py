@@ -139,6 +139,7 @@ def test_marks_units_and_special_letters_in_latex_and_markdown():
     assert r"p [\unit{rad/s^{2}}] & q \\" in made
     assert r"x\_y" in made
     assert "Dagger: some runs diverged" in made
+    assert "An observer that diverges significantly more often than the best is not bold." in made
     assert "16 to 19 runs" in made
     assert "| o_1 | **1.00 ± 0.10** | 2.00 ± 0.10 † |" in text.markdown([alone(best, lost)])
     assert "siunitx" not in latex.latex([alone(best, best)], plain=True)
