@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer, stochastic_cloning
+from pcbench.observers.parts.common import no_snapshot
 from pcbench.protocols import Arrival, Gains, Now, Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -33,10 +34,9 @@ Options = linear_filter.Options
 class Memory(NamedTuple):
     """The estimate of now, the covariance as if all had arrived, and what waits for each of J samples on their way."""
 
-    g: Float[Array, " n"]
     xhat: Float[Array, " n"]
     P: Float[Array, "n n"]
-    then: Float[Array, "J n"]  # xhat - g when the sample was taken
+    then: Float[Array, "J n"]  # xhat when the sample was taken
     K: Float[Array, "J n q"]  # M K: what its innovations will be worth
     at: Int[Array, ""]  # the tick of P and K
     taken: Int[Array, " J"]  # ticks; -1: none
@@ -49,7 +49,6 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     first, J, zero = linear_filter.prior(gains, xhat0), gains.own.shape[0], jnp.asarray(0)
     n, q = first.mean.shape[0], gains.C.shape[0]
     return Memory(
-        g=jnp.zeros(n),
         xhat=first.mean,
         P=first.P,
         then=jnp.zeros((J, n)),
@@ -85,7 +84,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
     return memory._replace(
         P=P,
         K=L,
-        then=jnp.where(mine[:, None], memory.xhat - memory.g, memory.then),
+        then=jnp.where(mine[:, None], memory.xhat, memory.then),
         taken=jnp.where(mine, now.tick, memory.taken),
         made=memory.made + jnp.any(mask),
     )
@@ -95,7 +94,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add what the late innovations are worth now."""
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
     mine = (memory.taken == sample.taken).astype(float)
-    expected = gains.C @ (sample.snapshot + mine @ memory.then)
+    expected = gains.C @ (mine @ memory.then)
     e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
     K = jnp.einsum("j,jnq->nq", mine, memory.K)
     return memory._replace(xhat=memory.xhat + K @ e)
@@ -108,7 +107,13 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 
 OBSERVER = Observer(
-    init, prediction.snapshot, jump, prediction.flow, linear_filter.estimate, covariance=covariance, on_sample=on_sample
+    init,
+    no_snapshot,
+    jump,
+    prediction.flow_of_estimate,
+    linear_filter.estimate,
+    covariance=covariance,
+    on_sample=on_sample,
 )
 
 

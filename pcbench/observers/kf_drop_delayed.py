@@ -45,4 +45,6 @@ def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes, and the limit in ticks."""
     limit = min(setting.period) if options.max_age is None else round(options.max_age / setting.dt)
     why = "" if limit >= max(setting.delay) else "it drops what is late"
-    return linear_filter.design(setting, options, "kf-drop-delayed", own=np.asarray(limit), unproven=why)
+    return linear_filter.design(
+        setting, options, "kf-drop-delayed", own=np.asarray(limit), unproven=why, restarts=False
+    )

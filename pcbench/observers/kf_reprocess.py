@@ -41,6 +41,6 @@ def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; say where it keeps too few."""
     short = f"it keeps {options.keep} samples, and {setting.overtaking} may arrive before one: older ones are lost"
     why = short if setting.overtaking > options.keep else ""
-    found = linear_filter.design(setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why)
+    found = linear_filter.design(setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why, restarts=False)
     numbers = {**found.certificate.numbers, "kept": float(options.keep), "needed": float(setting.overtaking)}
     return found._replace(certificate=found.certificate._replace(numbers=numbers))

@@ -48,5 +48,10 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 def design(setting: DesignContext, options: Options) -> Design:
     """Gather what the filter assumes; it needs no room, as every correction is one of now."""
     return linear_filter.design(
-        setting, options, "kf-shifted-innovation", np.zeros(0), unproven="it assumes that the plant is an integrator"
+        setting,
+        options,
+        "kf-shifted-innovation",
+        np.zeros(0),
+        unproven="it assumes that the plant is an integrator",
+        restarts=False,
     )

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from pcbench.errors import DigitsError
+from pcbench.observers.parts.prediction import Motion
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.runtime import program_cache
@@ -83,17 +84,17 @@ def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floa
 
 
 def response_size(p: Plan, label: str) -> Floats | None:
-    """Return how large the response to the input gets that an observer in a loop keeps, [n]; None if it keeps none.
+    """Return how large the response to the input since t = 0 gets, [n]; None for an observer in a loop that does not keep it.
 
     In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
     """
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
-    Phi = getattr(getattr(p.problem.gains[names[label]], "motion", None), "Phi", None)
-    if p.layout.controller is None or Phi is None:
+    motion = getattr(p.problem.gains[names[label]], "motion", None)
+    if p.layout.controller is None or not isinstance(motion, Motion) or motion.restarts is not None:
         return None
     s, n = p.cell.scenario, len(p.problem.x0)
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = np.abs(np.linalg.matrix_power(np.asarray(Phi), p.cell.times.ticks)[:n, :n])
+        moved = np.abs(np.linalg.matrix_power(np.asarray(motion.Phi), p.cell.times.ticks)[:n, :n])
         return np.asarray(moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std)))
 
 

@@ -61,6 +61,7 @@ class DesignContext(NamedTuple):
     noise_correlation: tuple[tuple[float, ...], ...] = ()  # of the outputs, q by q; empty: independent
     # change of each output from which on its sensor sends a sample; empty: a sample that is not sent contains no information
     send_threshold: tuple[float, ...] = ()
+    in_loop: bool = False  # whether a controller computes the input
     sensors: int = 1  # number of sensors: groups of outputs that are sampled, delayed and lost together
     overtaking: int = 0  # how many newer samples may arrive before an older one
     spare: int = 0  # least room for such newer samples, so that grid points share compiled programs

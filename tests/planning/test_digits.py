@@ -123,7 +123,7 @@ def test_a_large_offset_counts_beside_the_errors(start, noise, resolved):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("observer", ["kf", "kf-reprocess"])
+@pytest.mark.parametrize("observer", ["kf-drop-delayed", "kf-reprocess"])
 def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
     """There its error is 20 times too large at e^38, by rounding of what it keeps."""
     with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
@@ -135,9 +135,9 @@ def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
 @pytest.mark.ci
 def test_exact_moments_name_the_response_that_is_kept_without_feedback():
     """The deviation from linear maps is 1e-7 of the error, by rounding: the filter is affine."""
-    exact = pcbench.exact_moments("ncs-reactor/round-robin", observers=["model-only", "kf"])
-    (reason,) = exact.stats.query("metric == 'steady_mse' and observer == 'kf'").reason.unique()
-    assert "kf keeps the response of x1 to the input without the feedback, which grows to about" in reason
+    exact = pcbench.exact_moments("ncs-reactor/round-robin", observers=["kf-reprocess"])
+    (reason,) = exact.stats.query("metric == 'steady_mse'").reason.unique()
+    assert "kf-reprocess keeps the response of x1 to the input without the feedback, which grows to about" in reason
 
 
 @pytest.mark.slow
@@ -213,7 +213,7 @@ def test_an_unstable_nonlinear_plant_is_said_to_be_that(monkeypatch):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("observer", ["kf", "kf-reprocess"])
+@pytest.mark.parametrize("observer", ["kf-drop-delayed", "kf-reprocess"])
 def test_nor_is_the_trace_of_a_run(observer):
     with pytest.raises(DigitsError, match=BLAMELESS):
         pcbench.simulate(study([observer], duration=9.5), observer)

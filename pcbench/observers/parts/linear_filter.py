@@ -166,6 +166,9 @@ def newest(gains: Gains, memory: Memory) -> Known:
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
+    before = memory.buffer.before
+    none = Measurement(before.taken, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
+    memory, _ = prediction.restart(gains.motion, memory, now, none, before.taken)
     return spread(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
 
 
@@ -175,12 +178,12 @@ def covariance_of_posterior(gains: Gains, memory: PyTree, now: Now) -> Float[Arr
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
-    return innovation_of_sample(gains, memory, reorder_buffer.sample_of(now, arrival, gains.D))
+    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since.
 
-
-def innovation_of_sample(gains: Gains, memory: Memory, sample: Measurement) -> InnovationStats:
-    """Return how far a sample is from what is expected of it; one older than all samples kept is not judged."""
+    A sample that is older than all samples kept is not judged.
+    """
+    sample, before = reorder_buffer.sample_of(now, arrival, gains.D), memory.buffer.before
+    memory, sample = prediction.restart(gains.motion, memory, now, sample, before.taken)
     buffer = memory.buffer
     if not buffer.samples.taken.shape[0]:
         return surprise(gains, buffer.before, sample)
@@ -210,10 +213,11 @@ def design(
     own: PyTree = (),
     unproven: str = "",
     guarded: PyTree = (),
+    restarts: bool = True,
 ) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods.
 
-    `unproven` says why that recursion proves nothing of this observer.
+    `unproven` says why that recursion proves nothing of this observer; `restarts` is that of `prediction.motion_of`.
     """
     where = f"{name} in {setting.scenario}"
     require_detectable(setting.model, where)
@@ -228,7 +232,7 @@ def design(
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
-    moves = prediction.motion_of(model, setting)
+    moves = prediction.motion_of(model, setting, restarts)
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += assumed_noise.process(setting, options.Q, where)
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)

@@ -4,7 +4,9 @@ Between samples a linear model moves as xhat(t) = g(t) + e^{A (t - t_m)} free_m,
 zero state at t = 0 (one integral, never reset) and free_m = xhat_m - g(t_m). So the integral of the input over any past
 interval is I(a, b) = g(b) - e^{A (b - a)} g(a), exact for the held input, and no e^{-As} is ever formed. The observer notes
 g(t_m) when sample m is taken; nothing else of the past is kept.
-g follows the plant's own modes: where an unstable model grows past 1e16 over the horizon, the difference loses all its digits.
+g follows the plant's own modes. In a loop around an unstable plant the state stays small and g grows, until the difference has
+no digits left. There g starts from zero at the oldest sample that may be used again (`restarts`): at each arrival it is
+computed from the inputs that the loop stores.
 """
 
 from collections.abc import Callable
@@ -12,7 +14,8 @@ from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+import numpy as np
+from jax import Array, lax
 from jaxtyping import Float, Int, PyTree
 
 from pcbench.dynamics import linear
@@ -23,6 +26,7 @@ from pcbench.protocols import Arrival, Gains, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
 Update = Callable[[Gains, PyTree, Measurement], PyTree]
+LARGEST_GROWTH = 1e3  # of an unstable model over the horizon, up to which g starts at t = 0 in a loop
 
 
 class Motion(NamedTuple):
@@ -31,6 +35,7 @@ class Motion(NamedTuple):
     Phi: Float[Leaf, "n n"]
     Gamma: Float[Leaf, "n m"]
     powers: Float[Leaf, "2 R n n"]  # e^{A h i R^level}
+    restarts: tuple[()] | None = None  # (): in a loop around an unstable plant, where g does not start at t = 0
 
 
 class Point(NamedTuple):
@@ -43,7 +48,7 @@ class Point(NamedTuple):
 class Memory(NamedTuple):
     """The estimate of now and what it came from: every observer of this family keeps these."""
 
-    g: Float[Array, " n"]  # input response from zero state
+    g: Float[Array, " n"]  # input response from zero state; 0 if it restarts
     xhat: Float[Array, " n"]  # estimate of now
     buffer: Buffer  # the recursion's state at the newest samples used
     tick: Int[Array, ""]  # now
@@ -68,14 +73,52 @@ def snapshot(gains: Gains, memory: PyTree, now: Now) -> Float[Array, " n"]:
 def flow(gains: Gains, memory: PyTree, now: Now) -> PyTree:
     """Advance by one tick under the held input, pccebo's (12); of any memory that has g, xhat and tick."""
     motion: Motion = gains.motion
-    pushed = motion.Gamma @ now.u
-    g, xhat = motion.Phi @ memory.g + pushed, motion.Phi @ memory.xhat + pushed
-    return memory._replace(g=g, xhat=xhat, tick=memory.tick + 1)
+    g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + motion.Gamma @ now.u
+    return flow_of_estimate(gains, memory._replace(g=g), now)
+
+
+def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
+    """Advance the estimate alone by one tick; of any memory that has xhat and tick."""
+    motion: Motion = gains.motion
+    return memory._replace(xhat=motion.Phi @ memory.xhat + motion.Gamma @ now.u, tick=memory.tick + 1)
 
 
 def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return `free` carried on to a tick: the estimate there is g + this."""
     return after(motion.powers, tick - point.taken, point.free)
+
+
+def responses(motion: Motion, now: Now, since: Int[Array, ""], ticks: Int[Array, " k"]) -> Float[Array, "k n"]:
+    """Return the response to the input from zero state at tick `since`, at each of `ticks`; 0 at a tick before `since`."""
+
+    def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        g = motion.Phi @ carry[0] + motion.Gamma @ now.past_u(now.tick - k)
+        return g, jnp.where((ticks == k + 1)[:, None], g, carry[1])
+
+    none = jnp.zeros((ticks.shape[0], motion.Phi.shape[0]))
+    return lax.fori_loop(since, now.tick, tick, (none[0], none))[1]
+
+
+def restart(
+    motion: Motion, memory: Memory, now: Now, arrived: Measurement, since: Int[Array, ""]
+) -> tuple[Memory, Measurement]:
+    """Return memory and sample with g from zero at tick `since`, the oldest sample that may be used again, if g restarts."""
+    if motion.restarts is None:
+        return memory, arrived
+    before, kept = memory.buffer
+    ticks = jnp.concatenate([arrived.taken[None], kept.taken, jnp.asarray(now.tick)[None]])
+    g = responses(motion, now, since, ticks)
+    buffer = Buffer(before, kept._replace(snapshot=g[1:-1]))
+    return memory._replace(g=g[-1], buffer=buffer), arrived._replace(snapshot=g[0])
+
+
+def moved(state: PyTree, by: Float[Array, " n"]) -> PyTree:
+    """Return a recursion's state with its estimates of one tick moved by `by`."""
+    if hasattr(state, "point"):
+        return state._replace(point=moved(state.point, by))
+    estimates = {name: getattr(state, name) for name in ("free", "mean", "z") if hasattr(state, name)}
+    columns = {name: each + by.reshape(-1, *[1] * (each.ndim - 1)) for name, each in estimates.items()}
+    return state._replace(**columns)
 
 
 def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Measurement], Memory]:
@@ -85,9 +128,21 @@ def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gain
     """
 
     def use(gains: Gains, memory: Memory, now: Now, arrived: Measurement) -> Memory:
+        since = point_of(memory.buffer.before).taken
+        memory, arrived = restart(gains.motion, memory, now, arrived, since)
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, arrived)
         there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
-        return memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
+        after = memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
+        return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, arrived)
+
+    def stop(memory: Memory, kept: Measurement, arrived: Measurement) -> Memory:
+        """Keep the state before the samples without g, which starts again there."""
+        before = memory.buffer.before
+        ticks = jnp.append(kept.taken, arrived.taken)
+        same = ticks == point_of(before).taken
+        g = jnp.concatenate([kept.snapshot, arrived.snapshot[None]])[jnp.argmax(same)]
+        before = moved(before, jnp.where(jnp.any(same), g, 0.0))
+        return memory._replace(g=jnp.zeros_like(memory.g), buffer=memory.buffer._replace(before=before))
 
     return use
 
@@ -102,7 +157,10 @@ def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Ga
     return jump
 
 
-def motion_of(model: linear.Model, setting: DesignContext) -> Motion:
-    """Return a model's motion in NumPy, for every age up to the horizon."""
+def motion_of(model: linear.Model, setting: DesignContext, restarts: bool = True) -> Motion:
+    """Return a model's motion in NumPy, for every age up to the horizon; `restarts`: whether g may start again."""
     Phi, Gamma = linear.one_tick(model, setting.dt)
-    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks))
+    with np.errstate(over="ignore"):
+        grows = np.max(np.abs(np.linalg.eigvals(Phi))) ** setting.ticks > LARGEST_GROWTH
+    again = () if restarts and setting.in_loop and grows else None
+    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks), again)

@@ -183,4 +183,6 @@ def design(setting: DesignContext, options: linear_filter.Options, name: str, pa
         with np.errstate(over="ignore", invalid="ignore"):
             return RetrodictionParams(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
 
-    return linear_filter.design(setting, options, name, own=own, unproven=why if setting.overtaking else "")
+    return linear_filter.design(
+        setting, options, name, own=own, unproven=why if setting.overtaking else "", restarts=False
+    )

@@ -7,7 +7,7 @@ arrives: with h = P c_i, c_i being c in the place of clone i, s = c_i'h + r and 
 
     z <- z + K (y - c'x_i),   P <- P - K h' - h K' + s K K'
 
-which is the true covariance whatever the gain. `Gain` chooses it. Means are less the response to the input (`prediction`).
+which is the true covariance whatever the gain. `Gain` chooses it.
 Covariances stand at the last event and are carried to the next. J is the most samples that can be on their way at once; a
 sample that has no clone any more is lost.
 """
@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import whole_if_large
+from pcbench.observers.parts.common import no_snapshot, whole_if_large
 from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
@@ -37,9 +37,8 @@ Gain = Callable[
 class Memory(NamedTuple):
     """The estimate of now, and where it stood when samples were taken; joint = (J + 1) n."""
 
-    g: Float[Array, " n"]
     xhat: Float[Array, " n"]
-    clones: Float[Array, "J n"]  # less g
+    clones: Float[Array, "J n"]
     P: Float[Array, "joint joint"]
     at: Int[Array, ""]  # the tick of P
     taken: Int[Array, " J"]  # ticks; -1: none
@@ -54,7 +53,6 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     P = jnp.zeros(((J + 1) * n, (J + 1) * n)).at[:n, :n].set(first.P)
     zero = jnp.asarray(0)
     return Memory(
-        g=jnp.zeros(n),
         xhat=first.mean,
         clones=jnp.zeros((J, n)),
         P=P,
@@ -88,7 +86,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
         P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
         there = jnp.any(mask)
         return memory._replace(
-            clones=jnp.where((mine & there)[:, None], memory.xhat - memory.g, memory.clones),
+            clones=jnp.where((mine & there)[:, None], memory.xhat, memory.clones),
             P=jnp.where(there, P, memory.P),
             taken=jnp.where(mine & there, now.tick, memory.taken),
             made=memory.made + there,
@@ -104,7 +102,7 @@ def observer(gain: Gain) -> Observer:
         def jumped(memory: Memory, arrival: Arrival) -> Memory:
             sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
             n, P = memory.xhat.shape[0], memory.P
-            z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
+            z = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)])
             mine = jnp.append(False, memory.taken == sample.taken)
             near = jnp.repeat(mine.at[0].set(True), n)
             value, known, R = linear_filter.value_of(gains, sample), jnp.any(mine), sample.variances(gains.R)
@@ -114,17 +112,17 @@ def observer(gain: Gain) -> Observer:
                 h = P @ there
                 s = there @ h + r
                 K = jnp.where(mask, gain(h, s, near), 0.0)
-                z = z + K * (value[channel] - c @ sample.snapshot - there @ z)
+                z = z + K * (value[channel] - there @ z)
                 P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
-            return memory._replace(xhat=memory.g + z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
+            return memory._replace(xhat=z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
         return whole_if_large(memory.P, jumped)(memory, arrival)
 
     return Observer(
         init,
-        prediction.snapshot,
+        no_snapshot,
         jump,
-        prediction.flow,
+        prediction.flow_of_estimate,
         linear_filter.estimate,
         covariance=covariance,
         on_sample=on_sample,
@@ -136,7 +134,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 
     def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
-        z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
+        z, P = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)]), memory.P
         mine = jnp.append(False, memory.taken == sample.taken)
         value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.empty_stats()
         R = sample.variances(gains.R)
@@ -144,7 +142,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
             c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
             there = (mine[:, None] * c[None, :]).reshape(-1)
             h = P @ there
-            nu, s = value[channel] - c @ sample.snapshot - there @ z, there @ h + r
+            nu, s = value[channel] - there @ z, there @ h + r
             total = kalman.add_innovation(total, nu, s, mask)
             K = kalman.gain(h, s, mask)
             z, P = z + K * nu, kalman.covariance(P, K, there, r)
