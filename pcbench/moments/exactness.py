@@ -9,10 +9,11 @@ Whether exact moments keep their digits: they are of the state and of memories, 
 Two things need digits. The trial of `exactness` compares runs to ROUNDING of the errors' size, and a state x is rounded by EPS
 |x|: where the trial fails, that may be why. And noise adds to the covariance of the state and of the estimates, from which the
 errors' is a difference of large squares: it keeps about EPS Var x / E e^2. What the start adds goes by itself, and loses no
-square (`programs`).
+square (`programs`). In a loop the same holds for the response to the input, of an observer that keeps it.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from pcbench.moments.affinity import ROUNDING
 from pcbench.moments.error_sums import AMPLIFIED, relative_deviation
@@ -35,7 +36,7 @@ def lost(cell: CellMoments, label: str) -> str:
     n = min(len(size), mine.stop - mine.start)
     state = slice(mine.start, mine.start + n)
     size, deviation, band = size[:n], deviation[:n], np.asarray(p.problem.band)[:n]
-    square = np.asarray(s.square)[1, state].min(-1) / (p.cell.times.ticks - p.cell.times.tail)
+    square = _steady_square(cell, state)
     with np.errstate(over="ignore", invalid="ignore"):
         failed = (relative_deviation(s, mine) > ROUNDING).any()
         trial = failed & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
@@ -49,6 +50,12 @@ def lost(cell: CellMoments, label: str) -> str:
         f"has too few digits for an exact answer: {name} reaches {amount(float(size[i]), unit)}, whose rounding in float64 is "
         "not small compared to the errors"
     )
+
+
+def _steady_square(cell: CellMoments, signals: slice) -> Float[np.ndarray, " n"]:
+    """The least mean square error of signals, of any start, after the transient."""
+    times = cell.planned.cell.times
+    return np.asarray(cell.sums.square)[1, signals].min(-1) / (times.ticks - times.tail)
 
 
 INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
@@ -77,14 +84,16 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     worst = int(np.argmax(part))
     failed = part[worst] > ROUNDING
     alone = p.cell._replace(options={label: p.cell.options[label]})  # drafts of loops are of one observer each
-    kept = response_size(fit(list(drafts([alone])))[0], label) if failed and p.layout.controller else None
+    kept = response_size(fit(list(drafts([alone])))[0], label) if p.layout.controller else None
     if kept is not None:
-        apart = np.asarray(s.apart)[mine].max(-1)[: len(kept)]
-        rounding = (part[: len(kept)] > ROUNDING) & (apart <= AMPLIFIED * EPS * kept)
+        n, apart = len(kept), np.asarray(s.apart)[mine].max(-1)
+        square = _steady_square(cell, slice(mine.start, mine.start + n))
+        rounding = (part[:n] > ROUNDING) & (apart[:n] <= AMPLIFIED * EPS * kept)
+        rounding |= (EPS * kept**2 > SQUARES * square) & (np.sqrt(EPS) * kept > TRIFLE * np.asarray(p.problem.band)[:n])
         if rounding.any():
             return (
                 f"{where} {describe_response(p, kept, rounding)}, which leaves too few digits for an exact answer; shorten the "
-                f"horizon, take ekf, or {instead}."
+                f"horizon, take kf or ekf, or {instead}."
             )
     reach = s.reach[mine].max(-1)
     bounded = (

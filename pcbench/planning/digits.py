@@ -116,7 +116,7 @@ def _require_response(p: Plan, label: str, steady_mae: Floats) -> None:
     if lost.any():
         raise DigitsError(
             f"{p.cell.scenario.name}, cell {p.cell.number}: {label} {describe_response(p, size, lost)}, so that fewer than two "
-            "digits of its errors are left in float64; expected a smaller one: take a shorter horizon, or ekf."
+            "digits of its errors are left in float64; expected a smaller one: take a shorter horizon, kf or ekf."
         )
 
 

@@ -51,6 +51,9 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
         )
     for text in overrides:
         override(raw, text)
+    if isinstance(what, str) and what in SCENARIOS and isinstance(changes := raw.get("scenario"), dict):
+        raw["scenario"] = changes = {"name": f"{what}-changed", "base": what} | changes
+        raw["scenarios"] = [changes["name"]]
     return normalize_raw(raw, where_of(what, raw), folder, gate)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.planning import all_observers
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.sources import values
 from pcbench.study import grid, parse, scenario_template
@@ -196,3 +197,13 @@ def test_a_loop_for_any_plant_has_its_law_and_its_network_checked():
     for sentence, table in wrong.items():
         with pytest.raises(UserError, match=sentence):
             made(table)
+
+
+@pytest.mark.parametrize("name", ["cart/white", "ncs-reactor/round-robin"])
+def test_changes_of_a_named_scenario_apply_to_it(name):
+    grid = all_observers.grid_of(name, {}, ["scenario.noise_std=0.5", "seeds=8"])
+    (cell,) = grid.cells
+    changed, original = cell.scenario, SCENARIOS[name]
+    assert set(np.ravel(changed.sampling.noise_std)) == {0.5}
+    sampling = changed.sampling._replace(noise_std=original.sampling.noise_std)
+    assert changed._replace(name=name, sampling=sampling, source=original.source, summary=original.summary) == original

@@ -26,7 +26,7 @@ from pcbench.protocols import Arrival, Gains, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
 Update = Callable[[Gains, PyTree, Measurement], PyTree]
-LARGEST_GROWTH = 1e3  # of an unstable model over the horizon, up to which g starts at t = 0 in a loop
+LARGEST_GROWTH = 10.0  # of an unstable model over the horizon, up to which g starts at t = 0 in a loop
 
 
 class Motion(NamedTuple):
