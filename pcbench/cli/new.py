@@ -114,7 +114,10 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         *("results", "figures", "commands", "study-keys", "axis-list", "metrics", "observers", "scenarios", "columns"),
         "versioning",
     ),
-    "Findings": ("five-papers", "the-field", "field-findings"),
+    "Findings": (
+        *("wrong-assumptions", "measurement-error-findings", "delay-findings", "reactor-findings", "network-findings"),
+        *("five-papers", "the-field", "field-findings"),
+    ),
     "About": ("comparison", "decisions"),  # the decisions' own pages follow
 }
 

@@ -20,7 +20,7 @@ from pcbench.observers import OBSERVERS, entry_of
 from pcbench.runtime import config
 from pcbench.study import STUDIES, TUNINGS, observers_of, parse, serialize
 
-PAGE = PAGES["gains.md"]
+PAGE = PAGES["wrong_assumptions.md"]
 FAIR = {
     "name": "little",
     "scenarios": ["cart/gaussian"],

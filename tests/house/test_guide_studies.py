@@ -15,7 +15,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.statistics import number_format
 from pcbench.study import grid, parse
 
-OBSERVERS_PAGE = PAGES["choose_an_observer.md"]
+OBSERVERS_PAGE = PAGES["wrong_assumptions.md"]
 
 
 @pytest.mark.nightly

@@ -19,7 +19,7 @@ pytest.importorskip("mkdocstrings")
 SHOWN = {
     "index.html": "Find out which observer",
     "reference/python.html": "pcbench.find_limit",
-    "pcbench/guide/choose_an_observer.html": "pccebo-riccati",
+    "pcbench/guide/wrong_assumptions.html": "pccebo-riccati",
     "notebooks/01_first_look.html": "<img",
     "reference/pcbench.observers.kf.html": "delay-compensated discrete Kalman filter",
     "REPRODUCTION.html": "misprint",

@@ -46,7 +46,7 @@ def squares(schedule):
 
 @pytest.mark.nightly
 def test_the_guides_table_of_what_they_lie_above_the_optimum_is_what_comes_out():
-    section = PAGES["delayed_measurements.md"].split("## Excess error")[1]
+    section = PAGES["delay_findings.md"].split("## Excess error")[1]
     said = re.findall(r"^\| ([a-z ,-]+) \| ([\d. |]+) \|$", section, re.M)
     assert [row for row, _ in said] == list(ROWS)
     for row, numbers in said:

@@ -295,7 +295,7 @@ def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
 
 @pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
-    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["delayed_measurements.md"], re.M)
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["delay_findings.md"], re.M)
     name = "delayed-measurements"
     stats, costs = pcbench.run(name).stats, pcbench.operation_counts(name).set_index(["cell", "observer"])
     stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])

@@ -103,7 +103,7 @@ def test_a_bank_comes_to_the_bound_where_the_signal_is_known():
 def test_the_guides_table_is_what_comes_out():
     stats = pcbench.run(SCENARIO, seeds=256, options={"scenario": {"random_initial_state": True}}).stats
     mean = stats.set_index(["observer", "signal", "metric"])["mean"]
-    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| ([\d.]*) ?\|$", PAGES["unknown_delay.md"], re.M)
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| ([\d.]*) ?\|$", PAGES["delay_findings.md"], re.M)
     assert [name for name, *_ in rows] == ["ekf-delay", "mmae-delay", "kf", "model-only"]
     for name, position, delay in rows:
         assert mean[name, "position", "steady_rmse"] == pytest.approx(float(position), rel=0.01)
@@ -117,7 +117,9 @@ def test_begun_near_the_delay_as_a_state_is_honest_and_begun_far_it_is_biased_an
     far, noisy = {"unknown0": [0.6], "unknown_std": [0.2]}, {"noise_std": 0.5}
     near, off, loud = (judged(256, **given) for given in ({}, far, far | noisy))
     found = [near["ekf-delay"], off["ekf-delay"], loud["ekf-delay"], loud["mmae-delay"]]
-    table = PAGES["unknown_delay.md"].split("## Check the consistency")[1].split("## Varying delays")[0]
+    table = (
+        PAGES["delay_findings.md"].split("The next table shows the delay error")[1].split("The next table repeats")[0]
+    )
     rows = re.findall(r"\| `[\w-]+` \| (-?[\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", table, re.M)
     assert len(rows) == len(found)
     for row, (_, *values) in zip(rows, found, strict=True):
@@ -139,7 +141,7 @@ def test_where_delays_vary_the_mean_is_found_and_who_reads_no_stamps_is_over_con
         "ekf-delay-blind": {"stamps": False}} | blind,
     }  # fmt: skip
     found = pcbench.run(study).stats.set_index(["observer", "signal", "metric"])["mean"]
-    table = PAGES["unknown_delay.md"].split("## Varying delays")[1]
+    table = PAGES["delay_findings.md"].split("The next table repeats")[1]
     rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", table, re.M)
     assert [name for name, *_ in rows] == study["observers"]
     for name, *said in rows:

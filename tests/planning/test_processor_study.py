@@ -13,7 +13,7 @@ from pcbench import plots
 from pcbench.plots import crossings
 from pcbench.report import captions
 
-PAGE = PAGES["processor.md"]
+PAGE = PAGES["network_findings.md"]
 PAIRS = [("ekf", "ukf"), ("ekf", "particle"), ("ukf", "particle")]
 pytestmark = pytest.mark.ci
 

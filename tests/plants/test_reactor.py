@@ -72,7 +72,7 @@ def test_a_filter_that_is_tuned_does_not_fail_and_bounds_need_no_tuning():
     result = pcbench.run("equal-tuning-reactor")
     tail = result.runs[result.runs.signal == "pressure_a"].set_index("observer")["steady_rmse"]
     rows = re.findall(
-        r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| ([\d.]+) \| (\d+) % \|$", PAGES["nonlinear_filters.md"], re.M
+        r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| ([\d.]+) \| (\d+) % \|$", PAGES["reactor_findings.md"], re.M
     )
     assert (
         [name for name, *_ in rows] == result.fair.observer.drop_duplicates().tolist() == ["ekf", "ukf", "mhe-bounded"]
@@ -90,7 +90,7 @@ def test_a_filter_that_is_tuned_does_not_fail_and_bounds_need_no_tuning():
 
 @pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
-    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| (\d+) \|$", PAGES["nonlinear_filters.md"], re.M)
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| (\d+) \|$", PAGES["reactor_findings.md"], re.M)
     runs = pcbench.run("reactor").runs
     tail = runs[runs.signal == "pressure_a"].set_index("observer")["steady_rmse"]
     costs = pcbench.operation_counts("reactor").set_index("observer")["sample"]

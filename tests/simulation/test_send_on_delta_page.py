@@ -7,7 +7,7 @@ from documents import PAGES, tables
 
 import pcbench
 
-PAGE = PAGES["send_on_delta.md"]
+PAGE = PAGES["network_findings.md"]
 pytestmark = pytest.mark.nightly
 
 

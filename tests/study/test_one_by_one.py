@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from documents import PAGES
+from documents import PAGES, fenced
 from honest import STUDY
 
 import pcbench
@@ -96,8 +96,9 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
 
 @pytest.mark.nightly
 def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
-    section = PAGES["measurement_errors.md"].split("## Bursts of lost samples")[1]
-    study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
+    section = PAGES["measurement_error_findings.md"].split("## Bursts of lost samples")[1]
+    (text,) = (b.text for b in fenced("measurement_errors.md") if b.title == "bursts.toml")
+    study = tomllib.loads(text) | {"seeds": 256}
     stats = pcbench.run(study).stats
     mean = stats[stats.signal == "position"].set_index(["observer", "metric", "mean_burst_length"])["mean"]
     rows = re.findall(r"^\| (\d+) \| (.*) \|$", section, re.M)
@@ -112,7 +113,7 @@ def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
 @pytest.mark.nightly
 def test_the_guides_figures_of_faults_are_what_comes_out():
     """One run of the whole study: three tables."""
-    result, page = pcbench.run("measurement-errors"), PAGES["measurement_errors.md"]
+    result, page = pcbench.run("measurement-errors"), PAGES["measurement_error_findings.md"]
     stats = result.stats[result.stats.signal == "position"]
     mean = stats.set_index(["observer", "metric", "cell"])["mean"]
     cells = stats.drop_duplicates("cell").set_index("cell")
