@@ -324,7 +324,8 @@ def observers_page() -> str:
 between them, see [Choose an observer](choose_an_observer.md). `pcbench replay` accepts every observer.
 
 The table shows which observers report a covariance, have a certificate for their gains, have
-[exact moments](exact_evaluation.md) on linear plants, and can be [exported to C](export_to_c.md). The column *schedules* names
+exact moments on linear plants, and can be exported to C. See [Exact moments instead of Monte Carlo](exact_evaluation.md) and
+[Export C code, and use external estimators](export_to_c.md). The column *schedules* names
 the accepted samples:"""
     takes = [f"- *{name}*: {text}" for name, text in TAKES.items()]
     return page("Observers", lead, join(takes), join(rows), *parts, f"## {SHARED}", join(shared))
