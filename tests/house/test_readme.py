@@ -6,7 +6,7 @@ import tomllib
 
 import pytest
 from commands import started
-from documents import README, ROOT, blocks
+from documents import README, ROOT, blocks, fenced
 
 import pcbench
 from pcbench.cli.commands import ALL
@@ -48,12 +48,15 @@ def test_its_study_runs(tmp_path):
     assert len(pcbench.run(str(tmp_path / "camera.toml"), seeds=2).stats.cell.unique()) == 3
 
 
+@pytest.mark.slow
 def test_its_python_runs(tmp_path):
     (example,) = blocks("python", "README.md")
     assert len(example.splitlines()) <= 20
-    (tmp_path / "example.py").write_text(example)
-    done = started("example.py", cwd=tmp_path)
+    assert {b.title for b in fenced("README.md") if b.language == "python"} == {"pendulum.py"}
+    (tmp_path / "pendulum.py").write_text(example)
+    done = started("pendulum.py", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert (tmp_path / "delay.png").stat().st_size > 10_000
     assert "ci_high" in done.stdout
     assert "p_holm" in done.stdout
 
