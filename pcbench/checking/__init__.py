@@ -1,4 +1,4 @@
-"""Does what is a user's own keep to what pcbench asks of it? Named checks, each with a verdict and a reason."""
+"""Checks that a user's own code follows the protocol; each check has a verdict and a reason."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ DEFAULT = "cart/white"  # what an observer and a controller are tried on
 
 
 class CheckReport(NamedTuple):
-    """What every check says."""
+    """The results of all checks of one target."""
 
     kind: str  # observer, plant, controller, scenario or study
     label: str
@@ -27,10 +27,11 @@ class CheckReport(NamedTuple):
 
 
 def check(target: str, scenario: str | None = None, options: Mapping[str, Any] | None = None) -> CheckReport:
-    """Return what every check says of what MODULE:NAME names, found out by what it is; or of a study.
+    """Return the results of all checks of a target: MODULE:NAME, whose kind is determined from the object, or a study.
 
-    `scenario` is what it is tried on: a published one, a study file or MODULE:NAME with one. `options` are an observer's or a
-    controller's, numbers of a plant, or changes of a study by key. Raises UserError where something is not there.
+    `scenario` is the scenario of the checks: a published one, a study file, or MODULE:NAME of one. `options` are
+    options of an observer or a controller, parameters of a plant, or changes of a study by key. Raises UserError if the
+    target or the scenario does not exist.
     """
     if scenario is not None and not (
         user_code.is_reference(scenario) or scenario.endswith(".toml") or scenario in STUDIES or scenario in SCENARIOS
@@ -59,7 +60,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
-    """A scenario of a plant of a user's own, with some of its numbers changed."""
+    """A scenario of a user's plant, with some of its parameters changed."""
     mine = registry.load("plant", target, WHERE)
     s = plant.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else parse.scenario_of(name)
     there = s.own.get("plant")

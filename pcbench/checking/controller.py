@@ -1,6 +1,6 @@
-"""Does a controller keep to what pcbench asks of one, and does it hold the plant of a scenario?
+"""Checks that a controller follows the protocol and stabilises the plant of a scenario.
 
-It is tried on a scenario whose loop it closes, with its options and its numbers.
+The checks use a scenario whose loop the controller closes, with its options and its parameters.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,7 +37,7 @@ TICK = 5  # at which functions are asked
 
 
 class LawArguments(NamedTuple):
-    """What a law's functions take."""
+    """The arguments of a control law's functions."""
 
     params: PyTree
     tick: Array
@@ -47,7 +47,7 @@ class LawArguments(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A controller in a scenario, with its options. n states, m inputs."""
+    """A controller in a scenario, with its options: n states, m inputs."""
 
     label: str
     scenario: Scenario
@@ -56,22 +56,22 @@ class Trial(NamedTuple):
 
     @property
     def entry(self) -> ControllerSpec:
-        """Return the controller with what makes its numbers."""
+        """Return the controller's specification, which also prepares its parameters."""
         return entry_of(self.scenario)
 
     @property
     def law(self) -> Controller:
-        """Return its functions."""
+        """Return the functions of the controller."""
         return law_of(self.entry, self.options)
 
     @property
     def every(self) -> int:
-        """Return the ticks between decisions that its options ask for."""
+        """Return the ticks between two decisions, by the option `period`."""
         return self.told.every(getattr(self.options, "period", None))
 
 
 def trial(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
-    """Return a controller's trial and what its options are; raise UserError where they cannot be made, or do not fit."""
+    """Return a controller's trial and a text of its options; raise UserError if the options are invalid."""
     same = scenario.own.get("controller")
     control = dict(scenario.loop.control) if same and same.code == mine.code else {}
     network = {name: scenario.value(name) for name in ("actuator_delay", *COMMANDS)} if scenario.loop.controller else {}
@@ -89,12 +89,12 @@ def trial(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str
 
 
 def numbers(t: Trial) -> PyTree:
-    """Return the law's numbers as arrays; raise UserError for what is none."""
+    """Return the law's parameters as arrays; raise UserError for a leaf that is not a number."""
     return jaxpr_checks.arrays(t.entry.prepare(t.options, t.told))
 
 
 def make_arguments(t: Trial) -> LawArguments:
-    """Return arguments of a plausible size, with what the law keeps as it makes it."""
+    """Return arguments of a plausible size, with the memory that the law's `start` returns."""
     params, m = numbers(t), t.told.model.B.shape[1]
     estimate = jnp.asarray(t.scenario.truth.x0) + jnp.arange(1.0, len(states_of(t.scenario)) + 1)
     kept = t.law.start(params, estimate) if t.law.start else ()
@@ -102,7 +102,7 @@ def make_arguments(t: Trial) -> LawArguments:
 
 
 def functions(t: Trial) -> Functions:
-    """Return the law's functions, each of a `LawArguments`."""
+    """Return the law's functions, each as a function of `LawArguments`."""
     law, start, dt = t.law, t.law.start, jnp.asarray(t.told.dt)
 
     def command(g: LawArguments) -> PyTree:
@@ -119,27 +119,27 @@ def functions(t: Trial) -> Functions:
 
 
 def numbers_are_arrays(t: Trial) -> str:
-    """`prepare` returns arrays only."""
+    """Check that `prepare` returns only arrays."""
     many = len(jax.tree.leaves(numbers(t)))
     return f"prepare returns {many} array{'s' * (many != 1)}, and nothing else"
 
 
 def shapes(t: Trial) -> str:
-    """A command for each input, set points of the first states, and what is kept comes back as it was."""
+    """Check the shapes: one command per input, set points of the first states, and memory of unchanged shape."""
     n, m = t.told.model.B.shape
     law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(estimated_of(t.scenario)) - n, m))
     return f"{', '.join(functions(t))} return what they should"
 
 
 def lanes(t: Trial) -> str:
-    """Each lane of a batch is what the run gives alone."""
+    """Check that each run of a batch gives the results that it gives alone."""
     g = make_arguments(t)
     rows = [(g.estimate * (1 + i), perturb_lane(g.kept, i)) for i in range(WIDTH)]
     return jaxpr_checks.lanes(functions(t), rows, lambda own: g._replace(estimate=own[0], kept=own[1]))
 
 
 def check_hold(t: Trial) -> str:
-    """Between decisions the command stays, whatever the estimate does."""
+    """Check that the command is constant between decisions, for any estimate."""
     if t.every == 1:
         raise SkipCheck("its options have no period: it decides at every tick")
     g, command = make_arguments(t), jax.jit(functions(t)["command"])
@@ -158,7 +158,7 @@ def check_hold(t: Trial) -> str:
 
 
 def settles(t: Trial) -> str:
-    """The eigenvalues of the closed loop, the state known, lie within the unit circle."""
+    """Check that the eigenvalues of the closed loop with state feedback are within the unit circle."""
     found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
     if found is None:
         raise SkipCheck(
@@ -173,7 +173,7 @@ def settles(t: Trial) -> str:
 
 
 def run(t: Trial) -> str:
-    """A run from a true start, without noise, stays finite."""
+    """Check that a run with the true initial state and without noise stays finite."""
     observer = "ekf" if nonlinear(t.scenario) else "model-only"
     cell = cell_of(t.scenario)._replace(options={observer: observer_of(observer).options()})
     (p,) = plan_cell(quiet(short(cell)))
@@ -203,5 +203,5 @@ NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "
 
 
 def findings(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
-    """Return what every check says of a controller that closes the loop of a scenario."""
+    """Return the results of all checks of a controller that closes the loop of a scenario."""
     return ask("options", partial(trial, label, mine, scenario, options), CHECKS, NEEDS)

@@ -1,7 +1,7 @@
-"""Checks of functions, whosever they are: in the programs that jax makes of them, and over lanes.
+"""Checks of a user's functions: on their traced programs, and on batches of runs.
 
-Are they pure, do they keep float64, and is a batch of runs the runs one at a time, carried over lanes as pcbench does it and
-as vmap does?
+They test whether the functions are pure, keep float64, and give the same results for a batch as for single runs.
+Batches are computed in the way of pcbench and by `jax.vmap`.
 """
 
 import re
@@ -25,7 +25,7 @@ Functions = Mapping[str, Callable[[Any], PyTree]]  # a user's, by name, each of 
 
 
 class Program(NamedTuple):
-    """A traced function: its text without addresses, and the numbers written into it."""
+    """A traced function: its text without memory addresses, and the constants in it."""
 
     text: str
     numbers: tuple[np.ndarray, ...]
@@ -33,7 +33,7 @@ class Program(NamedTuple):
 
 
 def program(f: Callable[[Any], PyTree], given: PyTree) -> Program:
-    """Trace a function anew."""
+    """Trace a function again, without jax's cache."""
     closed = jax.make_jaxpr(lambda g: f(g))(given)
     literals: list[Any] = []
     for part in _parts(closed.jaxpr):
@@ -45,7 +45,7 @@ def program(f: Callable[[Any], PyTree], given: PyTree) -> Program:
 
 
 def _parts(jaxpr: Any) -> Iterator[Any]:
-    """Yield a program and every program in it."""
+    """Yield a program and all programs inside it."""
     yield jaxpr
     for eqn in jaxpr.eqns:
         for each in inner(eqn.params):
@@ -53,7 +53,7 @@ def _parts(jaxpr: Any) -> Iterator[Any]:
 
 
 def is_same_program(a: Program, b: Program) -> bool:
-    """Say whether two programs are the same, numbers included."""
+    """Return whether two programs are equal, including their constants."""
     return (
         a.text == b.text
         and len(a.numbers) == len(b.numbers)
@@ -62,7 +62,7 @@ def is_same_program(a: Program, b: Program) -> bool:
 
 
 def arrays(prepared: PyTree) -> PyTree:
-    """Return what `prepare` makes as arrays of jax; raise UserError for what is no number."""
+    """Return the result of `prepare` as jax arrays; raise UserError for a leaf that is not a number."""
     for leaf in jax.tree.leaves(prepared):
         if not is_number(leaf):
             raise UserError(
@@ -73,12 +73,12 @@ def arrays(prepared: PyTree) -> PyTree:
 
 
 def is_number(leaf: object) -> bool:
-    """Say whether a leaf of gains or numbers is an array, or a number."""
+    """Return whether a leaf of gains or parameters is an array or a number."""
     return isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int)
 
 
 def purity(functions: Functions, given: PyTree) -> str:
-    """The same input gives the same output; nothing is kept outside, no argument is changed."""
+    """Check that equal inputs give equal outputs, that no state is stored outside, and that no argument is changed."""
     for name, f in functions.items():
         try:
             with jax.checking_leaks():
@@ -118,7 +118,7 @@ def _changes_its_arguments(f: Callable[[Any], PyTree], given: PyTree) -> bool:
 
 
 def float64(functions: Functions, given: PyTree) -> str:
-    """No number is rounded to fewer bits than it came with."""
+    """Check that no function rounds a number to fewer bits than its arguments have."""
     for name, f in functions.items():
         for eqn in (eqn for part in _parts(program(f, given).jaxpr) for eqn in part.eqns):
             for dtype in (str(getattr(v.aval, "dtype", "")) for v in eqn.outvars):
@@ -131,7 +131,10 @@ def float64(functions: Functions, given: PyTree) -> str:
 
 
 def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[Any], PyTree]) -> str:
-    """Each lane of a batch is what the run gives alone; `rows` are what differs between lanes, `given_with` adds the rest."""
+    """Check that each run of a batch gives the results that it gives alone.
+
+    `rows` has the arguments that differ between runs. `given_with` adds the others.
+    """
     stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
 
     def every(some: Functions) -> Callable[[PyTree], PyTree]:
@@ -174,7 +177,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
 
 
 def _join_lanes(tree: PyTree) -> PyTree:
-    """Join what is split; what does not differ between lanes is the same in each."""
+    """Stack the runs on the last axis; a value that is equal in all runs is repeated."""
 
     def one(x: Any) -> jax.Array:
         return join(x) if is_lanes(x) else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), WIDTH))
@@ -183,5 +186,5 @@ def _join_lanes(tree: PyTree) -> PyTree:
 
 
 def perturb_lane(tree: PyTree, lane: int) -> PyTree:
-    """Return what another lane has in place of a pytree: its real numbers differ."""
+    """Return a pytree for another run of the batch: its real numbers differ."""
     return jax.tree.map(lambda a: a * (1 + lane / 8) + lane / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)

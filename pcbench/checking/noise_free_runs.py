@@ -1,6 +1,7 @@
-"""Short runs, recorded tick by tick; quiet ones, in which an observer has nothing to do.
+"""Short runs, recorded tick by tick, also without noise or errors of the assumptions.
 
-In a quiet run the model is true, the start known and there is no noise; schedule, input and controller are the cell's.
+In a quiet run the model and the assumed initial state are true, and there is no noise. Schedule, input and controller
+are those of the grid point.
 """
 
 import jax
@@ -21,14 +22,14 @@ LONGEST = 4000  # ticks that are recorded while one waits
 
 
 def short(cell: Cell) -> Cell:
-    """Return a cell with a horizon that is soon recorded."""
+    """Return a cell with a duration of at most `LONGEST` ticks."""
     s = cell.scenario
     ticks = min(cell.times.ticks, LONGEST)
     return cell.having(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
 
 
 def quiet(cell: Cell) -> Cell:
-    """Return a cell in which all is as observers believe."""
+    """Return a cell in which all assumptions of the observers are true and the plant has no process noise."""
     s = cell.scenario
     pushed = {"unknown_input": "zero"} if s.truth.unknown_input else {}
     calm = cell.having(
@@ -47,7 +48,10 @@ def quiet(cell: Cell) -> Cell:
 
 
 def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
-    """Return a cell with its observers, of a closed loop one by one; they are told the plant's unknowns where `known`."""
+    """Return the plan of a cell; in a closed loop one plan per observer.
+
+    If `known`, the observers start with the true values of the plant's unknown parameters.
+    """
     setting = planning.setting(cell)
     if known:
         setting = setting._replace(unknown0=unknowns(cell, setting.unknown0))
@@ -56,7 +60,7 @@ def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
 
 
 def unknowns(cell: Cell, believed: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the plant's unknowns at the start, as they are; what is `believed` of those that it does not say."""
+    """Return the true initial values of the plant's unknowns, or the assumed ones if the plant gives another number."""
     drafted = planning.draft(cell, {})
     p, n = jax.tree.map(jnp.asarray, drafted.problem), len(states_of(cell.scenario))
     found = truth(drafted.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
@@ -64,7 +68,7 @@ def unknowns(cell: Cell, believed: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def record_run(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.float64] | None = None) -> Recording:
-    """Record a run, with other `inputs` [N+1, m] of an open loop where they are given."""
+    """Record a run; in an open loop with other `inputs` [N+1, m] if given."""
     p = planning.alone(p, 0, seed)
     problem = p.problem if inputs is None else p.problem._replace(inputs=inputs)
     if not noise:
@@ -75,7 +79,7 @@ def record_run(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.fl
 
 
 def errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
-    """Return the size of the error in every signal of each observer, by label: [N+1, n or n + s]."""
+    """Return the absolute errors of each observer's signals, by label: [N+1, n or n + s]."""
     found = {}
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True):
         xhat = np.asarray(out.estimates[name])
@@ -84,7 +88,7 @@ def errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
 
 
 def in_parts(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
-    """Return by label the size of the error of every state in parts of the largest state: [N+1, n]."""
+    """Return the absolute errors of the states divided by the largest state, by label: [N+1, n]."""
     n = len(states_of(p.cell.scenario))
     size = np.abs(np.asarray(out.x)[:, :n]).max() or 1.0
     return {label: e[:, :n] / size for label, e in errors(p, out).items()}

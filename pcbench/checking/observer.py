@@ -1,10 +1,11 @@
-"""Does an observer keep to what pcbench asks of one?
+"""Checks that an observer follows the protocol.
 
-The order is that of what can be asked: without a design nothing, without the right shapes nothing more.
+A check runs only if the checks that it needs have passed. Without a design nothing else is checked, and without the
+right shapes no runs.
 
-In whole runs a perfect start stays perfect, delay 0 works, and nothing is known before it arrives. There an observer runs
-against data that can be changed: what the network brings may be shifted, packet by packet (values and notes), and so may the
-ages and the inputs. What an estimate depends on is then seen by comparing two runs bit for bit.
+In whole runs, the checks require that a true initial state keeps the error at 0, that delay 0 works, and that an
+estimate does not depend on data that have not arrived. To test this, the values and snapshots of single packets are
+changed, and so are ages and inputs. Two runs are then compared bit for bit.
 """
 
 from collections.abc import Callable
@@ -48,14 +49,14 @@ WRONG = 0.07  # part by which a start is wrong where one is needed
 
 
 def shapes(t: Trial) -> str:
-    """Every function of the protocol returns what it should."""
+    """Check that every function of the protocol returns arrays of the right shapes."""
     for case in t.cases:
         shapes_of(t.label, t.observer, case.problem, continuous=t.observer.field is not None)
     return "init, snapshot, jump, flow and estimate return what they should"
 
 
 def gains(t: Trial) -> str:
-    """Gains are arrays; another design fits the same program, and changes no number in it."""
+    """Check that gains are arrays, and that a second design fits the same program without changed constants."""
     case = t.cases[0]
     first = run_observer_design(t.candidate, case).gains
     programs = {name: program(f, make_observer_arguments(t, case, first)) for name, f in functions(t, case).items()}
@@ -89,27 +90,27 @@ def _form(gains: Gains) -> str:
 
 
 def lanes(t: Trial) -> str:
-    """Each lane of a batch is what the run gives alone; lanes stand last."""
+    """Check that each run of a batch gives the results that it gives alone; runs are on the last axis."""
     first = make_observer_arguments(t, t.cases[0])
     rows = [(perturb_lane(first.memory, i), first.value * (1 + i)) for i in range(WIDTH)]
     return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda own: first._replace(memory=own[0], value=own[1]))
 
 
 def none(p: GridPointParams) -> Shift:
-    """Return the shift that changes nothing: of N + 2 packets, one a tick at most and a spare one."""
+    """Return a shift that changes nothing, for N + 2 packets: at most one per tick, and a spare one."""
     many = p.schedule.sense.shape[0] + 1
     return Shift(jnp.zeros((many, p.noise_std.shape[0])), jnp.zeros(many))
 
 
 def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
-    """Record a run of the trial's observer on the numbers `p`, its packets shifted; room for all packets at once."""
+    """Record a run of the observer with the parameters `p` and shifted packets; there is room for all packets at once."""
     quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
     layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.notes), False)
     return trajectory.jit_record()(layout, quiet, np.asarray(0), np.asarray(0), shift)
 
 
 def perfect_start(t: Trial) -> str:
-    """True model, true start, no noise: no error, on every schedule."""
+    """Check that the error stays 0 with a true model, a true initial state and no noise, on every schedule."""
     if not t.candidate.entry.knows_schedule:
         raise SkipCheck("it declares that it does not know the schedule")
     if t.cases[0].setting.model.E is not None:
@@ -128,7 +129,7 @@ def perfect_start(t: Trial) -> str:
 
 
 def delay_0(t: Trial) -> str:
-    """A sample may arrive at the tick it is taken: numbers stay finite, and u of that tick is not known to jump."""
+    """Check delay 0: numbers stay finite, and `jump` does not use the input of its own tick."""
     case = next((case for case in t.cases if case.name == "delay 0"), None)
     if case is None:
         raise SkipCheck("its design refuses delay 0")
@@ -147,7 +148,7 @@ def delay_0(t: Trial) -> str:
 
 
 def no_peeking(t: Trial) -> str:
-    """Estimates do not depend on what has not arrived: values, ages, notes, channels, inputs."""
+    """Check that estimates do not depend on data that have not arrived: values, ages, snapshots, channels, inputs."""
     _not_fresh(t, t.cases[0])
     for case in t.cases:
         plan, every = case.problem.schedule, int(case.setting.period[0])
@@ -163,7 +164,7 @@ def no_peeking(t: Trial) -> str:
 
 
 def after_the_jump(t: Trial) -> str:
-    """An arrival shows in the estimate of its own tick, or as a rate of the flow from there on."""
+    """Check that an arrival changes the estimate of its own tick, or the rate of the flow from that tick on."""
     case = t.cases[0]
     plan, q = case.problem.schedule, len(case.problem.noise_std)
     k = int(np.flatnonzero((plan.arrive >= 0).any(1))[:3][-1])  # the tick of an arrival after a few others
@@ -187,14 +188,14 @@ def after_the_jump(t: Trial) -> str:
 
 
 def _estimates(t: Trial, case: Case, shift: Shift | None = None) -> np.ndarray:
-    """The estimates of ticks 0 .. N from a start that is wrong, [N+1, n or n + s]."""
+    """The estimates at ticks 0 .. N, from a wrong initial state, [N+1, n or n + s]."""
     p = case.problem
     wrong = p._replace(xhat0=p.x0 * (1 - WRONG) - WRONG)
     return np.asarray(replay(t, wrong, none(p) if shift is None else shift).estimates[t.label])
 
 
 def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ages_from: int | None = None) -> bool:
-    """Whether estimates of ticks 0 .. k have the same bits when data are shifted, and inputs and ages from a tick on."""
+    """Whether the estimates of ticks 0 .. k keep their bits if packets, later inputs and later ages are changed."""
     p = case.problem
     u = np.array(p.inputs)
     u[inputs_from:] += 1.0
@@ -209,7 +210,7 @@ def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ag
 
 
 def _not_fresh(t: Trial, case: Case) -> None:
-    """Raise UserError where the value of a channel that did not arrive changes anything that is estimated."""
+    """Raise UserError if the value of a channel without an arrival changes an estimate."""
     o, q = t.observer, len(case.problem.noise_std)
     p = jax.tree.map(jnp.asarray, case.problem)
     g = make_observer_arguments(t, case)
@@ -236,7 +237,10 @@ def _many(t: Trial) -> str:
 
 
 def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
-    """In a scenario's loop, true start, no noise: no error where it claims so, else one that stays within the bound."""
+    """Check a closed loop without noise from a true initial state.
+
+    If the observer claims so, the error must be 0. Otherwise it must stay below the divergence threshold.
+    """
     label, mine = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
     cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: mine})
     (p,) = plan_cell(quiet(short(cell)))
@@ -271,7 +275,7 @@ NEEDS = {"": BASIC, "shapes": (), "gains": (*BASIC, "purity"), **dict.fromkeys(W
 
 
 def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
-    """Return what every check says of an observer on a scenario's plant."""
+    """Return the results of all checks of an observer on a scenario's plant."""
 
     def design() -> tuple[Trial, str]:
         made = trial(candidate, scenario)

@@ -1,9 +1,9 @@
-"""What an observer is tried on: a scenario's plant, true model, no noise, in open loop under an input that never repeats.
+"""Runs for the checks of an observer: a scenario's plant, a true model, no noise, an input that never repeats.
 
-The schedules are those that the observer says it takes: the scenario's own, delay 0, a late one, samples on their way at the
-same time; where it takes them, intervals that vary and samples that overtake. All have one shape. An observer may refuse a
-schedule in a sentence of its own; it must take one. One that is designed for the linear model of a nonlinear plant is tried
-so near its operating point that this is all there is.
+The schedules are those that the observer declares to accept: the scenario's own, delay 0, a longer delay, and several
+samples in transit. If it accepts them, also varying intervals and out-of-sequence samples. All have the same shape. An
+observer may refuse a schedule with a UserError, but not all of them. An observer that is designed for the linear model
+of a nonlinear plant runs so near the operating point that the plant is linear to rounding.
 """
 
 from functools import reduce
@@ -38,7 +38,7 @@ TICK, AGE = 5, 2  # where the functions are asked: a tick and an age that every 
 
 
 class Candidate(NamedTuple):
-    """An observer with the name it goes by and its options."""
+    """An observer with its label and its options."""
 
     label: str
     entry: ObserverSpec
@@ -46,10 +46,10 @@ class Candidate(NamedTuple):
 
 
 def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
-    """Return the observer that MODULE:OBSERVER names, with the options `given`; raise UserError where there is none.
+    """Return the observer of MODULE:OBSERVER with the options `given`; raise UserError if there is none.
 
-    OBSERVER is an attribute of the module: an `ObserverSpec`, or an `Observer` whose module has its `design` and, where it
-    takes any, its `Options`.
+    OBSERVER is an attribute of the module. It is an `ObserverSpec`, or an `Observer` whose module contains its `design`
+    and, if it has options, its `Options`.
     """
     entry, where = registry.load("observer", target, WHERE).entry, f"{WHERE} {short(target)}"
     named = {key.replace("-", "_"): value for key, value in (given or {}).items()}
@@ -72,7 +72,7 @@ def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
 
 
 class Case(NamedTuple):
-    """One schedule: what a designer is told of it, and the run's numbers with the gains that were designed."""
+    """One schedule: what its designer needs to know, and the parameters of the run with the designed gains."""
 
     name: str
     setting: DesignContext
@@ -80,7 +80,7 @@ class Case(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """An observer with its gains on every schedule that it takes."""
+    """An observer with its gains on every schedule that it accepts."""
 
     candidate: Candidate
     plant: Plant
@@ -90,17 +90,17 @@ class Trial(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return the name that the observer goes by."""
+        """Return the observer's label."""
         return self.candidate.label
 
     @property
     def observer(self) -> Observer:
-        """Return its functions."""
+        """Return the functions of the observer."""
         return self.candidate.entry.observer
 
 
 def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
-    """Return the schedules to try, without gains; with runs `near` the operating point."""
+    """Return the schedules of the checks, without gains; with `near` the runs stay near the operating point."""
     measured, size = scenario.sampling, NEAR if near else 1.0
     x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
     every, at_once = times.to_ticks(measured.sampling_period[0], scenario), len(measured.delay)
@@ -131,7 +131,10 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
 
 
 def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> Case:
-    """Lay out one schedule, with inputs of a size; where samples are `overtaken`, every third is so much and a half later."""
+    """Return one schedule, with inputs of a given size.
+
+    With `overtaken`, every third sample arrives 1.5 `overtaken` ticks later.
+    """
     cell = cell_of(scenario)
     known = planning.setting(cell)
     drafted = planning.draft(cell, {}, known)
@@ -154,7 +157,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> 
 
 
 def run_observer_design(candidate: Candidate, case: Case) -> Design:
-    """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
+    """Return the observer's design for one schedule; raise UserError if the result is not a Design."""
     where = f"design on {case.name}"
     try:
         made = candidate.entry.design(case.setting, candidate.options)
@@ -181,11 +184,11 @@ def run_observer_design(candidate: Candidate, case: Case) -> Design:
 
 
 class Broken(UserError):
-    """A design that raises or returns something else: no answer of its own."""
+    """A design that raises an error other than UserError, or returns something other than a Design."""
 
 
 def trial(candidate: Candidate, scenario: Scenario) -> Trial:
-    """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
+    """Design the observer for every schedule; raise UserError if it accepts none or its design is broken."""
     kept: list[Case] = []
     refused: dict[str, str] = {}
     near = nonlinear(scenario) and not candidate.entry.nonlinear
@@ -210,7 +213,7 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
 
 
 class ObserverArguments(NamedTuple):
-    """What an observer's functions take, of a plausible size."""
+    """Arguments of an observer's functions, of a plausible size."""
 
     gains: Gains
     memory: PyTree
@@ -221,7 +224,7 @@ class ObserverArguments(NamedTuple):
 
 
 def functions(t: Trial, case: Case) -> Functions:
-    """Return every function of the observer, each of a `ObserverArguments`."""
+    """Return every function of the observer, each as a function of `ObserverArguments`."""
     o, q = t.observer, case.problem.noise_std.shape[0]
 
     def now(g: ObserverArguments, decided: bool) -> Now:
@@ -241,7 +244,7 @@ def functions(t: Trial, case: Case) -> Functions:
 
 
 def make_observer_arguments(t: Trial, case: Case, gains: Gains | None = None) -> ObserverArguments:
-    """Return what the functions are asked with, with the gains of the case or others, and a memory as the observer makes it."""
+    """Return the functions' arguments, with the gains of the case or others, and a memory from `init`."""
     o, p = t.observer, case.problem
     n, q = p.x0.shape[0], p.noise_std.shape[0]
     gains, u = jax.tree.map(jnp.asarray, p.gains[t.label] if gains is None else gains), jnp.asarray(p.inputs)
@@ -256,5 +259,5 @@ def make_observer_arguments(t: Trial, case: Case, gains: Gains | None = None) ->
 
 
 def now_of(p: GridPointParams, inputs: Array, decided: bool) -> Now:
-    """Return the present of a tick, before or after its input is decided."""
+    """Return the argument `now` of a tick, before or after its input is decided."""
     return present(p._replace(inputs=inputs, dt=jnp.asarray(p.dt)), jnp.asarray(TICK), decided)

@@ -1,7 +1,8 @@
-"""Does a plant keep to what pcbench asks of one? `pcbench.make_plant` has asked the first things itself.
+"""Checks that a plant follows the protocol. `pcbench.make_plant` has checked the basic conditions before.
 
-It is tried at points around its operating point. With a scenario, at its tick, its horizon and the spread of its start; else
-1 ms (or the tick of a plant's `step`), 10 s, and a tenth of every state at the operating point, or of 1 where that is 0.
+The checks use points around the operating point. With a scenario, they use its tick, its duration and its initial
+standard deviation. Without one, they use a tick of 1 ms (or that of the plant's `step`), 10 s, and a tenth of each
+state at the operating point, or of 1 where the state is 0.
 """
 
 from collections.abc import Callable
@@ -41,7 +42,7 @@ EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
 
 
 class PlantArguments(NamedTuple):
-    """What a plant's functions take."""
+    """The arguments of a plant's functions."""
 
     params: PyTree
     x: Array  # [n]
@@ -49,7 +50,7 @@ class PlantArguments(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A plant in a scenario, with its numbers. n states, m inputs."""
+    """A plant in a scenario, with its parameters: n states, m inputs."""
 
     label: str
     scenario: Scenario
@@ -60,22 +61,22 @@ class Trial(NamedTuple):
 
     @property
     def entry(self) -> PlantSpec:
-        """Return the plant."""
+        """Return the plant's specification."""
         return entry_of(self.scenario)
 
     @property
     def states(self) -> list[str]:
-        """Return the names of its states."""
+        """Return the names of the plant's states."""
         return [name for name, _ in states_of(self.scenario)]
 
     @property
     def axes(self) -> list[str]:
-        """Return the names of its numbers that a study may vary."""
+        """Return the names of the parameters that a study can vary."""
         return parameters_of(self.entry)
 
 
 def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
-    """Return a plant's trial, and what it is; raise UserError where its numbers cannot be made."""
+    """Return a plant's trial and a text of its sizes; raise UserError if its parameters cannot be prepared."""
     entry, numbers = entry_of(scenario), numbers_of(scenario)
     params = jaxpr_checks.arrays(entry.prepare(numbers, scenario.dt, 2 * TICK))
     model, n = entry.nominal(numbers), len(states_of(scenario))
@@ -94,7 +95,7 @@ def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
 
 
 def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
-    """Return a scenario for nothing but the plant, which it has as `carried`."""
+    """Return a scenario of the plant without observers, with the fields `carried`."""
     model, n = entry.nominal(entry.numbers), len(entry.signals)
     q, m, dt = len(model.C), np.shape(model.B)[-1], entry.tick or 1e-3
     x0, _ = _point(entry, n, m)
@@ -116,19 +117,19 @@ def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
 
 
 def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """The operating point where the plant has one: x0 [n], u0 [m]; else zeros."""
+    """The operating point of the plant, x0 [n] and u0 [m]; zeros if it has none."""
     x0, u0 = entry.operating_point or ((0.0,) * n, (0.0,) * m)
     return np.array(x0), np.array(u0)
 
 
 def now_of(t: Trial, u: Array) -> Now:
-    """Return the present with u held since ever."""
+    """Return the argument `now` with a constant input u."""
     dt = jnp.asarray(t.scenario.dt)
     return Now(TICK * dt, jnp.asarray(TICK), dt, u, lambda age: u)
 
 
 def functions(t: Trial) -> Functions:
-    """Return the plant's functions, each of a `PlantArguments`."""
+    """Return the plant's functions, each as a function of `PlantArguments`."""
     plant = t.entry.plant
     each = {"step": plant.step, "output": plant.output, "field": plant.field, "unknown": plant.unknown}
 
@@ -139,12 +140,12 @@ def functions(t: Trial) -> Functions:
 
 
 def motion(t: Trial) -> str:
-    """Return which function gives how the state moves: the field, or the step of a plant that has none."""
+    """Return the name of the function that moves the state: `field`, or `step` if the plant has no field."""
     return "step" if t.entry.plant.field is None or t.model.discrete else "field"
 
 
 def points(t: Trial) -> list[PlantArguments]:
-    """Return the operating point, and others around it."""
+    """Return the operating point and points around it."""
     r = np.random.default_rng(7).uniform(-1, 1, (POINTS, len(t.spread) + len(t.reach)))
     rows = np.vstack([np.zeros(r.shape[1]), r]) * np.concatenate([t.spread, t.reach])
     n = len(t.spread)
@@ -152,20 +153,20 @@ def points(t: Trial) -> list[PlantArguments]:
 
 
 def shown_at(t: Trial, g: PlantArguments) -> str:
-    """Return a point in words: state by state, and the input."""
+    """Return a text of a point: its states and its input."""
     x = ", ".join(f"{name} {v:.3g}" for name, v in zip(t.states, np.asarray(g.x), strict=True))
     return f"{x} and u = {brief_repr(np.asarray(g.u).round(4).tolist())} from the operating point"
 
 
 def entries_of(t: Trial, name: str) -> list[str]:
-    """Return what the entries of a function's value are called."""
+    """Return the names of the entries of a function's result."""
     if name == "output":
         return [f"output {i + 1}" for i in range(len(t.model.C))]
     return [signal for signal, _ in estimated_of(t.scenario)][len(t.states) :] if name == "unknown" else t.states
 
 
 def shapes(t: Trial) -> str:
-    """Every function returns a number for each state, output or unknown."""
+    """Check that every function returns one number per state, output or unknown."""
     for name, f in functions(t).items():
         want = (len(entries_of(t, name)),)
         try:
@@ -185,7 +186,7 @@ def shapes(t: Trial) -> str:
 
 
 def finite(t: Trial) -> str:
-    """Values are numbers at the operating point and around it."""
+    """Check that all results are finite at the operating point and around it."""
     for name, function in functions(t).items():
         f = jax.jit(function)
         for g in points(t):
@@ -200,7 +201,7 @@ def finite(t: Trial) -> str:
 
 
 def slopes(t: Trial) -> str:
-    """What jax and the linear model take for slopes are those of the values, from either side."""
+    """Check the derivatives of jax and of the linear model against central and one-sided finite differences."""
     is_slope = t.model.known is None and (t.entry.model is None or t.entry.residual is not None)  # the linear model
     A, B = t.model.A, t.model.B
     if motion(t) == "step" and not t.model.discrete:
@@ -227,7 +228,7 @@ def _compare(
     said: np.ndarray,
     who: str,
 ) -> None:
-    """Raise UserError where slopes, times the spread, are not those of values a little to either side."""
+    """Raise UserError if derivatives, times the spread of the state, differ from finite differences."""
     at, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
 
     def beside(j: int, sign: int) -> np.ndarray:
@@ -248,7 +249,7 @@ def _compare(
 
 
 def axes(t: Trial) -> str:
-    """Each number that a study may vary changes something."""
+    """Check that each parameter that a study can vary has an effect."""
     if not t.axes:
         raise SkipCheck("it has no numbers that a study may vary")
     numbers, idle = numbers_of(t.scenario), []
@@ -267,7 +268,7 @@ def axes(t: Trial) -> str:
 
 
 def rest(t: Trial) -> str:
-    """At the operating point nothing moves by itself."""
+    """Check that the operating point is an equilibrium."""
     moving = np.asarray(functions(t)[motion(t)](points(t)[0]))
     if t.entry.residual is not None:
         moving = t.entry.residual(numbers_of(t.scenario))
@@ -282,7 +283,7 @@ def rest(t: Trial) -> str:
 
 
 def tick(t: Trial) -> str:
-    """A tick of the plant is as exact as two of half its length."""
+    """Check that one tick is as accurate as two of half its length."""
     if motion(t) == "step":
         raise SkipCheck("it is given by its step: a tick is what that says")
     dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
@@ -303,7 +304,7 @@ def tick(t: Trial) -> str:
 
 
 def stepping(t: Trial) -> Callable[[PlantArguments, float], PlantArguments]:
-    """Return what moves a point by one Runge-Kutta step of the field, of so many seconds."""
+    """Return a function that moves a point by one Runge-Kutta step of the field, of a given length [s]."""
     field = functions(t)["field"]
 
     @jax.jit
@@ -315,25 +316,25 @@ def stepping(t: Trial) -> Callable[[PlantArguments, float], PlantArguments]:
 
 
 def _off(t: Trial, g: PlantArguments, one: ArrayLike, two: ArrayLike) -> float:
-    """How far two results of a tick are apart, in parts of the state's spread; infinite where either is not finite."""
+    """The difference of two results of a tick, divided by the state's spread; inf if one of them is not finite."""
     off = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
     return float(off.max()) if np.isfinite(off).all() else np.inf
 
 
 def integration_error(t: Trial, by: Callable[[PlantArguments, float], PlantArguments], dt: float) -> float:
-    """Return what all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
+    """Return the summed error of all ticks of the duration, each a Runge-Kutta step of dt."""
     each = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
     return max(each) * t.scenario.duration / dt
 
 
 def finer(dt: float) -> list[float]:
-    """Return the ticks shorter than dt that are 1, 2 or 5 in the first digit, down to a millionth."""
+    """Return the ticks shorter than dt with first digit 1, 2 or 5, down to a millionth of it."""
     top = int(np.floor(np.log10(dt))) + 1
     return [h for p in range(7) for d in (5, 2, 1) if (h := float(f"{d}e{top - 1 - p}")) < dt * (1 - 1e-9)]
 
 
 def check_observability(t: Trial) -> str:
-    """Every mode of the linear model shows in some output."""
+    """Check that every mode of the linear model is visible in an output."""
     hidden = unobservable(t.model.A, t.model.C)
     lasting = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
     if lasting:
@@ -350,7 +351,7 @@ def check_observability(t: Trial) -> str:
 
 
 def perfect_start(t: Trial) -> str:
-    """Observers that know the plant have no error on it: true start, no noise."""
+    """Check that observers with the true model have no error, from a true initial state without noise."""
     if t.model.known is not None:
         raise SkipCheck("its unknown input has a known part, which the linear model leaves out")
     away = t.entry.model is not None or t.entry.successor is not None
@@ -395,5 +396,5 @@ NEEDS = {"": BASIC, "shapes": (), "seen": (), **dict.fromkeys(("slopes", "rest",
 
 
 def findings(label: str, scenario: Scenario) -> list[Finding]:
-    """Return what every check says of the plant of a scenario."""
+    """Return the results of all checks of a scenario's plant."""
     return ask("numbers", partial(trial, label, scenario), CHECKS, NEEDS)

@@ -1,4 +1,4 @@
-"""Does a study, or a scenario, hold together before it is run: gains, loops, a perfect start, a few short runs."""
+"""Checks of a study or a scenario before it runs: gains, loops, a perfect start, a few short runs."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,7 +22,7 @@ MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 
 def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
-    """Return a study with its cells, and what there is; raise UserError naming the place in it that is wrong."""
+    """Return a study with its cells and a text of its sizes; raise UserError that names the wrong entry."""
     grid = all_observers.grid_of(study, {}, list(overrides))
     names = ", ".join(dict.fromkeys(c.scenario.name for c in grid.cells))
     observers = ", ".join(dict.fromkeys(o for c in grid.cells for o in c.options))
@@ -30,7 +30,7 @@ def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
 
 
 def gains(grid: Grid) -> str:
-    """Every observer finds its gains, in the first and the last cell of each scenario and in some between."""
+    """Check that every observer has gains, in the first and the last cell of each scenario and some in between."""
     asked = [cell for mine in _by_scenario(grid) for cell in _spread(mine)]
     for cell in asked:
         for label, options in cell.options.items():
@@ -54,7 +54,7 @@ def _first(grid: Grid) -> list[Cell]:
 
 
 def _spread(cells: list[Cell]) -> list[Cell]:
-    """The first cell, the last, and some between."""
+    """The first cell, the last one, and some in between."""
     return [cells[i] for i in sorted({round(i) for i in np.linspace(0, len(cells) - 1, MOST)})]
 
 
@@ -63,7 +63,7 @@ def _where(cell: Cell) -> str:
 
 
 def settles(grid: Grid) -> str:
-    """Every loop settles: the eigenvalues lie within the unit circle, the state known."""
+    """Check that every loop is stable: with state feedback the eigenvalues are within the unit circle."""
     scenarios = {(c.scenario.name, str(c.scenario.loop)): c.scenario for c in grid.cells}
     found = {name: controller_table.slowest(s, "settles") for (name, _), s in scenarios.items()}
     known = {name: each for name, each in found.items() if each}
@@ -75,9 +75,10 @@ def settles(grid: Grid) -> str:
 
 
 def perfect_start(grid: Grid) -> str:
-    """True model, true start, no noise: no error of the observers that claim so, in the first cell of each scenario.
+    """Check that observers that claim so have no error, in the first cell of each scenario.
 
-    An error of one of pcbench's own observers is no mistake of the study: it is said.
+    The model and the initial state are true, and there is no noise. An error of a built-in observer is not a mistake of
+    the study. The check then reports it as a note.
     """
     asked: list[str] = []
     inexact: list[str] = []
@@ -111,14 +112,14 @@ def perfect_start(grid: Grid) -> str:
 
 
 def claims_it(cell: Cell, label: str) -> bool:
-    """Say whether an observer claims a perfect start on a cell's plant."""
+    """Return whether an observer claims a perfect start on a cell's plant."""
     s, entry = cell.scenario, cell.entry(label)
     pushed = entry_of(s).nominal(numbers_of(s)).E is not None
     return entry.knows_schedule and not pushed and (entry.nonlinear or not nonlinear(s))
 
 
 def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
-    """Raise UserError where there is an error e [N+1, n], in parts of the largest state."""
+    """Raise UserError if there is an error e [N+1, n], as a fraction of the largest state."""
     for k, i in np.argwhere(~(e <= ROUNDING)):
         raise UserError(
             f"{got} an error of {e[k, i]:.2g} of the largest state in {states_of(cell.scenario)[i][0]} at tick {k}, expected "
@@ -127,7 +128,7 @@ def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
 
 
 def runs(grid: Grid) -> str:
-    """A few runs of the first cell of each scenario: the plant stays finite; which observers leave the bound is said."""
+    """Run some seeds of the first cell of each scenario: the plant must stay finite; observers that diverge are named."""
     lost: list[str] = []
     for cell in _first(grid):
         mine = short(cell)
@@ -157,5 +158,5 @@ NEEDS = {"": (), "perfect start": ("gains",), "runs": ("gains",)}
 
 
 def findings(study: Described, overrides: Sequence[str] = ()) -> list[Finding]:
-    """Return what every check says of a study."""
+    """Return the results of all checks of a study."""
     return ask("reads", partial(reading, study, overrides), CHECKS, NEEDS)

@@ -1,6 +1,7 @@
-"""What is it that a name stands for: an observer, a plant, a controller, a scenario; or a study in a file?
+"""The kind of a check's target, and the order of the checks.
 
-What a check says: its name, its verdict, and why; and how checks are asked one after the other.
+A target is an observer, a plant, a controller, a scenario, or a study in a file. The result of a check is its name, its
+verdict and the reason.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,9 +20,9 @@ STUDY = "study"
 
 
 def kind_of(target: str) -> str:
-    """Return the kind of what MODULE:NAME names, or `study`; raise UserError where it is none, or not there.
+    """Return the kind of MODULE:NAME, or `study`; raise UserError if it has no kind, or does not exist.
 
-    A study is a TOML file, a built-in one, or a published scenario.
+    A study is a TOML file, a built-in study, or a published scenario.
     """
     if target.endswith(".toml") or target in STUDIES or target in SCENARIOS:
         return STUDY
@@ -50,7 +51,7 @@ T = TypeVar("T")  # what is asked about
 
 
 class Finding(NamedTuple):
-    """What one check says."""
+    """The result of one check."""
 
     check: str
     verdict: str  # passes, fails, skipped, or note: nothing is wrong, but it is to be known
@@ -58,15 +59,15 @@ class Finding(NamedTuple):
 
 
 class SkipCheck(Exception):
-    """A check that cannot be asked; the sentence says why."""
+    """A check that does not apply; the message is the reason."""
 
 
 class CheckNote(Exception):
-    """What is no mistake, but has consequences; the sentence says which."""
+    """A result that is no mistake but has consequences; the message names them."""
 
 
 def require(holds: bool, sentence: str) -> None:
-    """Raise UserError with a sentence where something does not hold."""
+    """Raise UserError with this message if a condition does not hold."""
     if not holds:
         raise UserError(sentence)
 
@@ -77,10 +78,10 @@ def ask(
     checks: Mapping[str, Callable[[T], str]],
     needs: Mapping[str, Sequence[str]],
 ) -> list[Finding]:
-    """Return what the `first` check, which makes what is asked, and every other one say, in their order.
+    """Return the results of the check `first`, which makes the trial, and of all other checks, in their order.
 
-    A check is asked once the first one passes and those that it `needs`; one that is not named there needs those of "".
-    Nothing that a user's code raises comes out but in a sentence.
+    A check runs if `first` and the checks of its entry in `needs` have passed; the entry "" is for checks without one.
+    Exceptions of a user's code become a verdict with a reason.
     """
     made: list[T] = []
 

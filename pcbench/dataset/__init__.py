@@ -1,10 +1,10 @@
-"""Studies as datasets: from missing blocks to tasks, from tasks to whole files, from files to closing tables.
+"""Datasets: from a study's missing blocks to tasks, to complete files, and to the closing tables.
 
-A block's Parquet file is written by `task.compute`, by way of `storage.put_table`.
+`task.compute` writes a block's Parquet file through `storage.put_table`.
 
-`storage` (whole files), `parquet_io` (tables with their digest), `seed_ranges` (their ranges), `block_files` (blocks on disk),
-`manifest` (whose they are), `serialize` (planned cells as bytes), `task` (some blocks computed), `executors` (where tasks are
-done), `run_missing` (the blocks that are missing), `moments_tables` (exact numbers), `aggregate` and `close` (stats, pairs),
-`adaptive_seeds` (more seeds), `verify` (status, blocks computed again), `merge`, `compare`, `run_study` (all) and `result`.
-Other than datasets: `single_table` (a table that a user asks for as one file).
+`storage` (files), `parquet_io` (tables with their digest), `seed_ranges` (ranges of seeds), `block_files` (blocks on
+disk), `manifest` (the study of a folder), `serialize` (planned cells as bytes), `task` (computation of some blocks),
+`executors` (where tasks run), `run_missing` (computation of the missing blocks), `moments_tables` (exact numbers),
+`aggregate` and `close` (stats, pairs), `adaptive_seeds` (more seeds), `verify` (status, recomputed blocks), `merge`,
+`compare`, `run_study` (all steps) and `result`. Not about datasets: `single_table` (one table as a file).
 """

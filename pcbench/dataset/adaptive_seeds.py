@@ -1,7 +1,8 @@
-"""Seeds until a standard error is reached: which cells need more, and how many.
+"""Seeds until a standard error is reached: the cells that need more, and how many.
 
-The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
-stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band of all others (a test).
+The number of seeds depends only on the existing runs, so the same command gives the same seeds again. A stopping rule
+that uses the data makes intervals slightly too narrow. From 256 seeds on, their coverage is within the tested band of
+all other intervals.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence_rate", "unse
 
 
 class Precision(NamedTuple):
-    """A standard error to be reached."""
+    """The standard error to reach."""
 
     metric: str
     signal: str | None  # of this signal; None: of those that each scenario's closing table shows
@@ -32,7 +33,7 @@ class Precision(NamedTuple):
 
 
 def parse(text: str | None, most: int | None) -> Precision | None:
-    """Return what METRIC=VALUE or METRIC.SIGNAL=VALUE asks for; raise UserError where it is not of that form."""
+    """Return the goal METRIC=VALUE or METRIC.SIGNAL=VALUE; raise UserError for any other form."""
     if text is None:
         if most is not None:
             raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")
@@ -55,7 +56,7 @@ def parse(text: str | None, most: int | None) -> Precision | None:
 
 
 def check(goal: Precision | None, owned: StudyClaim) -> None:
-    """Raise UserError where a goal is of a signal that no scenario has."""
+    """Raise UserError if no scenario has the signal of the goal."""
     names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
     if goal is not None and goal.signal is not None and goal.signal not in names:
         raise unknown("--until-se", "signal", goal.signal, names)
@@ -64,10 +65,10 @@ def check(goal: Precision | None, owned: StudyClaim) -> None:
 def rounds(
     goal: Precision | None, target: storage.Target, owned: StudyClaim, say: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
-    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
+    """Yield the next number of seeds of each cell, until all reach the goal or the budget is spent.
 
-    Each round decides from the seeds that the last one asked for, not from others that stand: so a run that was stopped and
-    goes on asks for the seeds of one that was not.
+    Each round uses only the seeds that the previous one requested, and no other existing seeds. A resumed run therefore
+    requests the same seeds as an uninterrupted one.
     """
     if goal is None:
         return
@@ -93,9 +94,9 @@ def rounds(
 
 
 def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) -> float:
-    """Return the largest standard error of any observer over some seeds; inf where one run gives none.
+    """Return the largest standard error of any observer over some seeds; inf for a single run.
 
-    Of a fraction it is that of Wilson's interval, which is not zero where nothing has happened yet.
+    The standard error of a fraction is that of Wilson's interval, which is above 0 even without an event.
     """
     scenario = c.cell.scenario
     signals = [goal.signal] if goal.signal else scenario.scoring.headline or (signals_of(scenario)[0][0],)
@@ -113,7 +114,7 @@ def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) 
 
 
 def enough(has: int, error: float, goal: float) -> int:
-    """Return the seeds at which a standard error that `has` seeds give should reach its goal: it falls with their root."""
+    """Return the seeds that a standard error from `has` seeds needs to reach its goal; it decreases with their root."""
     if error <= goal:
         return has
     return ceil(has * min(MARGIN * (error / goal) ** 2, GROWTH))

@@ -1,4 +1,4 @@
-"""The rows of stats and pairs of cells, from their blocks, which are read chunk by chunk."""
+"""The rows of stats and pairs of cells, computed from their blocks, which are read in chunks."""
 
 from collections.abc import Hashable, Iterator
 from typing import NamedTuple
@@ -21,7 +21,7 @@ Chunk = dict[str, statistics.Results]  # by observer
 
 
 class CellBlocks(NamedTuple):
-    """The blocks of a cell by observer, and what the first of each says of itself."""
+    """The blocks of a cell by observer, with the metadata of the first one of each."""
 
     target: storage.Target
     cell: Cell
@@ -30,19 +30,19 @@ class CellBlocks(NamedTuple):
 
     @property
     def bounds(self) -> dict[str, statistics.Values | None]:
-        """Return by observer the least error of each signal that any observer can have."""
+        """Return by observer the least possible error of each signal."""
         prior = self.cell.scenario.belief.prior_std
         return {name: seen_bound(about["bound"], prior) for name, about in self.about.items()}
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Return the typical sizes of its signals; of errors of a user's own their settling bands."""
+        """Return the typical sizes of the signals; for user-defined errors their settling bands."""
         belief, band = self.cell.scenario.belief, self.cell.scenario.scoring.settle_band
         return (found := belief.prior_std + belief.unknown_std) + band[len(found) :]
 
 
 def of_cell(target: storage.Target, cell: Cell, blocks: Series) -> CellBlocks:
-    """Return what there is of a cell."""
+    """Return the blocks of a cell."""
     mine = {name: blocks[*cell.key, name] for name in cell.options if blocks.get((*cell.key, name))}
     about = {name: block_files.about_block(target, each[0]) for name, each in mine.items()}
     return CellBlocks(target, cell, mine, about)
@@ -54,7 +54,7 @@ def rows_of(study: str, c: CellBlocks, within: Seeds | None = None) -> tuple[pa.
 
 
 def rows_of_cells(study: str, cells: list[CellBlocks], runs: list[Chunk]) -> tuple[pa.Table, pa.Table]:
-    """Return the same of several cells of one `kind`, with their only chunk: the same bits, in a part of the time."""
+    """Return the rows of several cells of one `kind` with one chunk each: the same bits as cell by cell, but faster."""
     bounds: dict[str, statistics.Values | None] = {}
     for o in cells[0].blocks:
         every = np.full((len(cells), len(cells[0].sizes)), np.nan)
@@ -85,7 +85,7 @@ def _facts(about: storage.Json) -> dict[str, bool | None]:
 
 
 def kind(c: CellBlocks, runs: Chunk) -> Hashable:
-    """Return what cells have in common whose rows can be made together; None where a run diverged."""
+    """Return what cells must have in common to be aggregated together; None if a run diverged."""
     if any(results["diverged"].any() for results in runs.values()):
         return None
     rows = tuple((o, tuple((m, len(v)) for m, v in results.items())) for o, results in runs.items())
@@ -93,7 +93,7 @@ def kind(c: CellBlocks, runs: Chunk) -> Hashable:
 
 
 def only_chunk(c: CellBlocks) -> Chunk | None:
-    """Return a cell's runs, where there are no more than FEW a chunk, and one chunk; else None."""
+    """Return a cell's runs if they are one chunk of at most FEW; otherwise None."""
     spans = {(blocks[0].seeds.first, blocks[-1].seeds.stop) for blocks in c.blocks.values()}
     first, stop = min(spans)
     if len(spans) > 1 or stop - first > FEW or first // statistics.CHUNK != (stop - 1) // statistics.CHUNK:
@@ -102,14 +102,14 @@ def only_chunk(c: CellBlocks) -> Chunk | None:
 
 
 def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
-    """Return the bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
+    """Return the bound; NaN if it is negligible relative to the prior."""
     if bound is None:
         return None
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
 
 
 def chunks(c: CellBlocks, within: Seeds | None = None) -> Iterator[Chunk]:
-    """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
+    """Yield the runs of a cell by observer, in chunks of seeds."""
     readers = {name: _by_chunk(c, blocks, within) for name, blocks in c.blocks.items()}
     while each := {name: results for name, reader in readers.items() if (results := next(reader, None)) is not None}:
         many = {name: len(each[name]["diverged"]) if name in each else 0 for name in readers}
@@ -146,7 +146,7 @@ def _concat_results(parts: list[statistics.Results]) -> statistics.Results:
 
 
 def results_of(table: pa.Table) -> statistics.Results:
-    """Return the metrics that a block holds, [what the observer estimates, seeds]; `diverged` [seeds]."""
+    """Return the metrics of a block, [signals that the observer estimates, seeds], and `diverged` [seeds]."""
     about = block_files.about(table)
 
     def square(name: str) -> NDArray[np.generic]:

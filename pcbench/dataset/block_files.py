@@ -1,7 +1,8 @@
-"""The blocks of a dataset: what is there, what is whole, what is missing. No jax.
+"""The blocks of a dataset: which exist, which are valid, which are missing. No jax.
 
-A block is the runs of one observer in one cell over a range of seeds: one file, whose name says which. Nothing else is
-remembered: what is on disk is done. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
+A block contains the runs of one observer in one cell over a range of seeds. It is one file, whose name identifies it.
+No other record exists: the files on disk are the finished blocks. The ranges may differ in size, because the missing
+seeds follow from the files.
 """
 
 import json
@@ -32,7 +33,7 @@ class Block(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the file it stands in, below the dataset's folder."""
+        """Return its file's name, relative to the dataset's folder."""
         folder = f"runs/scenario={quote(self.scenario, safe='')}/observer={quote(self.observer, safe='')}"
         return f"{folder}/cell-{self.cell:05d}-seeds-{self.seeds.first:010d}-{self.seeds.stop - 1:010d}.parquet"
 
@@ -41,7 +42,7 @@ Series = dict[tuple[str, int, str], list[Block]]  # blocks by scenario, cell and
 
 
 def block_of(name: str) -> Block | None:
-    """Return the block that a file's name describes; None where it describes none."""
+    """Return the block that a file's name identifies; None for any other name."""
     parts = NAME.fullmatch(name)
     if not parts:
         return None
@@ -52,7 +53,7 @@ def block_of(name: str) -> Block | None:
 
 
 def present(target: storage.Target) -> list[Block]:
-    """Return the blocks that have a file, sorted; raise UserError for a file that is no block."""
+    """Return the blocks with a file, sorted; raise UserError for a file that is not a block."""
     out = []
     for name in storage.names(target, "runs"):
         block = block_of(name)
@@ -65,7 +66,7 @@ def present(target: storage.Target) -> list[Block]:
 
 
 def read(target: storage.Target, block: Block) -> pa.Table:
-    """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
+    """Return a block's rows, with every page checked; raise UserError with the file's name if it is damaged."""
     table = _table(target, block)
     if isinstance(table, str):
         raise UserError(
@@ -75,7 +76,7 @@ def read(target: storage.Target, block: Block) -> pa.Table:
 
 
 def _table(target: storage.Target, block: Block) -> pa.Table | str:
-    """A block's rows, or why they cannot be read."""
+    """A block's rows, or the reason why they cannot be read."""
     content = storage.get(target, block.name)
     if content is None:
         return "it is gone"
@@ -86,12 +87,12 @@ def _table(target: storage.Target, block: Block) -> pa.Table | str:
 
 
 def about(table: pa.Table) -> storage.Json:
-    """Return what a block says of itself; nothing where that cannot be read."""
+    """Return a block's metadata; empty if they cannot be read."""
     return _about(table.schema.metadata)
 
 
 def about_block(target: storage.Target, block: Block) -> storage.Json:
-    """Return the same from a block's footer alone."""
+    """Return a block's metadata from the footer of its file alone."""
     footer = storage.footer(target, block.name)
     return _about(footer.metadata) if footer else {}
 
@@ -104,20 +105,20 @@ def _about(metadata: Mapping[bytes, bytes] | None) -> storage.Json:
 
 
 def seal_block(table: pa.Table, about: Mapping[str, object]) -> pa.Table:
-    """Return rows with what they say of themselves and their digest as metadata."""
+    """Return rows with the block's metadata and their digest."""
     text = {**about, "rows": len(table)}
     text["digest"] = digest(table, text)
     return parquet_io.with_metadata(table, {ABOUT: json.dumps(text, sort_keys=True).encode()})
 
 
 def digest(table: pa.Table, about: Mapping[str, object]) -> str:
-    """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
+    """Return the digest of a block's metadata and of the bits of its numbers; texts are covered by page checksums."""
     text = json.dumps({k: v for k, v in about.items() if k != "digest"}, sort_keys=True)
     return parquet_io.digest(table, text.encode(), words=False)
 
 
 def damage(target: storage.Target, block: Block, cell: str) -> str | None:
-    """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
+    """Return what is wrong with a block's file; None if it is valid and of the cell with this digest."""
     table = _table(target, block)
     if isinstance(table, str):
         return table
@@ -136,7 +137,7 @@ def damage(target: storage.Target, block: Block, cell: str) -> str | None:
 
 
 def series(blocks: Iterable[Block]) -> Series:
-    """Return blocks by scenario, cell and observer, as they come."""
+    """Return blocks by scenario, cell and observer, in their order."""
     out: Series = {}
     for b in blocks:
         out.setdefault((b.scenario, b.cell, b.observer), []).append(b)
@@ -144,7 +145,7 @@ def series(blocks: Iterable[Block]) -> Series:
 
 
 def drop_overlaps(blocks: Iterable[Block]) -> list[Block]:
-    """Return the blocks of all observers and cells without those that would double a row, sorted."""
+    """Return all blocks except those that would duplicate a row, sorted."""
     out: list[Block] = []
     for mine in series(sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop))).values():
         stop = -1

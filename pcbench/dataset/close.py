@@ -1,7 +1,7 @@
-"""From the blocks of a dataset to its closing tables, stats and pairs, and the record of how they came about.
+"""The closing tables of a dataset, stats and pairs, and the record of their computation.
 
-What they hold is a function of the rows alone: not of how these are cut into files, nor of who computed them. They are written
-as they grow, compressed, so that memory hardly grows with the number of cells.
+Their content depends only on the rows of the blocks, and not on the size of the blocks or on the machine. They are
+written in compressed parts, so the memory hardly grows with the number of cells.
 """
 
 import hashlib
@@ -33,7 +33,7 @@ EXACT = "exact"  # the kind of cells without runs
 
 
 class ClosingTables(NamedTuple):
-    """What follows from the blocks of a dataset."""
+    """The tables that follow from the blocks of a dataset."""
 
     blocks: int
     stats: pa.Buffer  # the bytes of their files
@@ -42,7 +42,7 @@ class ClosingTables(NamedTuple):
 
 
 def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
-    """Write stats.parquet and pairs.parquet, and provenance.json with what is said `about` the run."""
+    """Write stats.parquet, pairs.parquet, and provenance.json with the facts `about` the run."""
     storage.put(target, "stats.parquet", tables.stats)
     storage.put(target, "pairs.parquet", tables.pairs)
     study = {
@@ -62,7 +62,7 @@ def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, abou
 
 
 def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]) -> ClosingTables:
-    """Return the tables of all cells in the order of the study; where a file's parts end depends on the study alone."""
+    """Return the tables of all cells in the order of the study, whose parts end at places that only the study decides."""
     mark = {FROM: made_from(target, there)}
     stats, pairs = GrowingTable(mark), GrowingTable(mark)
     exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(there))
@@ -83,7 +83,7 @@ def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]
 def _rows(
     study: str, cells: list[aggregate.CellBlocks], exact: dict[Key, pa.Table]
 ) -> Iterator[tuple[pa.Table, pa.Table]]:
-    """Yield the rows of stats and pairs of some cells, those of one kind that follow upon each other together."""
+    """Yield the rows of stats and pairs of some cells; consecutive cells of one kind are computed together."""
     each = []
     for c in cells:
         runs = aggregate.only_chunk(c) if c.blocks and c.cell.key not in exact else None
@@ -101,7 +101,7 @@ def _rows(
 
 
 def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> tuple[pa.Table, pa.Table]:
-    """The rows of a cell by itself, of which some observers may be exact: those of runs say why they are not."""
+    """The rows of one cell whose observers may be exact; rows of runs contain the reason why they are not."""
     stats, pairs = aggregate.rows_of(study, c)
     if exact is None:
         return stats, pairs
@@ -116,7 +116,7 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
 
 
 def record(target: storage.Target) -> storage.Json | None:
-    """Return what provenance.json says; None where it is not there, or not as it was written."""
+    """Return the content of provenance.json; None if it is missing or changed."""
     said = storage.document(target, PROVENANCE)
     return said if said and said.get("digest") == _digest(said) else None
 
@@ -132,9 +132,9 @@ def digest_of(content: pa.Buffer) -> str:
 
 
 def adjust_pairs(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
-    """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric.
+    """Write Holm's adjusted p-values into the rows of pairs; a family is one scenario, signal and metric.
 
-    A whole table's are known only when its last row is.
+    The p-values of a table are known only after its last row.
     """
     file, out = parquet_io.open_parquet(content), GrowingTable(about)
     table = file.read(["scenario", "signal", "metric", "p_value"], use_threads=False)
@@ -154,13 +154,13 @@ def adjust_pairs(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
 
 
 def _strength(certificate: storage.Json) -> float:
-    """What orders certificates: gains that nothing proves are weaker than all that something does."""
+    """The sort key of certificates: gains without a certificate are weaker than all others."""
     margin = certificate["margin"]
     return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin
 
 
 def made_from(target: storage.Target, there: list[Block]) -> bytes:
-    """Return a digest of what closing tables are made of: which runs, however they are cut, and exact rows if there are any."""
+    """Return a digest of the inputs of closing tables: the runs, however they are cut into blocks, and exact rows."""
     ranges = {
         key: merge_ranges(b.seeds for b in mine)
         for key, mine in block_files.series(block_files.drop_overlaps(there)).items()
@@ -171,7 +171,7 @@ def made_from(target: storage.Target, there: list[Block]) -> bytes:
 
 
 def damaged_files(target: storage.Target) -> list[str]:
-    """Return the closing files that are there, but not as they were written."""
+    """Return the closing files that differ from what was written."""
     said = record(target)
     if said is None:
         return [PROVENANCE] if storage.get(target, PROVENANCE) is not None else []
@@ -179,7 +179,7 @@ def damaged_files(target: storage.Target) -> list[str]:
 
 
 def is_closed(target: storage.Target, there: list[Block]) -> bool:
-    """Return whether the closing tables stand, and are of these blocks."""
+    """Return whether the closing tables exist and belong to these blocks."""
     mark = made_from(target, there)
     every = [table(target, name) for name in ("stats.parquet", "pairs.parquet")]
     about = [{} if each is None else parquet_io.metadata(each) for each in every]
@@ -187,7 +187,7 @@ def is_closed(target: storage.Target, there: list[Block]) -> bool:
 
 
 def table(target: storage.Target, name: str) -> pa.Table | None:
-    """Return a closing table; None where it is not there, or not as it was written: every byte counts."""
+    """Return a closing table; None if it is missing or any of its bytes has changed."""
     content, said = storage.get(target, name), record(target)
     if content is None or said is None or said["digests"].get(name) != digest_of(content):
         return None

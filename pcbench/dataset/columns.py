@@ -1,4 +1,4 @@
-"""The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
+"""The columns of the tables for other programs, with unit and meaning; a change needs a new SCHEMA number. No jax."""
 
 import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -127,30 +127,30 @@ TYPES |= {name + end: pa.bool_() for name in ("predicts_unknown_input", "certifi
 
 
 def unit_of(metric: str, unit: str) -> str:
-    """Return the unit of a metric of a signal that is measured in `unit`."""
+    """Return the unit of a metric of a signal with the unit `unit`."""
     if metric in OWN_UNITS:
         return OWN_UNITS[metric]
     return f"({unit})^2" if metric.endswith("mse") and not metric.endswith("rmse") else unit
 
 
 def keys(study: str, cell: "Cell") -> dict[str, object]:
-    """Return the columns that name a cell: study, scenario, cell number, axes."""
+    """Return the columns that identify a cell: study, scenario, cell number, axes."""
     return {"study": study, "scenario": cell.scenario.name, "cell": cell.number, **cell.values}
 
 
 def metrics_shown(results: Container[str]) -> list[str]:
-    """Return the metrics that a table of runs has columns for: those of loops and of covariances only where there are such."""
+    """Return the metrics with a column in a table of runs; those of loops and of covariances only if they exist."""
     return [m for m in RUN_METRICS if m in results or m not in ASKED]
 
 
 def words(vocabulary: Sequence[str], which: ArrayLike) -> pa.Array:
-    """Return a column of few words: which of the vocabulary stands in each row."""
+    """Return a column of texts as indices into its few different values."""
     indices = pa.array(np.asarray(which, np.int32))
     return pa.DictionaryArray.from_arrays(indices, pa.array(vocabulary)).cast(pa.string())
 
 
 def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
-    """Return parts of a table, by column, as one: arrays of a value a row, or one value for all rows of a part."""
+    """Concatenate parts of a table by column; a part has one value per row, or one value for all its rows."""
     by_name: dict[str, list[object]] = {}
     many: list[int] = []
     for part in parts:
@@ -166,12 +166,12 @@ def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
 
 
 def with_intervals(rows: pa.Table) -> pa.Table:
-    """Return a table whose metadata say what intervals are."""
+    """Return a table whose metadata describe its intervals."""
     return rows.replace_schema_metadata({**rows.schema.metadata, "pcbench.intervals": INTERVALS})
 
 
 def table(columns: Columns, bools: tuple[str, ...] = ()) -> pa.Table:
-    """Return a table with types, units and meanings fixed by column name; NaN is null."""
+    """Return a table with types, units and meanings by column name; NaN becomes null."""
     arrays, fields = [], []
     for name, values in columns.items():
         if isinstance(values, list) and list in set(map(type, values)):
@@ -198,7 +198,7 @@ def _field(name: str, kind: pa.DataType) -> pa.Field:
 
 
 def _array(values: ArrayLike, kind: pa.DataType) -> pa.Array:
-    """Values as a column; NaN is null."""
+    """Values as a column; NaN becomes null."""
     if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
         return pa.array(values, kind, from_pandas=True)
     bad = np.isnan(values)  # four times as fast as `pa.array`

@@ -1,14 +1,15 @@
-"""Two results of one study, of two releases or two machines: what changed beyond its interval. Nothing is written. No jax.
+"""Comparison of two results of one study, from two releases or machines: which numbers changed. No jax.
 
-A row of stats is matched by scenario, cell (the digest of all that decides it, whatever its number), observer, signal and
-metric. Where both stand on the same draws the numbers should be equal, but for rounding; where they are not equal, or the
-draws are others, means are compared by Welch's t (Biometrika 34 (1947), 28-35) on mean, standard error and n,
+Nothing is written. A row of stats is matched by scenario, cell (the digest of all that determines it, not its number),
+observer, signal and metric. If both sides have the same seeds, the numbers should be equal to rounding. If they are
+not, or if the seeds differ, means are compared by Welch's t (Biometrika 34 (1947), 28-35) with mean, standard error and
+n,
 
     t = (b - a) / sqrt(va + vb),   df = (va + vb)^2 / (va^2 / (na - 1) + vb^2 / (nb - 1)),   v = se^2,
 
-with Holm's correction over all rows so tested. On the same draws the test is conservative: it takes them for independent. Where
-only some seeds are common, rows are made anew over those: Welch's t supposes that none are.
-A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
+and with Holm's correction over all these rows. With the same seeds the test is conservative, because it assumes
+independence. If only some seeds are common, both sides are computed again over those. A number without spread (no
+noise) has changed if it differs by more than rounding, and also if it exists on one side only.
 """
 
 from collections.abc import Mapping
@@ -40,7 +41,7 @@ Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
 
 
 class Comparison(NamedTuple):
-    """What differs between two results, b less a."""
+    """The differences of two results, b minus a."""
 
     rows: pd.DataFrame  # matched, the most significantly changed first; columns of `compare_rows`
     only: tuple[int, int]  # rows that stand in a alone, and in b alone
@@ -48,24 +49,24 @@ class Comparison(NamedTuple):
 
     @property
     def changed(self) -> int:
-        """How many rows changed beyond their interval."""
+        """Number of rows that changed significantly, or by more than rounding if they have no spread."""
         return int(self.rows.changed.sum())
 
     @property
     def identical(self) -> bool:
-        """Whether all that was compared on the same draws is the same to the bit."""
+        """Whether all rows with the same seeds have the same bits."""
         return bool(self.rows.identical[self.rows.same_draws].all())
 
     @property
     def largest(self) -> float:
-        """The largest relative difference among rows on the same draws; 0 without any."""
+        """The largest relative difference among rows with the same seeds; 0 without such rows."""
         return float(np.max(self.rows.relative[self.rows.same_draws].to_numpy(), initial=0.0))
 
 
 def compare(a: str | Path, b: str | Path) -> Comparison:
-    """Compare two folders; raise UserError where they hold different studies, are damaged, or lack closing tables.
+    """Compare two folders; raise UserError if their studies differ, or one is damaged or has no closing tables.
 
-    Of blocks only the footers are read: `verify` reads them whole.
+    Only the footers of the blocks are read; `verify` reads whole blocks.
     """
     targets = storage.target(a), storage.target(b)
     holdings = manifest.load_manifest(targets[0]), manifest.load_manifest(targets[1])
@@ -84,7 +85,7 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
 
 
 def _with_root_seed(owned: StudyClaim, other: Study) -> StudyClaim:
-    """A claim as it would be with the root seed of another study: that makes no other study here."""
+    """A study with the root seed of another, because a different root seed does not make a different study here."""
     if other.root_seed == owned.study.root_seed:  # as it is: options of a user's observer may not be known here
         return owned
     study = owned.study.model_copy(update={"root_seed": other.root_seed})
@@ -103,7 +104,7 @@ class Side(NamedTuple):
 
     @property
     def draws(self) -> dict[Name, list[Seeds]]:
-        """Return the seeds that it holds, joined."""
+        """Return its ranges of seeds by scenario, cell digest and observer."""
         each = self.blocks.items()
         return {
             (s, self.digests[s, cell], observer): merge_ranges(b.seeds for b in mine)
@@ -112,7 +113,7 @@ class Side(NamedTuple):
 
 
 def _side(target: storage.Target, owned: StudyClaim) -> Side:
-    """Return a result; raise UserError where it is not finished or not whole."""
+    """Return a result; raise UserError if it is unfinished or damaged."""
     stats = close.table(target, "stats.parquet")
     if stats is None:
         raise UserError(
@@ -139,7 +140,7 @@ def _side(target: storage.Target, owned: StudyClaim) -> Side:
 
 
 def _common_seeds(a: Side, b: Side) -> dict[Name, Seeds]:
-    """Return by cell and observer, where two sides hold different seeds, the longest range that both hold."""
+    """Return the longest common range of seeds by cell and observer, if the two sides have different seeds."""
     if a.owned.study.root_seed != b.owned.study.root_seed:
         return {}
     out, here = {}, b.draws
@@ -151,7 +152,7 @@ def _common_seeds(a: Side, b: Side) -> dict[Name, Seeds]:
 
 
 def _stats(side: Side, shared: dict[Name, Seeds]) -> pd.DataFrame:
-    """The rows of stats with their cells' digests and the draws they stand on; over the `shared` seeds, if any."""
+    """The rows of stats with the digest of their cell and their seeds; over the `shared` seeds, if there are any."""
     frame, draws, study = _over(side, shared).to_pandas(), side.draws, side.owned.study
     values = {c.key: c.values for c in side.owned.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
@@ -166,7 +167,7 @@ def _stats(side: Side, shared: dict[Name, Seeds]) -> pd.DataFrame:
 
 
 def _over(side: Side, shared: dict[Name, Seeds]) -> pa.Table:
-    """The table stats, made anew of the runs where only some of the seeds are common."""
+    """The table stats, computed again over the common seeds if only some are common."""
     parts = []
     for cell in side.owned.cells if shared else ():
         c = aggregate.of_cell(side.target, cell, side.blocks)
@@ -178,7 +179,7 @@ def _over(side: Side, shared: dict[Name, Seeds]) -> pa.Table:
 
 
 def compare_rows(both: pd.DataFrame) -> pd.DataFrame:
-    """Return matched rows with what came of them: difference, p-value, Holm's, and whether they changed."""
+    """Return matched rows with the difference, the p-value, Holm's p-value, and whether they changed."""
     a, b = (both[f"mean_{side}"].to_numpy(float) for side in "ab")
     difference, size = b - a, np.fmax(np.abs(a), np.abs(b))
     relative = np.where(size > ZERO, np.abs(difference) / np.where(size > ZERO, size, 1.0), 0.0)
@@ -203,9 +204,9 @@ def compare_rows(both: pd.DataFrame) -> pd.DataFrame:
 
 
 def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
-    """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies.
+    """Return Welch's two-sided p-values; NaN if a side has fewer than two runs, or neither varies.
 
-    Of a side that is exact (no runs, no error) it is Student's of the other.
+    If one side is exact (no runs, standard error 0), it is Student's test of the other side.
     """
     va, vb = sa**2, sb**2
     enough = [(n > 1) | ((n == 0) & (s == 0)) for n, s in ((na, sa), (nb, sb))]
@@ -218,7 +219,7 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
 
 
 def made_by(a: storage.Target, b: storage.Target) -> list[str]:
-    """Return how two provenances differ in libraries and machines, a phrase each."""
+    """Return the differences of two provenances in libraries and machines, one phrase each."""
     records = [close.record(target) or {} for target in (a, b)]
     old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in records)
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]

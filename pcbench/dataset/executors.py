@@ -1,8 +1,8 @@
-"""Where tasks are done: in this process, on all cores or accelerators, or by Dask's workers.
+"""Where tasks run: in this process, on all cores or accelerators, or on Dask's workers.
 
-An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, hold)` is a pure function that
-leaves whole files and computes only while it holds a device (`with hold() as device`); `tasks` are drawn as devices become
-free, so that memory does not grow with their number.
+An executor is a function (work, tasks) -> reports, in the order in which they finish. `work(task, hold)` is a pure
+function that writes complete files and computes only while it holds a device (`with hold() as device`). `tasks` are
+generated when devices become free, so the memory does not grow with their number.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -35,16 +35,16 @@ Hold = Callable[[], AbstractContextManager[jax.Device | None]]  # a device, held
 
 
 class Executor(Protocol):
-    """A function that has tasks done, and yields what `work` returns of each."""
+    """A function that runs tasks and yields the result of `work` for each."""
 
     def __call__(self, work: Callable[[T, Hold], R], tasks: Iterable[T], /) -> Iterator[R]:
-        """Yield reports as they come."""
+        """Yield reports in the order in which tasks finish."""
 
 
 def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
-    """Return the bytes of results that one task may take: the allowed ones over two tasks a device.
+    """Return the memory [bytes] for the results of one task: the limit divided by two tasks per device.
 
-    The memory of workers elsewhere is not known here: SHARE, unless `memory` says what each of them has.
+    The memory of remote workers is unknown. It is SHARE, unless `memory` gives that of each worker.
     """
     if workers is not None and address != "local":
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
@@ -56,10 +56,11 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
 
 @contextmanager
 def local_executor(count: int | None = None) -> Iterator[Executor]:
-    """Yield the executor of this process: `count` calls at a time, by default one a core or accelerator.
+    """Yield the executor of this process, with `count` simultaneous calls; default: one per core or accelerator.
 
-    There are twice as many tasks under way as devices to compute on: while one writes its files, another computes. After Ctrl-C
-    what is written is waited for; what is computed is not, as that may take minutes, and writes nothing when it ends.
+    Twice as many tasks as devices are under way, so one can compute while another writes its files. After Ctrl-C
+    pcbench waits for files that are being written. It does not wait for computations, which may take minutes; they
+    write nothing when they end.
     """
     free: SimpleQueue[jax.Device] = SimpleQueue()
     for device in runner.devices(count):
@@ -112,11 +113,11 @@ def local_executor(count: int | None = None) -> Iterator[Executor]:
 
 @contextmanager
 def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
-    """Yield the executor of a Dask cluster: the scheduler at an address, or "local" for so many processes of this machine.
+    """Yield the executor of a Dask cluster: a scheduler's address, or "local" for some processes of this machine.
 
-    A worker computes one task at a time on one device, and writes one meanwhile where it has two threads. One that dies loses
-    its tasks to another; a task done twice leaves the same file. All workers must reach the dataset.
-    Raises UserError where there is no such cluster.
+    A worker computes one task at a time on one device. With two threads it writes the files of another task meanwhile.
+    If a worker dies, another one gets its tasks. A task that runs twice writes the same file. All workers must have
+    access to the dataset. Raises UserError if there is no such cluster.
     """
     try:
         import distributed
@@ -188,7 +189,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
 
 
 def _local(workers: int | None) -> "LocalCluster":
-    """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
+    """A cluster of spawned processes on this machine, one device each; of its two threads one computes at a time."""
     if runner.devices()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
@@ -210,7 +211,7 @@ def _local(workers: int | None) -> "LocalCluster":
 
 
 def _on_a_worker(work: Callable[[T, Hold], R], task: T) -> R:
-    """Do a task in a worker's process, which becomes pcbench's own at its first task, and computes one at a time."""
+    """Run a task in a worker's process, which is configured at its first task and computes one task at a time."""
     _set_up()
     return work(task, _one_at_a_time)
 

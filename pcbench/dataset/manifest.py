@@ -1,8 +1,8 @@
-"""Whose folder it is: a dataset belongs to one study, may grow with it, and refuses another.
+"""The study of a folder: a dataset belongs to one study, may be extended, and refuses another study.
 
-A study may grow: more seeds, more values of its axes, more scenarios, more observers. What decides a number may not change.
-Cells keep their numbers; new ones follow. Where the study's text is lost or damaged, it is made anew: every block says of
-which cell and options it is.
+A study may be extended by seeds, axis values, scenarios and observers. Everything that determines a number is fixed.
+Cells keep their numbers, and new ones follow. If study.toml is missing or damaged, it is restored from the blocks,
+whose metadata identify their cell and options.
 """
 
 import re
@@ -29,7 +29,7 @@ SHOWN = 3  # differences that a refusal names
 
 
 class StudyClaim(NamedTuple):
-    """A study and the cells it has in its folder."""
+    """A study with its numbered cells in a folder."""
 
     study: Study
     cells: list[Cell]
@@ -38,9 +38,9 @@ class StudyClaim(NamedTuple):
 
 
 def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyClaim:
-    """Return the study with its cells numbered as in a target; raise UserError where that holds another study. Writes nothing.
+    """Return the study with cells numbered as in the target; raise UserError if it holds another study.
 
-    With `overwrite` a study that stands there is to be removed.
+    Writes nothing. With `overwrite`, an existing study will be removed.
     """
     text, blocks = storage.text(target, TEXT), block_files.present(target)
     there = None if text is None else _parse_manifest(text)
@@ -81,9 +81,9 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
 
 
 def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
-    """Return the study's cells: those with blocks numbered as the blocks' names say, the others under numbers that are free.
+    """Return the study's cells; those with blocks are numbered as in the blocks' names, and others get free numbers.
 
-    Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
+    Raises UserError if a block belongs to another study: to other options, or to a cell that the study does not have.
     """
     study, numbers = grid.study, {name: dict[int, str]() for name in grid.study.scenarios}
     for b in blocks:
@@ -113,7 +113,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
 
 
 def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
-    """Raise UserError where a target without blocks holds other files than `ours` and what stands beside runs."""
+    """Raise UserError if a target without blocks contains files other than `ours` and the known files of a dataset."""
     for name in storage.names(target):
         if not name.startswith((*BESIDE, *ours)):
             raise UserError(
@@ -122,9 +122,9 @@ def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
 
 
 def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
-    """Return the study that stands in a target, with its cells; raise UserError where there is none.
+    """Return the study of a target with its cells; raise UserError if there is none.
 
-    The code of a user's own observers is loaded from the dataset's copy where it is to be `run`, and else left alone.
+    The code of user-defined observers is loaded from the dataset's copy if it will be `run`, and otherwise not at all.
     """
     text = storage.text(target, TEXT)
     if text is None:
@@ -137,12 +137,12 @@ def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
 
 
 def digests(owned: StudyClaim) -> dict[tuple[str, int], str]:
-    """Return by key what tells each cell of a study from all others."""
+    """Return the digest of each cell by its key."""
     return {c.key: c.digest for c in owned.cells}
 
 
 def differences(a: StudyClaim, b: StudyClaim) -> list[str]:
-    """Return what differs between two studies besides their seeds, engine and the order of their cells, a phrase each."""
+    """Return the differences of two studies, except seeds, engine and the order of cells, one phrase each."""
     old, new = (toml_text.parse(each.text) for each in (a, b))
     for each in (old, new):
         each |= {"first_seed": 0, "seeds": 1, "engine": ""}
@@ -167,7 +167,7 @@ def begin(target: storage.Target, owned: StudyClaim) -> None:
 
 
 def renew(target: storage.Target, owned: StudyClaim) -> None:
-    """Write the study's text, unless it stands there already."""
+    """Write the study's text, unless it is already there."""
     if storage.text(target, TEXT) != owned.text.encode():
         storage.put(target, TEXT, owned.text.encode())
 
@@ -177,7 +177,7 @@ def _drop_resolved(there: TomlTable) -> TomlTable:
 
 
 def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
-    """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
+    """Yield the axes whose column would change between numbers and lists."""
     where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
     old = parse.build_study(_drop_resolved(there) | {"seeds": 1}, where, gate)
     for name in sorted(channels_apart(old) ^ channels_apart(study)):
@@ -187,7 +187,7 @@ def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> It
 
 
 def read_text(target: storage.Target, text: bytes) -> TomlTable:
-    """Return what a study's text says; raise UserError where it is damaged."""
+    """Return the parsed content of study.toml; raise UserError if it is damaged."""
     if (there := _parse_manifest(text)) is not None:
         return there
     many = len(block_files.present(target))
@@ -200,7 +200,7 @@ def read_text(target: storage.Target, text: bytes) -> TomlTable:
 
 
 def _parse_manifest(text: bytes) -> TomlTable | None:
-    """What a study's text says; None where that is not of the kinds that are written."""
+    """The parsed content of study.toml; None if its entries have wrong types."""
     try:
         there = toml_text.parse(text)
         resolved = there["resolved"]

@@ -1,8 +1,9 @@
-"""Several datasets of one study, of other seeds or machines, made one. What two of them hold must be equal, row by row.
+"""Merge of several datasets of one study, with different seeds or from different machines.
 
-Rows that two engines computed are equal to 1e-11. Of rows that several datasets hold those of the first of them are kept.
-Exact numbers do not depend on seeds, so every part may have them all. Cells that shared a call with others may differ in their
-last bits: more than rounding is refused. Cells are numbered as in the first dataset.
+Rows that two of them contain must be equal; the merge keeps those of the first dataset. Rows of two engines are equal
+to 1e-11. Exact numbers do not depend on seeds, so all parts may contain them. Cells that were computed in one call with
+others may differ in their last bits. A difference above rounding is refused. Cells are numbered as in the first
+dataset.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +26,7 @@ BETWEEN_ENGINES = 1e-11  # by which rows that two engines computed may differ, s
 
 
 class Part(NamedTuple):
-    """A block where it stands, and as it is called in the merged dataset."""
+    """A block with its dataset, and its name in the merged dataset."""
 
     target: storage.Target
     there: Block
@@ -33,7 +34,7 @@ class Part(NamedTuple):
 
 
 class ExactFile(NamedTuple):
-    """A file of exact numbers where it stands."""
+    """A file of exact numbers with its dataset."""
 
     target: storage.Target
     owned: StudyClaim
@@ -41,7 +42,7 @@ class ExactFile(NamedTuple):
 
 
 class MergeReport(NamedTuple):
-    """What a merge made."""
+    """The result of a merge."""
 
     blocks: int
     doubled: int  # runs that more than one dataset held, all of them equal
@@ -49,9 +50,9 @@ class MergeReport(NamedTuple):
 
 
 def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SILENT) -> MergeReport:
-    """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
+    """Copy the blocks of several datasets of one study into a new one and close it; raise UserError if they disagree.
 
-    Nothing is written before every overlap has been found equal.
+    Nothing is written before all overlaps are compared.
     """
     if len(given) < 2:
         raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
@@ -108,14 +109,14 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
 
 
 def _evaluation_differences(a: StudyClaim, b: StudyClaim) -> Iterator[str]:
-    """Yield what a study may change in its folder, but parts must share: how its numbers are found."""
+    """Yield differences in the evaluation, which a study may change in its folder, but which parts must share."""
     for name in ("evaluation", "schedules"):
         if (one := getattr(a.study, name)) != (other := getattr(b.study, name)):
             yield f"{name}: {one} there, {other} here"
 
 
 def _over_all_seeds(holdings: list[StudyClaim]) -> StudyClaim:
-    """The study over all seeds, with the cells as the first dataset numbers them."""
+    """The study over all seeds, with cells numbered as in the first dataset."""
     study, cells = holdings[0].study, holdings[0].cells
     each = [seed_range(owned.study.first_seed, owned.study.seeds) for owned in holdings]
     whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
@@ -124,7 +125,7 @@ def _over_all_seeds(holdings: list[StudyClaim]) -> StudyClaim:
 
 
 def _numbers(owned: StudyClaim, whole: StudyClaim) -> dict[tuple[str, int], int]:
-    """By scenario and number in a part, the cell's number in the merged dataset."""
+    """The cell's number in the merged dataset, by scenario and number in a part."""
     numbers = {(s, digest): number for (s, number), digest in manifest.digests(whole).items()}
     return {(s, n): numbers[s, digest] for (s, n), digest in manifest.digests(owned).items()}
 
@@ -132,7 +133,7 @@ def _numbers(owned: StudyClaim, whole: StudyClaim) -> dict[tuple[str, int], int]
 def _parts(
     targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
 ) -> dict[tuple[str, int, str], list[Part]]:
-    """Return the blocks of all datasets by scenario, cell and observer as the merged dataset numbers them."""
+    """Return the blocks of all datasets by scenario, cell and observer, numbered as in the merged dataset."""
     out: dict[tuple[str, int, str], list[Part]] = {}
     for target, owned in zip(targets, holdings, strict=True):
         digests, numbers = manifest.digests(owned), _numbers(owned, whole)
@@ -147,7 +148,7 @@ def _parts(
 
 
 def _content(part: Part, block: Block) -> pa.Buffer:
-    """The bytes of a block of some seeds of a part; as they stand, if it is all of it."""
+    """The bytes of a part's block for some seeds; if these are all its seeds, the bytes of its file."""
     if block != part.there:
         return parquet_io.encode_table(_cut(block_files.read(part.target, part.there), block))
     content = storage.get(part.target, block.name)
@@ -157,7 +158,7 @@ def _content(part: Part, block: Block) -> pa.Buffer:
 
 
 def _cut(table: pa.Table, block: Block) -> pa.Table:
-    """Return the rows of a table that a block is to hold, with the cell numbered as the block says."""
+    """Return the rows of a table for a block, with the block's cell number."""
     about = block_files.about(table)
     many = len(table) // (about["last"] - about["first"])
     rows = table.slice((block.seeds.first - about["first"]) * many, block.seeds.many * many)
@@ -166,7 +167,7 @@ def _cut(table: pa.Table, block: Block) -> pa.Table:
 
 
 def _require_equal(part: Part, other: Part) -> None:
-    """Raise UserError where a part disagrees with an earlier one on the seeds that both hold."""
+    """Raise UserError if a part disagrees with an earlier one on their common seeds."""
     both = common(part.block.seeds, other.block.seeds)
     if not both.many:
         return
@@ -185,7 +186,7 @@ def _require_equal(part: Part, other: Part) -> None:
 def _exact_files(
     targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
 ) -> dict[str, list[ExactFile]]:
-    """Return by name in the merged dataset the files of exact numbers."""
+    """Return the files of exact numbers by their name in the merged dataset."""
     out: dict[str, list[ExactFile]] = {}
     for target, owned in zip(targets, holdings, strict=True):
         place, numbers = moments_tables.place, _numbers(owned, whole)
@@ -197,7 +198,7 @@ def _exact_files(
 
 
 def _exact_rows(file: ExactFile, whole: StudyClaim) -> pa.Table:
-    """Return the rows of a file as the merged dataset is to hold them."""
+    """Return the rows of a file for the merged dataset."""
     table = parquet_io.unseal_table(storage.get(file.target, file.name))
     if table is None:
         raise UserError(

@@ -1,4 +1,4 @@
-"""Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
+"""Exact results as pandas frames: expected values of a study's metrics, and moments of errors over time."""
 
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
@@ -25,7 +25,7 @@ Values = NDArray[np.floating]
 
 
 class Joint(NamedTuple):
-    """Mean and covariance of all errors of one cell together, at ticks 0 .. N; Z errors."""
+    """Mean and joint covariance of all errors of one cell, at ticks 0 .. N; Z errors."""
 
     t: Values  # [N+1] s
     errors: tuple[tuple[str, str], ...]  # (observer, signal)
@@ -106,14 +106,14 @@ class Exact:
         return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
 
     def solved(self, cells: list[Cell], recorded: str = "", points: int = 0) -> Iterator[CellMoments]:
-        """Yield the moments of cells; of many an observer at a time."""
+        """Yield the moments of cells; if there are many, for one observer at a time."""
         with config.float64():
             asked = MomentRequest(self.grid.study.root_seed, self.schedules, recorded, points)
             for m in solve(plan_cells(cells, recorded == COVARIANCE), asked):
                 yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
 
     def all_rows(self, cells: list[Cell]) -> Iterator[dict[str, object]]:
-        """Yield the rows of cells."""
+        """Yield the rows of all cells."""
         for m in self.solved(cells):
             yield from self.rows(m)
 

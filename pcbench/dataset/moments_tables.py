@@ -1,8 +1,8 @@
-"""What of a study is exact, as files: `exact.parquet`, rows as in stats, and `moments/`, means and deviations over time.
+"""The exact results of a study as files: `exact.parquet` with rows as in stats, and `moments/` over time.
 
-They are made before anything is simulated, once for a study: they say which observers of which cells are left to runs. A cell's
-moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are left, about. A study of more than `MOST` cells
-has no `moments/`: a file for each would take most of its time.
+They are computed once for a study, before the simulations, and determine which observers of which cells need runs. The
+moments of a cell are at ticks 0 .. N; over a long duration only about `POINTS` ticks are stored. A study of more than
+`MOST` cells has no `moments/`, because writing a file per cell would take most of the time.
 """
 
 import itertools
@@ -36,7 +36,7 @@ SAID = 3  # refusals that are said
 
 
 def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
-    """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
+    """Compute the exact results of a study if they are missing; return whether it did, and `say` what is not exact."""
     mark = of(owned)
     there = load_exact_rows(target)
     if there is not None and not owned.overwrite and parquet_io.metadata(there).get(OF) == mark:
@@ -74,7 +74,7 @@ def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], 
 def _over_time(
     owned: StudyClaim, exact: "Exact", rows: list[dict[str, object]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
+    """Yield the files of moments, name and table each; `rows` gets the rows of every cell, by column."""
     solved = exact.solved(owned.cells, "std" if len(owned.cells) <= MOST else "", POINTS)
     for key, parts in itertools.groupby(solved, key=lambda m: m.planned.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
@@ -90,12 +90,12 @@ def _over_time(
 
 
 def load_exact_rows(target: storage.Target) -> pa.Table | None:
-    """Return the exact rows of a dataset; None where it has none, or not as they were written."""
+    """Return the exact rows of a dataset; None if there are none, or if they were changed."""
     return parquet_io.unseal_table(storage.get(target, NAME))
 
 
 def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
-    """Return the exact rows of a dataset by cell, parts of one table."""
+    """Return the exact rows of a dataset by cell, as parts of one table."""
     table = load_exact_rows(target)
     if table is None or not len(table):
         return {}
@@ -111,7 +111,7 @@ def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
 
 
 def select_simulations(target: storage.Target, owned: StudyClaim) -> StudyClaim:
-    """Return the study with what is left of it to simulate: all of it, nothing, or what has no exact number."""
+    """Return the part of the study to simulate: all of it, nothing, or the observers without an exact number."""
     if owned.study.evaluation == "runs":
         return owned
     if owned.study.evaluation == "exact":
@@ -124,7 +124,7 @@ def select_simulations(target: storage.Target, owned: StudyClaim) -> StudyClaim:
 
 
 def pairs(rows: pa.Table) -> pa.Table:
-    """Return rows of `pairs`: differences of the exact numbers of each cell, where no schedule is random."""
+    """Return rows of `pairs`: differences of the exact numbers of each cell whose schedules are not random."""
     each: dict[tuple[object, ...], list[int]] = {}
     about = ("method", "n", "scenario", "cell", "signal", "metric")
     for at, (method, n, *key) in enumerate(zip(*(rows[name].to_pylist() for name in about), strict=True)):
@@ -151,6 +151,6 @@ def place(scenario: str, cell: int) -> str:
 
 
 def of(owned: StudyClaim) -> bytes:
-    """Return the mark of a study and of these releases; it is the same for all seeds, as exact numbers are."""
+    """Return a digest of a study and of the releases in use; it is the same for all seeds, as exact numbers are."""
     study = owned.study.model_copy(update={"first_seed": 0, "seeds": 1})
     return f"{digest(study, owned.cells)} {sorted(provenance.versions().items())}".encode()

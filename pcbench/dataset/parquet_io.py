@@ -1,4 +1,4 @@
-"""Tables that know whether they are as they were written: Parquet as bytes, with a digest. No jax."""
+"""Parquet tables as bytes, with a digest that detects changes. No jax."""
 
 import hashlib
 from typing import Any
@@ -32,11 +32,11 @@ def encode_table(table: pa.Table) -> pa.Buffer:
 
 
 def open_parquet(content: pa.Buffer) -> pq.ParquetFile:
-    """Return a Parquet file in memory, to be read by the thread that asks, every page checked.
+    """Return a Parquet file in memory, which only the calling thread reads, with every page checked.
 
-    A thread of pyarrow's own that lets go of one of Python's objects while the interpreter ends aborts the process
-    (apache/arrow #34314): the bytes are pyarrow's, and none of its threads is asked. Raises pa.ArrowInvalid if the file says of
-    itself that it takes far more memory than its size; what single pages say is left to pyarrow.
+    If a pyarrow thread releases a Python object while the interpreter ends, the process aborts (apache/arrow #34314).
+    Therefore the bytes belong to pyarrow, and its threads are not used. Raises pa.ArrowInvalid if the file's metadata
+    claim far more memory than its size; claims of single pages are left to pyarrow.
     """
     file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, pre_buffer=False)
     of = file.metadata
@@ -49,18 +49,18 @@ def open_parquet(content: pa.Buffer) -> pq.ParquetFile:
 
 
 def parse_table(content: pa.Buffer) -> pa.Table:
-    """Return the rows of a Parquet file in memory; raise one of DAMAGE where it is damaged."""
+    """Return the rows of a Parquet file in memory; raise one of DAMAGE if it is damaged."""
     with open_parquet(content) as file:
         return file.read(use_threads=False)
 
 
 def seal_table(table: pa.Table) -> pa.Table:
-    """Return a table with the digest of its columns among its metadata, for `unseal_table` to look at."""
+    """Return a table with the digest of its columns in its metadata, which `unseal_table` checks."""
     return with_metadata(table, {SEAL: digest(table).encode()})
 
 
 def unseal_table(content: pa.Buffer | None) -> pa.Table | None:
-    """Return the rows of a file that was `seal_table`; None where there is none, or they are not those that were written."""
+    """Return the rows of a file from `seal_table`; None if it is missing or its rows have changed."""
     try:
         table = None if content is None else parse_table(content)
     except DAMAGE:
@@ -69,24 +69,24 @@ def unseal_table(content: pa.Buffer | None) -> pa.Table | None:
 
 
 def metadata(table: pa.Table) -> dict[bytes, bytes]:
-    """Return a table's metadata; empty where it has none."""
+    """Return a table's metadata; empty if it has none."""
     return dict(table.schema.metadata or {})
 
 
 def with_metadata(table: pa.Table, more: dict[bytes, bytes]) -> pa.Table:
-    """Return a table with more metadata."""
+    """Return a table with additional metadata."""
     return table.replace_schema_metadata(metadata(table) | more)
 
 
 def with_column(table: pa.Table, name: str, values: pa.Array | ArrayLike) -> pa.Table:
-    """Return a table with other values in one of its columns, which keeps its type and what it says of itself."""
+    """Return a table with other values in one column, whose type and metadata stay."""
     field = table.schema.field(name)
     values = values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
     return table.set_column(table.schema.get_field_index(name), field, values)
 
 
 def digest(table: pa.Table, begin: bytes = b"", words: bool = True) -> str:
-    """Return the digest of a table's columns, of numbers to the bit, after some bytes; with its words or without."""
+    """Return the digest of some bytes and of a table's columns, numbers to the bit; texts are optional."""
     out = hashlib.sha256(begin)
     for field, column in zip(table.schema, table.columns, strict=True):
         kind = f"list<item: {field.type.value_type}>" if pa.types.is_list(field.type) else field.type
@@ -99,7 +99,7 @@ def digest(table: pa.Table, begin: bytes = b"", words: bool = True) -> str:
 
 
 def _as_text(column: pa.ChunkedArray) -> str:
-    """The `repr` of a column's list of values; of words, which are few, each is written once and looked up."""
+    """The `repr` of a column's list of values; each different text is formatted once."""
     if not pa.types.is_string(column.type):
         return repr(column.to_pylist())
     coded = column.combine_chunks().dictionary_encode()
@@ -108,7 +108,7 @@ def _as_text(column: pa.ChunkedArray) -> str:
 
 
 class GrowingTable:
-    """A table whose rows come in parts, one part at least, written compressed: memory hardly grows with its rows."""
+    """A table that is written in compressed parts, at least one; the memory hardly grows with its rows."""
 
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()

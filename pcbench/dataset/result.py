@@ -1,4 +1,4 @@
-"""A study's results: its tables as pandas frames, read from where they stand."""
+"""The results of a study: its tables as pandas frames, read from the dataset."""
 
 from functools import cached_property
 from pathlib import Path
@@ -179,7 +179,7 @@ class Result:
         return f"{UNPROVEN} the gains of {'; '.join(each)}." if each else ""
 
     def _read(self, columns: list[str] | None = None, where: "ds.Expression | None" = None) -> "pd.DataFrame":
-        """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged.
+        """Rows of the blocks, with every page checked; raise UserError with the file's name if one is damaged.
 
         A column that only some observers have, such as nees, is null for the others.
         """

@@ -1,7 +1,7 @@
-"""Start a study, or resume one that was stopped: what is missing, and only that, is planned, cut into tasks and done.
+"""Start or resume a study: only the missing runs are planned, divided into tasks and computed.
 
-Gains are designed and checked before anything is written; cells are laid out as their tasks are drawn, while others compute, so
-that memory hardly grows with a study's axes.
+Gains are designed and checked before anything is written. Cells are laid out when their tasks are generated, while
+others compute, so the memory hardly grows with a study's axes.
 """
 
 from collections import deque
@@ -43,16 +43,16 @@ Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
 
 class Sizes(NamedTuple):
-    """How a study is run: of no influence on any number."""
+    """Settings of a run that do not change any number."""
 
     block_size: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
 
 
 def everything(owned: StudyClaim, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
-    """Return the seeds that a study names and, of a cell, those that any observer has beyond them: all are to have the same.
+    """Return the required seeds of a cell: those of the study, and any further ones that one of its observers has.
 
-    `more` says how many a cell, by its digest, is to have at least.
+    `more` gives a minimum number of seeds for some cells, by their digest.
     """
     named = seed_range(owned.study.first_seed, owned.study.seeds)
     stops = {c.key: named.first + max(more[c.digest], named.many) for c in owned.cells if c.digest in more}
@@ -62,7 +62,7 @@ def everything(owned: StudyClaim, there: list[Block], more: Mapping[str, int] = 
 
 
 def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str], None]) -> list[Block]:
-    """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
+    """Return the valid blocks; report and remove damaged and duplicate ones."""
     observers = {(cell.scenario.name, observer) for cell in owned.cells for observer in cell.options}
     digests, there = manifest.digests(owned), block_files.present(target)
     for b in there:
@@ -96,7 +96,7 @@ def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str],
 
 
 def missing_seeds(owned: StudyClaim, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
-    """Return the ranges of seeds that no block holds."""
+    """Return the ranges of seeds that no block contains."""
     have = block_files.series(there)
     out: Gaps = {}
     for cell in owned.cells:
@@ -107,7 +107,7 @@ def missing_seeds(owned: StudyClaim, there: list[Block], wanted: SeedsOf, size: 
 
 
 def count_missing(target: storage.Target, owned: StudyClaim) -> int:
-    """Return how many runs of a study have no block."""
+    """Return the number of runs of a study without a block."""
     there = block_files.present(target)
     return runs_in(
         missing_seeds(
@@ -117,12 +117,12 @@ def count_missing(target: storage.Target, owned: StudyClaim) -> int:
 
 
 def runs_in(todo: Gaps) -> int:
-    """Return how many runs are missing."""
+    """Return the number of missing runs."""
     return sum(seeds.many for labels in todo.values() for ranges in labels.values() for seeds in ranges)
 
 
 class RunPlan(NamedTuple):
-    """What is to be done: designed and checked. Cells whose drafts are not kept are laid out again as their tasks are drawn."""
+    """The missing runs, with designed and checked gains. Drafts that are not kept are laid out again for their tasks."""
 
     owned: StudyClaim
     todo: Gaps
@@ -133,22 +133,22 @@ class RunPlan(NamedTuple):
     cells: int = 0  # how many cells those are
 
     def drafts(self, skip: int = 0) -> Iterator[Plan]:
-        """Lay out every cell but the first `skip`."""
+        """Lay out all cells except the first `skip`."""
         many = lambda cell: self.wanted(cell).many  # noqa: E731
         return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, apart=True)
 
     def programs(self) -> dict[Hashable, list[Plan]]:
-        """Return the drafts that are kept, by what decides their compiled program."""
+        """Return the drafts that are kept, by the key of their compiled program."""
         out: dict[Hashable, list[Plan]] = {}
         for p in self.kept:
             out.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.ask)), []).append(p)
         return out
 
     def tasks(self, programs: dict[Hashable, list[Plan]]) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
+        """Yield the tasks, cell by cell; those of expensive observers last, so that no others wait for them.
 
-        Of the drafts that are kept those of a program come together, so that it is made once. The first task of a program comes
-        after one that makes it and estimates how long a call takes (see `interleave`).
+        Of the drafts that are kept, those of one program are consecutive, so it is compiled once. The first task of a
+        program comes after one that compiles it and estimates the time of a call (see `interleave`).
         """
         cells = {cell.key: cell for cell in self.owned.cells}
         begun: set[Hashable] = set()
@@ -159,7 +159,7 @@ class RunPlan(NamedTuple):
             yield from interleave(self._tasks(chain(*programs.values(), rest), expensive, begun))
 
     def _tasks(self, drafts: Iterable[Plan], expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
-        """Yield the tasks of observers that are expensive, or are not; of a program that is not `begun`, one that times it."""
+        """Yield the tasks of expensive observers, or of the others; the first task of a program estimates its time."""
         for p in drafts:
             ranges = {
                 label: each
@@ -178,9 +178,9 @@ class RunPlan(NamedTuple):
 
 
 def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
-    """Yield tasks with the one that makes a program before the others of the program before it; these wait, at most `ahead`.
+    """Yield the task that compiles a program before the waiting tasks of the program before it, at most `ahead`.
 
-    So two programs are compiled side by side, although all tasks of one wait for it.
+    So two programs are compiled at the same time, although all tasks of a program wait for its compilation.
     """
     waiting: deque[task.Task] = deque()
     for each in tasks:
@@ -196,9 +196,9 @@ def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.
 
 
 def plan_runs(owned: StudyClaim, todo: Gaps, wanted: SeedsOf) -> RunPlan:
-    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be.
+    """Design the missing runs, and determine the buffer sizes; raise UserError if a design fails.
 
-    Drafts are kept, in the order of their cells, until they take DRAFTS bytes. What several have in common counts once.
+    Drafts are kept, in the order of their cells, up to DRAFTS bytes. What several share counts once.
     """
     plan, room, left = RunPlan(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
     kept: list[Plan] = []
@@ -225,9 +225,9 @@ def run_blocks(
     progress: Progress = SILENT,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> Cost:
-    """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be.
+    """Compute what is missing; raise UserError if a gain is not certified or a file cannot be written.
 
-    `say` gets a sentence for each program whose calls take long.
+    Gains are checked before anything is written. `say` gets a sentence for each program with long calls.
     """
     todo = missing_seeds(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
     if not todo:
@@ -260,12 +260,12 @@ def run_blocks(
 
 
 def _activity(compiled: int, programs: int) -> str:
-    """Return what is being done, after so many programs of so many."""
+    """Return a text of the current activity, with the number of finished programs and of all."""
     return f"{COMPILING} program {compiled + 1} of {programs}" if compiled < programs else "simulating"
 
 
 def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
-    """Raise UserError where runs are missing whose estimates are made elsewhere."""
+    """Raise UserError if missing runs need the estimates of an external program."""
     for cell in owned.cells:
         for label, ranges in todo.get(cell.key, {}).items():
             if cell.entry(label).elsewhere:
@@ -278,7 +278,7 @@ def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
 
 
 def _require_versions(report: task.Report) -> None:
-    """Raise UserError where a worker has other releases than this process: the last bits may differ."""
+    """Raise UserError if a worker has other releases than this process, because the last bits may differ."""
     here, there = provenance.versions(), report.versions
     if there != here:
         theirs = ", ".join(f"{k} {v}" for k, v in there.items() if here.get(k) != v)
@@ -289,7 +289,7 @@ def _require_versions(report: task.Report) -> None:
 
 
 def _announcement(scenario: str, call: task.Call, todo: Gaps) -> str:
-    """Return a sentence about calls that take long: how long one takes, and how many there are."""
+    """Return a sentence on long calls: the time of one, and their number."""
     seconds, width, labels = call
     each = [max((runs_in({key: {o: mine[o]}}) for o in labels if o in mine), default=0) for key, mine in todo.items()]
     time = f"{seconds / 60:.0f} min" if seconds < 2 * HOUR else f"{seconds / HOUR:.1f} h"
@@ -300,7 +300,7 @@ def _announcement(scenario: str, call: task.Call, todo: Gaps) -> str:
 
 
 def _block_size(owned: StudyClaim, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
-    """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
+    """Seeds per block: up to four calls, with enough tasks for all devices, and more if there would be too many files."""
     if sizes.block_size:
         return int(max(min(sizes.block_size, sizes.memory / task.bytes_of_a_block(cell, 1)), 1))
     many, pairs = wanted(cell).many, sum(len(c.options) for c in owned.cells)

@@ -1,4 +1,4 @@
-"""Running a study whose every option is known: its blocks, its closing tables, and what it took."""
+"""Run a study with all options resolved: its blocks, its closing tables, and the time and memory it took."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -30,7 +30,7 @@ Say = Callable[[str], None]
 
 
 class How(NamedTuple):
-    """How a study is run: no number depends on it but through how many runs there are. See `pcbench.run`."""
+    """Settings of a run. Of these only the number of runs changes a result. See `pcbench.run`."""
 
     overwrite: bool = False
     until_se: str | None = None
@@ -45,7 +45,7 @@ class How(NamedTuple):
     more: Mapping[str, int] = MappingProxyType({})  # seeds that cells are to have at least, by digest
 
     def checked(self) -> "How":
-        """Return it; raise UserError for a value that is none, before any work."""
+        """Return the settings; raise UserError for an invalid value, before the computation starts."""
         for count, where in ((self.block_size, "--block-size"), (self.workers, "--workers"), (self.devices, "devices")):
             if count is not None and count < 1:
                 raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
@@ -55,7 +55,7 @@ class How(NamedTuple):
 
 
 def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
-    """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
+    """Run a study and return its tables; with `out`, store them in that folder or URI. Raises as `pcbench.run`."""
     how = (how or How()).checked()
     goal, say, progress = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say, how.progress
     with config.float64(), ExitStack() as stack:

@@ -12,7 +12,7 @@ class Seeds(NamedTuple):
 
     @property
     def many(self) -> int:
-        """Return how many they are."""
+        """Return the number of seeds."""
         return max(self.stop - self.first, 0)
 
     def __str__(self) -> str:
@@ -20,17 +20,17 @@ class Seeds(NamedTuple):
 
 
 def seed_range(first: int, many: int) -> Seeds:
-    """Return so many seeds from the first on."""
+    """Return the range of a number of seeds from the first one on."""
     return Seeds(first, first + many)
 
 
 def common(a: Seeds, b: Seeds) -> Seeds:
-    """Return the seeds that two ranges share, perhaps none."""
+    """Return the common seeds of two ranges, possibly none."""
     return Seeds(max(a.first, b.first), min(a.stop, b.stop))
 
 
 def merge_ranges(ranges: Iterable[Seeds]) -> list[Seeds]:
-    """Return ranges in order, those that follow right upon another made one."""
+    """Return ranges in order, with adjacent ones merged."""
     out: list[Seeds] = []
     for seeds in ranges:
         if out and out[-1].stop == seeds.first:
@@ -41,7 +41,7 @@ def merge_ranges(ranges: Iterable[Seeds]) -> list[Seeds]:
 
 
 def gaps(held: Iterable[Seeds], wanted: Seeds, size: int) -> list[Seeds]:
-    """Return the ranges of the wanted seeds that none of the held has, cut at multiples of `size`."""
+    """Return the ranges of the wanted seeds that no held range contains, cut at multiples of `size`."""
     out, at = [], wanted.first
     for seeds in [*sorted(held), Seeds(wanted.stop, wanted.stop)]:
         while at < min(seeds.first, wanted.stop):

@@ -1,7 +1,7 @@
-"""A planned cell as bytes, to be sent to another process, and back.
+"""A planned cell as bytes for another process.
 
-Numbers travel; functions do not: they are found again by name, so that a program compiled for one cell serves the next, and
-the gains are those that were designed and certified once, in one place.
+Numbers are transferred, functions are not. The other process finds them by name, so a program that is compiled for one
+cell also serves the next. The gains are those that were designed and certified once.
 """
 
 import io
@@ -19,10 +19,10 @@ from pcbench.study.plugins import registry
 
 
 def pack(p: Plan) -> bytes | Plan:
-    """Return a planned cell as bytes; unchanged where its observers' numbers are of a type that no other process knows.
+    """Return a planned cell as bytes, or unchanged if its observers' numbers have a type of this process alone.
 
-    A user's own code goes before the numbers, which may be of its types, and may hold its functions without a name: those go as
-    places in what the code makes.
+    The user's code comes before the numbers, which may have types from that code. They may also contain its functions
+    without a name. Such a function is stored as its position among the objects that the code makes.
     """
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
@@ -39,9 +39,9 @@ def pack(p: Plan) -> bytes | Plan:
 
 
 def unpack(parcel: bytes | Plan) -> Plan:
-    """Return the planned cell that `pack` was given, with the functions of this process.
+    """Return the planned cell of `pack`, with the functions of this process.
 
-    Raises UserError where a user's own code cannot be run here.
+    Raises UserError if the user's code cannot run here.
     """
     if isinstance(parcel, Plan):
         return parcel
@@ -57,7 +57,7 @@ def unpack(parcel: bytes | Plan) -> Plan:
 
 
 class _Pickler(pickle.Pickler):
-    """Writes a function without a name, which a user's own code has made, as its number among those."""
+    """Writes a function without a name, which a user's code has made, as its position among these."""
 
     def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
@@ -68,7 +68,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Reads them again."""
+    """Reads the functions without a name again."""
 
     def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
@@ -79,7 +79,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _nameless(own: Mapping[tuple[str, str], object]) -> list[FunctionType]:
-    """The functions that cannot be found by name among what a user's own code has made, always in the same order."""
+    """The functions in the objects of a user's code that cannot be found by name, in a fixed order."""
     seen: set[int] = set()
     return [f for where in sorted(own) for f in _functions(own[where], seen) if "<" in f.__qualname__]
 

@@ -1,6 +1,6 @@
-"""One table as a file of the kind that its name says: Parquet, which keeps units and meanings, or CSV, which keeps numbers.
+"""One table as a file, Parquet with units and meanings or CSV with numbers, by the suffix of its name.
 
-The blocks of a study are written by `task.compute`.
+`task.compute` writes the blocks of a study.
 """
 
 import io
@@ -21,7 +21,7 @@ KINDS = (".parquet", ".csv")
 
 
 def kind_of(out: str | Path) -> str:
-    """Return the suffix of a file's name; raise UserError where it is none of KINDS."""
+    """Return the suffix of a file's name; raise UserError if it is not one of KINDS."""
     kind = Path(str(out)).suffix.lower()
     if kind not in KINDS:
         suffix = f"the suffix '{kind}'" if kind else "no suffix"
@@ -30,7 +30,7 @@ def kind_of(out: str | Path) -> str:
 
 
 def put(out: str | Path, table: pa.Table) -> None:
-    """Put a table into a file, whole or not at all."""
+    """Write a table to a file, completely or not at all."""
     if kind_of(out) == ".parquet":
         storage.put_table(*_place(out), table)
     else:
@@ -45,12 +45,12 @@ def as_csv(table: pa.Table) -> bytes:
 
 
 def put_content(out: str | Path, content: bytes) -> None:
-    """Put bytes into a file, whole or not at all; raise UserError where it cannot be written."""
+    """Write bytes to a file, completely or not at all; raise UserError if that fails."""
     storage.put(*_place(out), content)
 
 
 def _place(out: str | Path) -> tuple[storage.Target, str]:
-    """The folder of a file, which is made, and its name there."""
+    """The folder of a file, which is created, and the file's name in it."""
     folder, _, name = str(out).replace("\\", "/").rpartition("/")
     target = storage.target(folder or ("/" if str(out).startswith("/") else "."))
     storage.make(target)
@@ -58,7 +58,7 @@ def _place(out: str | Path) -> tuple[storage.Target, str]:
 
 
 def trace_table(frame: "pd.DataFrame", signals: tuple[tuple[str, str], ...]) -> pa.Table:
-    """Return a trace as a table whose columns say their unit; ticks 0 .. N, estimates after the jump of each tick."""
+    """Return a simulated run as a table with units; ticks 0 .. N, estimates after the jump of each tick."""
     units, inputs = {"t": "s"} | dict(signals), frame.attrs.get("input_units", {})
     fields = []
     for name in map(str, frame.columns):

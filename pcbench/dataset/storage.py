@@ -1,11 +1,11 @@
-"""What a run leaves, whole or not at all, in a folder or in an object store. No jax.
+"""Files of a run in a folder or an object store, each written completely or not at all. No jax.
 
-What is guaranteed where. A folder: a file is written under another name in the folder, synced and renamed, so a reader sees
-the old file, or the new one, or none, and a killed writer leaves at most its own unfinished file, which the next run clears
-away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs://): a file is checked in memory and put in
-one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
-name write the same bytes. Nothing is locked anywhere: what is done is what is there.
-No symbolic link is followed below a folder.
+In a folder, a file is written under a temporary name, synced and renamed. A reader sees the old file, the new one, or
+none. A killed writer leaves at most its own unfinished file, which the next run removes. In an object store (any URI
+that pyarrow supports: s3://, gs://, abfs://, hdfs://), a file is checked in memory and uploaded in one piece. It
+appears completely or not at all if the store guarantees this (S3, GCS and Azure do). Two writers of one name write the
+same bytes. There are no locks: the existing files are the finished ones. Symbolic links below a folder are not
+followed.
 """
 
 import itertools
@@ -38,7 +38,7 @@ Json = dict[str, Any]  # an object: texts, numbers, lists and objects by key
 
 
 class Target(NamedTuple):
-    """Where tables stand: a folder, or a bucket's."""
+    """The place of the tables: a folder, or a bucket."""
 
     fs: pafs.FileSystem
     root: str  # the path on it
@@ -52,7 +52,7 @@ class Target(NamedTuple):
 
 
 def target(out: str | Path) -> Target:
-    """Return what a path or a URI names; raise UserError where pyarrow cannot reach it."""
+    """Return the target of a path or a URI; raise UserError if pyarrow cannot access it."""
     if not str(out).strip():
         raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
     if "://" in str(out):
@@ -81,14 +81,14 @@ def _remote(out: str) -> Target:
 
 
 def create(path: str | Path) -> int:
-    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
+    """Create a file and return the handle to write it; raise FileExistsError if a file or a link has that name."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
 
 
 def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
-    """Put bytes under a name below the target, whole or not at all; the target itself must be there.
+    """Write bytes under a name below the target, completely or not at all; the target must exist.
 
-    Of a file that is not `lasting` a power cut may take the name, until `sync` was called: then there is none, and none half.
+    If a file is not `lasting`, a power failure before `sync` may remove it, but never leaves a part of it.
     """
     path = Path(target.root, name)
     with refusals(f"{target.name}/{name}"), ending.uncut():
@@ -118,7 +118,7 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
 
 
 def _partial(root: str) -> tuple[str, int]:
-    """A new file in a folder, and the handle by which it is open: never one that is there, nor what a link points at."""
+    """A new file in a folder and its open handle; never an existing file or the target of a link."""
     while True:
         path = f"{root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
         with suppress(FileExistsError):
@@ -126,7 +126,7 @@ def _partial(root: str) -> tuple[str, int]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Let the names of the files in a folder outlast a power cut."""
+    """Sync the file names in a folder, so that a power failure does not remove them."""
     with suppress(OSError):  # not every file system lets a folder be opened
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -136,7 +136,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _require_no_link(target: Target, name: str) -> None:
-    """Raise UserError where a name below a folder is, or goes through, a symbolic link."""
+    """Raise UserError if a name below a folder is a symbolic link, or its path contains one."""
     for each in itertools.accumulate(name.split("/"), "{}/{}".format) if target.local and name else ():
         if os.path.islink(f"{target.root}/{each}"):
             raise UserError(
@@ -146,12 +146,12 @@ def _require_no_link(target: Target, name: str) -> None:
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
-    """Put one Parquet file, checked before it is seen: how many rows it has, and what it says of itself."""
+    """Write one Parquet file, after a check of its number of rows and its metadata."""
     put(target, name, parquet_io.encode_table(table), lasting)
 
 
 def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
-    """Put one JSON file."""
+    """Write one JSON file."""
     put(target, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
@@ -173,7 +173,7 @@ def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
 
 
 def rename_all(pairs: Iterable[tuple[Path, Path]]) -> None:
-    """Give files that belong together their names; who is stopped in the middle does so first."""
+    """Rename files that belong together; an interrupt takes effect only afterwards."""
     left = list(pairs)
     try:
         with ending.uncut():
@@ -188,13 +188,13 @@ def rename_all(pairs: Iterable[tuple[Path, Path]]) -> None:
 
 
 def sync(target: Target, folders: Iterable[str]) -> None:
-    """Let the names of all files in some folders below the target outlast a power cut."""
+    """Sync the names of all files in some folders below the target, so that a power failure does not remove them."""
     for folder in folders if target.local else ():
         _sync_folder(Path(target.root) / folder)
 
 
 def document(target: Target, name: str) -> Json | None:
-    """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
+    """Return the object of a JSON file; None if the file is missing or contains no JSON object."""
     try:
         content = json.loads(text(target, name) or b"null")
     except ValueError:
@@ -203,7 +203,7 @@ def document(target: Target, name: str) -> Json | None:
 
 
 def get(target: Target, name: str) -> pa.Buffer | None:
-    """Return what stands under a name; None where nothing does. Raises UserError for a link."""
+    """Return the content under a name; None if there is none. Raises UserError for a link."""
     _require_no_link(target, name)
     with refusals(f"{target.name}/{name}", "read"):
         if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
@@ -213,21 +213,21 @@ def get(target: Target, name: str) -> pa.Buffer | None:
 
 
 def text(target: Target, name: str) -> bytes | None:
-    """Return what stands under a name as Python's bytes; None where nothing does."""
+    """Return the content under a name as Python's bytes; None if there is none."""
     content = get(target, name)
     return None if content is None else content.to_pybytes()
 
 
 def names(target: Target, under: str = "") -> list[str]:
-    """Return the names of all files below a folder of the target, sorted; those hidden by a dot or _ are left out.
+    """Return the names of all files below a folder of the target, sorted, without those that begin with a dot or _.
 
-    A link counts as a file: what it points at is not looked into.
+    A link counts as a file and is not followed.
     """
     return sorted(sizes(target, under))
 
 
 def sizes(target: Target, under: str = "") -> dict[str, int]:
-    """Return the sizes [bytes] of those files."""
+    """Return the sizes [bytes] of the files of `names`."""
     with refusals(target.name, "read"):
         base = f"{target.root}/{under}" if under else target.root
         if target.local:
@@ -255,7 +255,7 @@ def _files(folder: str) -> Iterator[tuple[str, int]]:
 
 
 def footer(target: Target, name: str) -> pq.FileMetaData | None:
-    """Return a Parquet file's metadata, without its rows; None where they cannot be read. Raises UserError for a link."""
+    """Return a Parquet file's metadata without its rows; None if they are unreadable. Raises UserError for a link."""
     _require_no_link(target, name)
     try:
         with target.fs.open_input_file(f"{target.root}/{name}") as file:
@@ -265,28 +265,28 @@ def footer(target: Target, name: str) -> pq.FileMetaData | None:
 
 
 def remove(target: Target, name: str) -> None:
-    """Remove a file, or a link, if it is there; raise UserError where a folder on the way to it is a link."""
+    """Remove a file or a link if it exists; raise UserError if a folder in its path is a link."""
     _require_no_link(target, name.rpartition("/")[0])
     with refusals(f"{target.name}/{name}"), suppress(FileNotFoundError):
         os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
 
 
 def make(target: Target) -> None:
-    """Make the target, and clear away what killed writers have left unfinished there."""
+    """Create the target, and remove unfinished files of killed writers."""
     with refusals(target.name):
         target.fs.create_dir(target.root, recursive=True)
     clear(target)
 
 
 def clear(target: Target) -> None:
-    """Clear away what killed writers have left unfinished in a target."""
+    """Remove unfinished files of killed writers in a target."""
     with refusals(target.name):
         for left in unfinished(target):
             left.unlink(missing_ok=True)
 
 
 def unfinished(target: Target) -> list[Path]:
-    """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
+    """Return unfinished files whose writers ended: dead processes of this machine, or silent for a day elsewhere."""
     return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _is_abandoned(p)] if target.local else []
 
 
@@ -306,7 +306,7 @@ def _is_abandoned(path: Path) -> bool:
 
 @contextmanager
 def refusals(where: str, done: str = "written") -> Iterator[None]:
-    """Turn what a file system refuses into one sentence."""
+    """Convert an error of a file system to a UserError of one sentence."""
     try:
         yield
     except (OSError, pa.ArrowException) as error:

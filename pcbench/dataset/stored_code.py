@@ -1,6 +1,6 @@
-"""The code of what is a user's own in a study, copied into the dataset that was made with it.
+"""The user's code of a study, copied into its dataset.
 
-A file stands as code/DIGEST/FILE, with the files beside it that it imports. A result is read without any of it.
+A file is stored as code/DIGEST/FILE, with the files in its folder that it imports. Reading a result needs none of it.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py
 
 
 def keep(target: storage.Target, study: Study) -> None:
-    """Copy the files of a study's own observers into a target, where they do not stand yet."""
+    """Copy the files of user-defined observers into a target, unless they are there."""
     for mine in study._own.values():
         for name, text in mine.code.files:
             path = f"{user_code.FOLDER}/{mine.code.digest}/{name}"
@@ -32,7 +32,7 @@ def keep(target: storage.Target, study: Study) -> None:
 
 
 def files_in(target: storage.Target, there: TomlTable) -> Files:
-    """Return the digests of the copies of users' code that the study whose text is `there` was made with."""
+    """Return the digests of the copies of users' code of the study with the text `there`."""
     folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in there["resolved"].get("code", {}).items()}
     return {
         name: {PurePosixPath(file).name: _digest(storage.text(target, file)) for file in storage.names(target, folder)}
@@ -50,7 +50,7 @@ def _digest(text: bytes | None) -> str:
 
 
 def copies(target: storage.Target) -> list[str]:
-    """Return the names of the copies of users' code in a target; raise UserError for another file among them."""
+    """Return the names of the copies of users' code in a target; raise UserError for any other file among them."""
     names = storage.names(target, user_code.FOLDER)
     for name in names:
         if not COPY.fullmatch(name):
@@ -62,17 +62,17 @@ def copies(target: storage.Target) -> list[str]:
 
 
 def copy(target: storage.Target, into: storage.Target) -> None:
-    """Copy what one dataset has of its users' code into another."""
+    """Copy the users' code of one dataset into another."""
     for name in copies(target):
         if (text := storage.text(target, name)) is not None:
             storage.put(into, name, text)
 
 
 def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
-    """Return what the study whose text is `there` may reach: no file, and code only where it is to be `run`.
+    """Return what the study with the text `there` may access: no files, and code only if it will be `run`.
 
-    Without it observers and controllers have the options that the text says they had, and plants the facts. Scenarios are
-    refused in either case: the study of a dataset has their tables.
+    Without its code, an observer or controller has the options of the text, and a plant the facts of the text.
+    Scenarios by MODULE:NAME are always refused, because the study of a dataset contains their tables.
     """
 
     def load(named: PluginReference, where: str) -> UserPlugin:
@@ -101,7 +101,7 @@ def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
 
 
 def _absent(named: PluginReference, code: user_code.Code, resolved: TomlTable) -> UserPlugin:
-    """What stands for a user's own whose code is left alone, by what a study's text says of it."""
+    """A substitute for user-defined code that is not loaded, from the study's text."""
     key = named.key if named.kind == "observer" else f"{named.kind} {code.name}"
     code = code._replace(digest=code.digest or resolved.get("code", {}).get(key, ""))
     if named.kind == "plant":
@@ -114,7 +114,7 @@ def _absent(named: PluginReference, code: user_code.Code, resolved: TomlTable) -
 
 
 def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:
-    """The files of a copy, the module first; raise UserError where they are not as they were."""
+    """The files of a copy, the module first; raise UserError if they have changed."""
     names = {PurePosixPath(name).name for name in storage.names(target, str(path.parent))} - {path.name}
     order = [path.name, *sorted(name for name in names if name.endswith(".py"))]
     files = tuple((name, storage.text(target, f"{path.parent}/{name}") or b"") for name in order)

@@ -1,4 +1,4 @@
-"""What differs between a study on disk and one that is to go on there, a phrase each."""
+"""The differences between a study on disk and one that would continue it, one phrase each."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -14,9 +14,9 @@ GROWN = {*GROWS.split(), "lti", "resolved"}
 
 
 def changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
-    """Yield what differs between a study on disk and one that is to go on there, a phrase each.
+    """Yield the differences between a study on disk and one that would continue it, one phrase each.
 
-    `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
+    `files` are the digests of the files of users' code, on disk and here, by the names under [resolved.code].
     """
     code = list(_code_changes(there, here, files))
     yield from code
@@ -50,13 +50,13 @@ def changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files] = ({},
 
 
 def _tuned_cells(study: TomlTable) -> dict[str, TomlTable]:
-    """The options of the cells that were tuned each for itself, by the values of the axes there."""
+    """The options of cells that were tuned one by one, by their values of the axes."""
     cells = (study.get("tuned") or {}).get("cells") or []
     return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
 
 
 def _code_changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files]) -> Iterator[str]:
-    """Yield what has other code, with the files that have changed where they are known."""
+    """Yield the objects with changed code, with the changed files if they are known."""
     old, new = (study["resolved"].get("code", {}) for study in (there, here))
     for name, digest in old.items():
         if new.get(name, digest) == digest:
@@ -72,12 +72,12 @@ def _code_changes(there: TomlTable, here: TomlTable, files: tuple[Files, Files])
 
 
 def _strip_digest(each: PluginReference) -> str:
-    """MODULE:NAME as it is whatever the content of its file."""
+    """MODULE:NAME without the digest of the file's content."""
     return re.sub(rf"^{user_code.FOLDER}/\w+/", "", each.reference)
 
 
 def _lost(there: TomlTable, here: TomlTable) -> Iterator[str]:
-    """Yield, where cells were lost, the axes that lost a value or are new."""
+    """If cells are missing, yield the axes that lost a value or are new."""
     old, new = ({s: set(digests) for s, digests in each["resolved"].get("cells", {}).items()} for each in (there, here))
     if all(digests <= new.get(s, set()) for s, digests in old.items()):
         return

@@ -1,6 +1,6 @@
-"""Rows of stats and pairs of several cells as columns: what a cell's rows have in common is said once.
+"""Rows of stats and pairs of several cells as columns, and the table of one observer's runs in one cell.
 
-The table of one observer's runs in one cell: a row per seed and signal.
+Values that the rows of a cell share are stored once. The table of runs has one row per seed and signal.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ Indices = NDArray[np.int64]
 def stats_table(
     heads: list[Head], facts: Facts, signals: Signals, described: Mapping[str, ObserverSummary]
 ) -> pa.Table:
-    """Return the rows of stats: by cell, by observer, by signal, every metric."""
+    """Return the rows of stats, by cell, observer, signal and metric."""
     each = list(described.values())
     shown = np.concatenate([d.shown for d in each], 1)
     values = np.concatenate([d.values for d in each], 1)[shown]
@@ -37,7 +37,7 @@ def stats_table(
 
 
 def pairs_table(heads: list[Head], facts: Facts, signals: Signals, compared: Mapping[Pair, PairResult]) -> pa.Table:
-    """Return the rows of pairs: by cell, by pair of observers, by signal, every metric that is compared."""
+    """Return the rows of pairs, by cell, pair of observers, signal and compared metric."""
     each, names = list(compared.values()), [name for j in compared.values() for name in j.names]
     cells, row = np.divmod(np.arange(len(heads) * len(names)), max(len(names), 1))
     pair = np.repeat(np.arange(len(each)), [len(j.names) for j in each])[row]
@@ -52,7 +52,7 @@ def pairs_table(heads: list[Head], facts: Facts, signals: Signals, compared: Map
 
 
 def _table(heads: list[Head], cells: Indices, rest: Columns, order: list[str]) -> pa.Table:
-    """Rows with their columns in the given order: of which cell's head each is, and the rest."""
+    """Rows with their columns in the given order: the index of each row's cell, and the other columns."""
     heads_table = columns.table({name: [head[name] for head in heads] for name in order if name not in rest})
     of_cells = heads_table.take(pa.array(cells))
     common = {name: of_cells[name].combine_chunks() for name in heads_table.column_names}
@@ -60,7 +60,7 @@ def _table(heads: list[Head], cells: Indices, rest: Columns, order: list[str]) -
 
 
 def _of_rows(names: Sequence[tuple[str, int]], signals: Signals, row: Indices) -> dict[str, pa.Array]:
-    """The columns that say what a row is of; `names` are (metric, signal)."""
+    """The columns that identify a row; `names` are (metric, signal)."""
     said = {
         "signal": [signals[i][0] for _, i in names],
         "unit": [columns.unit_of(metric, signals[i][1]) for metric, i in names],
@@ -70,7 +70,7 @@ def _of_rows(names: Sequence[tuple[str, int]], signals: Signals, row: Indices) -
 
 
 def _of_observers(facts: Facts, observers: Sequence[str], cells: Indices, who: Indices) -> dict[str, pa.Array]:
-    """Columns of yes, no or null: of which cell and which of the observers each row is."""
+    """Columns of true, false or null, for each row by its cell and its observer."""
     out, at = {}, pa.array(cells * len(observers) + who)
     for what in ("predicts_unknown_input", "certified"):
         out[what] = pa.array([each[o][what] for each in facts for o in observers], pa.bool_()).take(at)
@@ -78,7 +78,7 @@ def _of_observers(facts: Facts, observers: Sequence[str], cells: Indices, who: I
 
 
 def common_columns(head: Head, seeds: Indices, signals: Signals) -> dict[str, pa.Array]:
-    """Return what tables of runs of a cell have in common, whose `keys` are in `head`: a row per seed and signal."""
+    """Return the shared columns of the tables of a cell's runs, one row per seed and signal; `head` has the `keys`."""
     row = columns.table(
         {name: [value] for name, value in head.items() if name != "scenario"}
     )  # as `observer`: in the path

@@ -1,4 +1,4 @@
-"""How far the numbers of two tables are apart, and what of that is rounding."""
+"""The differences of two tables, and which of them are rounding."""
 
 from typing import NamedTuple
 
@@ -13,21 +13,21 @@ Values = NDArray[np.float64]
 
 
 class Difference(NamedTuple):
-    """How far two tables' numbers are apart at most."""
+    """The largest differences of two tables' numbers."""
 
     relative: float
     of_largest: float  # as a part of their signal's largest error: what is left of zero is rounding of that
 
 
 def agree(a: pa.Table, b: pa.Table) -> bool:
-    """Return whether two tables hold the same but for rounding; a reason may say a number, which is rounded too."""
+    """Return whether two tables are equal to rounding; also the numbers in a reason are rounded."""
     a, b = (t.select([name for name in t.column_names if name != "reason"]) for t in (a, b))
     unequal = _unequal(a, b)
     return unequal is not None and all(np.allclose(u, v, ROUNDING, ZERO, equal_nan=True) for _, u, v in unequal)
 
 
 def difference(a: pa.Table, b: pa.Table) -> Difference | None:
-    """Return how far two tables of runs are apart; None where they differ in anything else than numbers."""
+    """Return the difference of two tables of runs; None if anything but numbers differs."""
     if (unequal := _unequal(a, b)) is None:
         return None
     worst, size = Difference(0.0, 0.0), _sizes(a)
@@ -40,9 +40,9 @@ def difference(a: pa.Table, b: pa.Table) -> Difference | None:
 
 
 def of_one_run(a: pa.Table, b: pa.Table, within: float) -> bool:
-    """Say whether two tables are of the same runs: numbers differ by a part `within` of the largest of their column at most.
+    """Return whether two tables contain the same runs: numbers differ at most by `within` times their column's largest.
 
-    An error may differ by that part of its signal's largest error, so that what is left of zero is rounding.
+    An error may differ by this fraction of its signal's largest error, because a remainder of zero is rounding.
     """
     if (unequal := _unequal(a, b)) is None:
         return False
@@ -58,7 +58,7 @@ def of_one_run(a: pa.Table, b: pa.Table, within: float) -> bool:
 
 
 def _unequal(a: pa.Table, b: pa.Table) -> list[tuple[str, Values, Values]] | None:
-    """The columns of numbers in which two tables differ; None where they differ in anything else."""
+    """The columns of numbers in which two tables differ; None if anything else differs."""
     if a.schema.names != b.schema.names or len(a) != len(b):
         return None
     both = [(name, a[name], b[name]) for name in a.schema.names if not a[name].equals(b[name])]
@@ -73,7 +73,7 @@ def _in_unit_of(name: str, size: Values) -> Values:
 
 
 def _sizes(table: pa.Table) -> Values:
-    """The largest error of its signal, for every row: at least 1e-11, below which an error is zero."""
+    """The largest error of the signal of each row; at least 1e-11, because a smaller error counts as zero."""
     peaks = np.fmax(np.nan_to_num(table["max_abs_error"].to_numpy()), ZERO)
     _, signal = np.unique(table["signal"].to_numpy().astype(str), return_inverse=True)
     return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]

@@ -1,6 +1,6 @@
-"""One task of a study: some seeds of one cell, simulated and left as whole files.
+"""One task of a study: it simulates some seeds of one cell and writes complete files.
 
-A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
+A task is a pure function of its description. Wherever and however often it runs, its files contain the same bytes.
 """
 
 from collections.abc import Iterator
@@ -46,18 +46,18 @@ class Task(NamedTuple):
     timed: bool = False  # no block is written: it is estimated how long a call takes
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Go to another process as bytes, that it can read whosever code the cell has."""
+        """Serialize to bytes that another process can read, also with a user's code."""
         planned = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
         return Task, (planned, self.pieces, self.timed)
 
     @property
     def runs(self) -> int:
-        """Return how many runs its blocks hold."""
+        """Return the number of runs in its blocks."""
         return 0 if self.timed else sum(seeds.many * len(labels) for seeds, labels in self.pieces)
 
 
 class Call(NamedTuple):
-    """About how long a call of a program takes."""
+    """The estimated time of a call of a program."""
 
     seconds: float
     width: int  # runs
@@ -65,7 +65,7 @@ class Call(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a task reports once its files stand."""
+    """The report of a task after its files are written."""
 
     cell: tuple[str, int]  # its key
     cost: timing.Cost
@@ -74,7 +74,7 @@ class Report(NamedTuple):
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
-    """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
+    """Simulate a task's seeds while it holds a device, then write its blocks; raise UserError if that fails."""
     with hold() as device:
         began = perf_counter()
         p, results, program, call = simulate_task(work, task, device)
@@ -95,9 +95,9 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
 def simulate_task(
     work: Work, task: Task, device: jax.Device | None = None
 ) -> tuple[Plan, run_local.Results, runner.Program, Call | None]:
-    """Return what the runs of a task leave, or how long a call takes, estimated from calls that end early.
+    """Return the results of a task's runs, or the time of a call, estimated from calls that end early.
 
-    Raises UserError where a call takes more memory than there is for it.
+    Raises UserError if a call needs more memory than is available.
     """
     with config.float64():
         p = unpack(task.parcel)
@@ -133,9 +133,9 @@ def block(
     seeds: Seeds,
     common: dict[int, dict[str, pa.Array]] | None = None,
 ) -> tuple[str, pa.Table]:
-    """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
+    """Return the name and the rows of one block; its metadata contain what statistics need in addition to the rows.
 
-    `common` has the columns that blocks of these seeds have in common, by how many signals they are of; it is added to.
+    `common` stores the shared columns of blocks with these seeds, by their number of signals, and is extended here.
     """
     c, many = p.certificates[label], len(results["mae"])
     proof = {"inequality": c.inequality, "margin": float(c.margin) if isfinite(c.margin) else None}
@@ -164,7 +164,7 @@ def block(
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
-    """Yield the tasks that fill a cell's `missing` ranges (by observer): a block each range, as many of them as fill a call."""
+    """Yield the tasks for a cell's `missing` ranges (by observer): one block per range, as many as fill a call."""
     wanted: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
         for each in ranges:
@@ -180,5 +180,5 @@ def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> 
 
 
 def bytes_of_a_block(cell: Cell, seeds: int) -> int:
-    """Return the memory that the results of some seeds take for all observers of a cell: arrays, rows and a file's bytes."""
+    """Return the memory of the results of some seeds for all observers of a cell: arrays, rows and file."""
     return seeds * len(signals_of(cell.scenario)) * len(cell.options) * ROW_BYTES

@@ -1,4 +1,4 @@
-"""What a run of a study took, and how long a call takes, estimated before a study is begun."""
+"""The time and memory that a run of a study took, and an estimate of the time of a call before it starts."""
 
 from collections.abc import Mapping
 from time import perf_counter
@@ -13,11 +13,11 @@ FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of the calls that are tim
 
 
 def seconds(program: runner.Program, job: runner.Job) -> float:
-    """Return about how many seconds a call takes, from calls that end early, each after twice as many ticks.
+    """Return the estimated time [s] of a call, from calls that end early, each after twice as many ticks.
 
-    They stop once the last took `ENOUGH` seconds, or a sixteenth of the ticks are done, or a call is clearly `SHORT`. The first
-    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 for the definition, whose calls do not
-    end early.
+    They stop if the last one took `ENOUGH` seconds, or ran a sixteenth of the ticks, or if a call is clearly `SHORT`.
+    The first ticks are faster than later ones, because no measurement has arrived, so this is a lower estimate. The
+    reference engine cannot end a call early, and the result is 0.
     """
     if program.layout.defined:
         return 0.0
@@ -37,7 +37,7 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
 
 
 class Cost(NamedTuple):
-    """What a run of a study took."""
+    """The time and memory that a run of a study took."""
 
     runs: int = 0
     compiled: Mapping[tuple[str, int], float] = MappingProxyType({})  # seconds by program: which one, of which process
@@ -48,11 +48,11 @@ class Cost(NamedTuple):
 
     @property
     def compile_seconds(self) -> float:
-        """Return the seconds that programs took to make."""
+        """Return the time [s] of compilations."""
         return sum(self.compiled.values())
 
 
 def add_costs(a: Cost, b: Cost) -> Cost:
-    """Return what two runs took together."""
+    """Return the sum of the costs of two runs."""
     seconds = (x + y for x, y in zip(a[2:], b[2:], strict=True))
     return Cost(a.runs + b.runs, {**a.compiled, **b.compiled}, *seconds)

@@ -1,10 +1,10 @@
-"""Simulated means against what they must come to: every mean of an affine cell in standard errors from its exact value.
+"""Comparison of simulated means of an affine cell with their exact values, in standard errors.
 
-z = (mean - exact) / its standard error is Student's with n - 1 degrees of freedom. The means of one cell stand on the same
-draws, so they are not independent; the verdict takes that into account by Bonferroni: nothing may be farther off than so many
-comparisons allow at `LEVEL`. Runs that do not vary must equal the exact value to `ROUNDING`, or to what steps of `LOST` of the
-signal's largest error leave: an error that decays from 30,000 to 0 ends in the rounding of 30,000. Compared are plain means, of
-errors that are normal or of their squares; with fewer than `FEW` runs a mean square is too skew for Student.
+z = (mean - exact) / standard error has Student's t distribution with n - 1 degrees of freedom. The means of one cell
+use the same runs and are not independent. The verdict therefore uses Bonferroni's correction at `LEVEL`. Runs that do
+not vary must equal the exact value to `ROUNDING`, or to the rounding that steps of `LOST` of the signal's largest error
+leave: an error that decays from 30,000 to 0 ends in the rounding of 30,000. Only plain means of normal errors and of
+their squares are compared. With fewer than `FEW` runs a mean square is too skewed for Student's distribution.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ LOST = 1e-14  # of the peak
 
 
 class ExactValidation(NamedTuple):
-    """What came of it."""
+    """The result of the comparison."""
 
     rows: pd.DataFrame  # KEY, n, mean, se, exact, z (as normal), apart: relative, where runs do not vary
     refused: list[str]  # why an observer has no exact value, a sentence each
@@ -43,12 +43,12 @@ class ExactValidation(NamedTuple):
 
     @property
     def wrong(self) -> pd.DataFrame:
-        """Return the rows that are farther off than chance allows."""
+        """Return the rows that differ more than chance allows."""
         return self.rows[(self.rows.z.abs() > self.limit) | (self.rows.apart > ROUNDING)]
 
     @property
     def verdict(self) -> str:
-        """Return what to make of it, in a sentence."""
+        """Return the verdict as a sentence."""
         if self.rows.empty:
             return "No mean has an exact value to be compared with."
         far, cells = float((self.z.abs() > 2).mean()), self.rows.groupby(["scenario", "cell"]).ngroups
@@ -61,7 +61,7 @@ class ExactValidation(NamedTuple):
 
 
 def check(out: str | Path) -> ExactValidation:
-    """Compare the simulated means of a dataset with their exact values; raise UserError where it has no runs enough."""
+    """Compare the simulated means of a dataset with exact values; raise UserError if it has too few runs."""
     target = storage.target(out)
     owned = manifest.load_manifest(target, run=True)
     if not block_files.present(target):
@@ -81,7 +81,7 @@ def check(out: str | Path) -> ExactValidation:
 
 
 def compare_means(both: pd.DataFrame) -> pd.DataFrame:
-    """Return matched means with their z, and how far apart they are where runs do not vary."""
+    """Return matched means with their z, or with their difference if the runs do not vary."""
     apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
     error = np.hypot(both.se, both.exact_se)
     squares, lost = both.metric.str.endswith("mse"), LOST * both.max_abs_error.fillna(0.0)

@@ -1,7 +1,7 @@
-"""A look at a dataset: how far it is, whether it is whole, whether it comes out again. Nothing is written.
+"""Status and verification of a dataset: is it complete, is it undamaged, can it be reproduced? Nothing is written.
 
-Blocks must come out again bit for bit. The last bits of a cell's exact numbers may depend on the cells that it shares a call
-with: these must be the same but for rounding.
+Recomputed blocks must have the same bits. The last bits of a cell's exact numbers may depend on the other cells of its
+call, so these must be equal to rounding.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 
 class Share(NamedTuple):
-    """How far the runs of one observer in one scenario are."""
+    """The progress of one observer's runs in one scenario."""
 
     scenario: str
     observer: str
@@ -54,7 +54,7 @@ class Share(NamedTuple):
 
 
 class Status(NamedTuple):
-    """What stands in a dataset."""
+    """The content of a dataset."""
 
     study: str
     shares: list[Share]
@@ -66,7 +66,7 @@ class Status(NamedTuple):
 
 
 def status(out: str | Path) -> Status:
-    """Return what stands in a dataset, from the blocks' names and footers; raise UserError where there is no study."""
+    """Return the content of a dataset, from the blocks' names and footers; raise UserError if there is no study."""
     target = storage.target(out)
     owned = manifest.load_manifest(target)
     there = block_files.present(target)
@@ -106,7 +106,7 @@ def status(out: str | Path) -> Status:
 
 
 class Verdict(NamedTuple):
-    """What a verification found."""
+    """The result of a verification."""
 
     files: int  # checked, every page
     wrong: list[str]  # a sentence each
@@ -117,9 +117,10 @@ class Verdict(NamedTuple):
 
 
 def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
-    """Check every file of a dataset, and compute `sample` blocks (None: all) again; compare bit for bit.
+    """Check every file of a dataset, recompute `sample` blocks (None: all), and compare them bit for bit.
 
-    Blocks are drawn with `seed`. The closing tables are made again and compared too, and exact numbers of as many cells.
+    The blocks are selected at random with `seed`. The closing tables are recomputed and compared too, and so are the
+    exact numbers of as many cells.
     """
     target = storage.target(out)
     owned = manifest.load_manifest(target, run=sample != 0)
@@ -146,14 +147,14 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
 
 
 def _draw_sample(things: list[T], sample: int | None, seed: int) -> list[T]:
-    """So many of some things, in their order."""
+    """A random sample of some items, in their order."""
     if sample is None or sample >= len(things):
         return things
     return [things[i] for i in sorted(np.random.default_rng(seed).choice(len(things), sample, replace=False))]
 
 
 def _others(target: storage.Target, owned: StudyClaim) -> Iterator[str]:
-    """Yield a sentence for every file beside the blocks that is not as it was written."""
+    """Yield a sentence for every file other than the blocks that has changed."""
     for name in close.damaged_files(target):
         yield f"{name}: is not as it was written; run the study again to write it again."
     record = close.record(target)
@@ -177,7 +178,7 @@ def _closing_differs(target: storage.Target, owned: StudyClaim, kept: list[Block
 
 
 def _again(target: storage.Target, owned: StudyClaim, chosen: list[Block], progress: Progress) -> Iterator[str]:
-    """Yield a sentence for every block that does not come out again."""
+    """Yield a sentence for every block that is not reproduced."""
     work = partial(_verify_task, target, task.Work("", owned.study.name, owned.study.root_seed))
     by: dict[str, list[Block]] = {}
     for b in chosen:
@@ -191,7 +192,7 @@ def _again(target: storage.Target, owned: StudyClaim, chosen: list[Block], progr
 
 
 def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
-    """Yield the tasks that compute blocks again: those of one cell and the same seeds together."""
+    """Yield the tasks that recompute blocks; blocks of one cell with the same seeds share a task."""
     by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
@@ -209,7 +210,7 @@ def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
 def _verify_task(
     target: storage.Target, work: task.Work, one: task.Task, hold: executors.Hold
 ) -> tuple[int, list[str]]:
-    """Return how many blocks a task computed again, and a sentence for each that differs."""
+    """Return how many blocks a task recomputed, and a sentence for each that differs."""
     with hold() as device:
         p, results, _, _ = task.simulate_task(work, one, device)
     blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, one, p, results)]
@@ -217,7 +218,7 @@ def _verify_task(
 
 
 def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
-    """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
+    """Yield the differences of a block from the recomputed one: its rows to the bit, then its metadata."""
     old, new = (block_files.about(table) for table in (there, here))
     if there.equals(here):
         if [
@@ -237,7 +238,7 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
 
 
 def _exact_again(target: storage.Target, owned: StudyClaim, cells: list[Cell]) -> Iterator[str]:
-    """Yield a sentence for each of some cells whose exact numbers do not come out again."""
+    """Yield a sentence for each of some cells whose exact numbers are not reproduced."""
     if not cells:
         return
     from pcbench.dataset.moments_frames import Exact  # with pandas

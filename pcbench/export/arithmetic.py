@@ -1,7 +1,7 @@
-"""What is done to each number alone, and over the entries of an array, as expressions of C.
+"""Elementwise operations and reductions of arrays as expressions of C.
 
-A product of floats is counted as `planning.operation_counts` does: once for each entry multiplied, divided, or put
-through a function.
+Multiplications of floats are counted as in `planning.operation_counts`: one for each entry that is multiplied, divided,
+or the argument of a function.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -51,7 +51,7 @@ def _power(y: int, a: list[str]) -> str:
 
 
 def _convert_number(kind: str, a: list[str], source: str) -> str:
-    """A number as another kind: of a float as an integer the nearest that there is, 0 of NaN, as in jax."""
+    """Convert a number to another type: a float to the nearest possible integer, NaN to 0, as in jax."""
     if kind == "bool":
         return f"{a[0]} != 0"
     if source != "real" or kind == "real":
@@ -65,7 +65,7 @@ def _convert_number(kind: str, a: list[str], source: str) -> str:
 
 
 def _chosen(a: list[str]) -> str:
-    """The case that a choice names: 0 or false the first."""
+    """The case that a selector names; 0 or false is the first."""
     which, cases = a[0], a[1:]
     if len(cases) == 2:
         return f"{which} ? {cases[1]} : {cases[0]}"
@@ -125,7 +125,7 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: Entries) -> Entries:
-    """Write a choice between two arrays, entry by entry; where it is known, it is made here."""
+    """Write a selection between two arrays, entry by entry; a known selector is evaluated here."""
     there = np.array([isinstance(x, Term) for x in which.flat]).reshape(which.shape)
     out = np.empty(which.shape, object)
     for i in zip(*np.nonzero(~there), strict=True):
@@ -143,7 +143,7 @@ def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: En
 
 
 def _index_entry(w: Writer, kind: str, values: Entries) -> str:
-    """Entry i of an array: where it stands in one of C, or of one that is written for it."""
+    """Entry i of an array, in its C array or in one that is written for it."""
     place = place_of(values) or place_of(w.array(kind, values))
     if place is None:
         raise AssertionError("an array that is written is part of an array of C")
@@ -151,7 +151,7 @@ def _index_entry(w: Writer, kind: str, values: Entries) -> str:
 
 
 def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write the fold of some axes, from the first entry to the last."""
+    """Write the reduction of some axes, from the first entry to the last."""
     a, axes, kind = args[0], jaxpr_compat.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
     rest = [i for i in range(a.ndim) if i not in axes]
     flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
@@ -174,7 +174,7 @@ def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def running_sum(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write sums of the first entries along an axis."""
+    """Write the cumulative sum along an axis."""
     axis, kind = jaxpr_compat.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
     a = np.moveaxis(args[0], axis, 0)
     a = a[::-1] if jaxpr_compat.param(eqn, "reverse") else a
@@ -186,7 +186,7 @@ def running_sum(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
+    """Write the index of the largest (smallest) entry along an axis; of equal ones the first. NaN is not supported."""
     (axis,), sign = jaxpr_compat.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
     out = np.empty(a.shape[:-1], object)
@@ -204,7 +204,7 @@ def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write a product of matrices as sums of products, from the first on."""
+    """Write a product of matrices as sums of products, in the order of the entries."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     aval = eqn.outvars[0].aval
     a, b = _arrange_axes(args[0], ba, ca), _arrange_axes(args[1], bb, cb)
@@ -216,7 +216,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def _arrange_axes(p: Entries, batch: Sequence[int], contract: Sequence[int]) -> Entries:
-    """Batch, free and contracted axes, each as one: [batch, free, contracted]."""
+    """Reshape to one batch axis, one free axis and one contracted axis: [batch, free, contracted]."""
     free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
     sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
     return p.transpose(*batch, *free, *contract).reshape(sizes)

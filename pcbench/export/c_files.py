@@ -1,7 +1,7 @@
-"""An observer as files of C99: a header with its structs, units and the order of calls, its functions, its gains.
+"""The C99 files of an observer: a header with structs, units and the order of calls, the functions, and the gains.
 
-Nothing is allocated and nothing linked but the mathematics of C. `OBSERVER_FLOAT` makes every number single; `OBSERVER_COUNT`
-counts the products of floats, as the column of costs does.
+The code allocates no memory and needs only the C mathematics library. `OBSERVER_FLOAT` selects single precision.
+`OBSERVER_COUNT` counts the multiplications of floats, as the column `multiplications` does.
 """
 
 import re
@@ -81,7 +81,7 @@ PAST = "\n        now->past[(now->tick % {rows}) * {inputs} + i] = u[i];"
 
 
 class About(NamedTuple):
-    """What a reader of the files should know of where they are from."""
+    """The origin of the files, for their comments."""
 
     label: str  # as C has it
     observer: str
@@ -96,7 +96,7 @@ class About(NamedTuple):
 
 
 def comment(text: str) -> str:
-    """Return a text as a comment of C can hold it: nothing in it opens or ends a comment, or joins two lines."""
+    """Return a text that is safe in a C comment: it does not open or end a comment, or join two lines."""
     for code in ("*/", "/*", "??/"):
         text = text.replace(code, f"{code[:-1]} {code[-1]}")
     text = printable(text)
@@ -104,13 +104,13 @@ def comment(text: str) -> str:
 
 
 def identifier(label: str) -> str:
-    """Return a label as C can call it."""
+    """Return a label as a C identifier."""
     text = re.sub(r"\W", "_", label)
     return f"o_{text}" if text[0].isdigit() or text in structs.RESERVED else text
 
 
 def header(about: About, s: Source) -> str:
-    """Return the header."""
+    """Return the text of the header."""
     label = about.label
     now = [
         each._replace(says=says)
@@ -194,12 +194,12 @@ def _has(s: Source, name: str) -> bool:
 
 
 def _replace_real(text: str, label: str) -> str:
-    """A text whose numbers are of the observer's own type."""
+    """A text with the observer's own floating-point type."""
     return re.sub(r"\breal\b", f"{label}_real", text)
 
 
 def code(about: About, s: Source) -> str:
-    """Return the functions."""
+    """Return the text of the functions."""
     parts = [f'#include "{about.label}.h"\n', PRELUDE.format(label=about.label)]
     for f in s.functions:
         unused = [f"    (void){x};" for x in ("g", "m", "now", "a") if re.search(rf"\*{x}\b", f.head)]
@@ -218,5 +218,5 @@ def gains(about: About, s: Source, numbers: PyTree) -> str:
 
 
 def plain(text: str) -> str:
-    """Return initialisers whose numbers are written as double: a constant of C is rounded where it is put."""
+    """Return initialisers whose numbers are written as double; C rounds such a constant to the type of its variable."""
     return re.sub(r"R\(([^()]*)\)", r"\1", text).replace("(real)", "")

@@ -1,4 +1,4 @@
-"""The test vector as C, and the program that replays it: it prints what differs from the simulation, signal by signal."""
+"""The test vector in C, and the program that replays it and prints its difference from the simulation, by signal."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,7 +118,7 @@ PAST = "\n            now.past[(BEFORE - 1 - i) * INPUTS + j] = ({label}_real)be
 
 
 def main(about: About, s: Source, noted: int) -> str:
-    """Return the program that replays the vector."""
+    """Return the program that replays the test vector."""
     label, has = about.label, {f.name for f in s.functions}
     return MAIN.format(
         label=label,
@@ -130,7 +130,7 @@ def main(about: About, s: Source, noted: int) -> str:
 
 
 def header(about: About, v: Vector, noted: int, ring: int) -> str:
-    """Return the vector as constants; `ring` packets may be on their way at a time."""
+    """Return the test vector as constants; at most `ring` packets are in transit at a time."""
     q, m, s = about.outputs, about.inputs, v.expected.shape[1]
     sizes = {
         "TICKS": len(v.expected), "EVENTS": len(v.events), "SIGNALS": s, "INPUTS": m, "OUTPUTS": q, "BEFORE": len(v.before),

@@ -1,4 +1,4 @@
-"""`pcbench export`: the files of one observer of one cell, and what comes of compiling and replaying them."""
+"""The files of `pcbench export` for one observer of one cell, and the result of compiling and replaying them."""
 
 import os
 import re
@@ -38,7 +38,7 @@ SAID = re.compile(r"^(.*): differs by (\S+) rms, (\S+) at most; error (\S+) rms$
 
 
 class Line(NamedTuple):
-    """What a replay says of one signal, in the signal's unit."""
+    """The result of a replay for one signal, in the signal's unit."""
 
     differs: float  # rms, from the simulation
     most: float  # at one tick
@@ -46,7 +46,7 @@ class Line(NamedTuple):
 
 
 class ExportedObserver(NamedTuple):
-    """What an observer is exported as."""
+    """The files of an exported observer."""
 
     about: About
     files: dict[str, str | bytes]  # by name
@@ -63,10 +63,10 @@ def export_observer(
     delay: float | None = None,
     start: float | None = None,
 ) -> ExportedObserver:
-    """Return an observer of a study of one cell as files; raise UserError where it cannot be written in C.
+    """Return the files of an observer of a study with one cell; raise UserError if C cannot express it.
 
-    With a `log` it has the room that this recording needs, and the run to test it by is the replay of the recording, with
-    `delay` and `start` [s] as in `playback.replay`; else it is run `seed` of the study.
+    With a `log`, the buffers have the size that this recording needs, and the test run is the replay of the recording,
+    with `delay` and `start` [s] as in `playback.replay`. Otherwise the test run is run `seed` of the study.
     """
     with config.float64():
         asked, cell = one_cell(study, [observer], overrides or [])
@@ -127,9 +127,9 @@ def _build_export(
     rows: int,
     run: Vector,
 ) -> ExportedObserver:
-    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the run to test it by.
+    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the test run.
 
-    `title` is what the files call the scenario.
+    `title` is the name of the scenario in the files.
     """
     o = dict(p.layout.observers)[name]
     gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
@@ -170,7 +170,7 @@ def _build_export(
 
 
 def _rows(cell: Cell, label: str, known: DesignContext) -> int:
-    """How many past inputs an observer may ask for: those since the oldest sample that it may still use."""
+    """How many past inputs an observer may use: those since the oldest sample that can still arrive."""
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
@@ -178,7 +178,7 @@ def _rows(cell: Cell, label: str, known: DesignContext) -> int:
 
 
 def require_place(out: str | Path) -> None:
-    """Raise UserError where no folder can be, before anything is computed for it; nothing is made."""
+    """Raise UserError if the folder cannot be created, before the computation starts; creates nothing."""
     root = Path(storage.target(Path(out).expanduser()).root)
     there = next(p for p in (root, *root.parents) if os.path.lexists(p))
     if not there.is_dir():
@@ -190,7 +190,7 @@ def require_place(out: str | Path) -> None:
 
 
 def write(found: ExportedObserver, out: str | Path) -> list[Path]:
-    """Write the files into a folder, which may be there: all or none; raise UserError where that cannot be done."""
+    """Write the files into a new or existing folder, all or none; raise UserError if that fails."""
     target = storage.target(Path(out).expanduser())
     storage.make(target)
     each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
@@ -199,16 +199,16 @@ def write(found: ExportedObserver, out: str | Path) -> list[Path]:
 
 
 def compiler() -> str | None:
-    """Return the compiler of this machine; None where there is none."""
+    """Return the C compiler of this machine, or None."""
     return next((found for each in COMPILERS if (found := shutil.which(each))), None)
 
 
 def run_compiled(
     found: ExportedObserver, single: bool = False, arguments: tuple[str, ...] = (), count: bool = True
 ) -> str | None:
-    """Return what the compiled program prints, in double or in `single` precision; None where there is no compiler.
+    """Return the output of the compiled program, in double or `single` precision; None without a compiler.
 
-    Raises UserError with what the compiler says where it refuses.
+    Raises UserError with the compiler's message if it fails.
     """
     cc = compiler()
     if cc is None:
@@ -232,5 +232,5 @@ def run_compiled(
 
 
 def parse_replay(printed: str) -> dict[str, Line]:
-    """Return what a replay has printed, by signal."""
+    """Return the output of a replay by signal."""
     return {name: Line(float(a), float(b), float(c)) for name, a, b, c in SAID.findall(printed)}

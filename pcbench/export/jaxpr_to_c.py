@@ -1,7 +1,7 @@
-"""From a program of jax to lines of C: equation by equation, loops as loops.
+"""Translation of a jax program to C, equation by equation; loops stay loops.
 
-What only moves numbers is done here and leaves no line; what nothing reads the compiler leaves out. A loop's state stands in
-arrays of its own, which are written anew at the end of each round.
+Equations that only move numbers are evaluated here and produce no code. The compiler removes unused results. The state
+of a loop is in arrays of its own, which are assigned at the end of each iteration.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,16 +43,19 @@ LONGEST = 60_000  # lines of a function
 
 
 class UnsupportedPrimitive(UserError):
-    """A primitive that C has nothing for here."""
+    """A primitive that this translation does not support."""
 
 
 def write(w: Writer, closed: ClosedJaxpr, args: list[Entries]) -> list[Entries]:
-    """Write a program at some entries, and return what it makes; raise Hindered with the primitive that cannot be written."""
+    """Write a program for some input entries and return its outputs; raise UnsupportedPrimitive with its name."""
     return _walk(w, closed.jaxpr, [number_entries(c) for c in closed.consts], args)
 
 
 def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
-    """Write new values (kind, where, what) over old ones, all at once: none is read after it has been written over."""
+    """Write assignments of new values (kind, place, value), as if all happened at once.
+
+    No old value is read after it is overwritten.
+    """
     moved = []
     for kind, old, new in into:
         for a, b in zip(old.flat, new.flat, strict=True):
@@ -108,7 +111,7 @@ def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
 
 
 def _move_entries(eqn: Eqn, args: list[Entries]) -> list[Entries]:
-    """Entries at the places to which the primitive moves their numbers."""
+    """The entries after a primitive that only moves numbers."""
     flat = np.concatenate([a.ravel() for a in args])
     each = batching_rules.places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args))
     return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
@@ -119,7 +122,7 @@ def _kinds(vs: Sequence[jaxpr_compat.Atom]) -> list[str]:
 
 
 def _state(w: Writer, vs: Sequence[jaxpr_compat.Atom], values: list[Entries], stays: list[bool]) -> list[Entries]:
-    """Arrays of C that hold a loop's state; what stays as it is needs none."""
+    """C arrays for a loop's state; entries that the loop does not change need none."""
     out = []
     for kind, value, fixed in zip(_kinds(vs), values, stays, strict=True):
         if fixed or not value.size:
@@ -181,7 +184,7 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
 
 
 def _row(n: str, table: Term | None, rows: Entries) -> Entries:
-    """One row of what a loop goes over."""
+    """One row of the arrays over which a loop iterates."""
     if table is None:
         return np.empty(rows.shape[1:], object)
     size = int(np.prod(rows.shape[1:]))

@@ -1,4 +1,4 @@
-"""Gains and model as numbers, for those who write their own: JSON, and a file of MATLAB's."""
+"""Gains and model as numbers for your own code: JSON, and a MAT-file for MATLAB."""
 
 import io
 import json
@@ -17,7 +17,7 @@ from pcbench.synthesis.certificate import Certificate, DesignContext
 def describe_gains(
     about: About, known: DesignContext, certificate: Certificate, options: Mapping[str, object], gains: PyTree
 ) -> dict[str, object]:
-    """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
+    """Return the gains by their names in C, and the model that the observer assumes, continuous and over one tick."""
     Phi, Gamma = linear.one_tick(known.model, known.dt)
     model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
     named = zip(structs.fields(gains, "gain"), observer_to_c.numbers(gains), strict=True)
@@ -38,12 +38,12 @@ def describe_gains(
 
 
 def as_json(found: Mapping[str, object]) -> str:
-    """Return it as JSON; what is not finite is a word, as JSON has no number for it."""
+    """Return a description as JSON; numbers that are not finite become strings, because JSON has none."""
     return json.dumps(_plain(found), indent=2) + "\n"
 
 
 def as_mat(found: Mapping[str, object]) -> bytes:
-    """Return it as a MAT file, version 5."""
+    """Return a description as a MAT-file, version 5."""
     from scipy.io import savemat
 
     out = io.BytesIO()
@@ -63,7 +63,7 @@ def _plain(x: object) -> object:
 
 
 def _to_matlab(x: object) -> object:
-    """Nested dicts as MATLAB takes them: names of at most 63 letters, nothing that is None."""
+    """Nested dicts in the form of MATLAB: names of at most 63 letters, no None."""
     if isinstance(x, dict):
         return {str(k)[:63]: _to_matlab(v) for k, v in x.items() if v is not None}
     if isinstance(x, list | tuple):

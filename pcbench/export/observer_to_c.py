@@ -1,7 +1,7 @@
-"""The functions of an observer in C, from those of the protocol: what each is given, and what it leaves.
+"""The functions of an observer in C: their arguments and their results.
 
-What a function knows of the present is the struct `now`. The inputs of the past stand there in a ring, from which `past_u`
-reads what was applied so many ticks ago: 0 before tick 0 unless `now` was begun otherwise, and NaN beyond the ring.
+The struct `now` contains the present tick, and past inputs in a ring buffer. `past_u` reads the input of a given age
+from it. Before tick 0 the input is 0, unless `now` was initialised with other values. Beyond the ring buffer it is NaN.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,7 +23,7 @@ from pcbench.protocols import Arrival, Now, Observer
 
 
 class Shapes(NamedTuple):
-    """What an observer is of: m inputs, q outputs, what it notes, and the rows of past inputs."""
+    """The sizes of an observer: m inputs, q outputs, its snapshot, and the rows of past inputs."""
 
     inputs: int
     outputs: int
@@ -57,7 +57,7 @@ class Source(NamedTuple):
 
 
 def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided: bool) -> Now:
-    """Return the present of a tick, whose own input is `decided`, as it is in `flow`, or not yet."""
+    """Return the argument `now` of a tick; its own input is `decided`, as in `flow`, or not yet."""
     rows = past.shape[0]
 
     def past_u(age: Array) -> Array:
@@ -70,7 +70,7 @@ def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided:
 
 
 def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes) -> Source:
-    """Return an observer in C; raise UserError, naming the function and the primitive, where it cannot be written."""
+    """Return an observer in C; raise UserError with the function and the primitive if C cannot express it."""
     memory = jax.eval_shape(o.init, gains, xhat0)
     now, arrival, flags = _argument_shapes(shapes)
     there = {
@@ -117,7 +117,7 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
 
 
 def _reading(name: str, functions: list[Function]) -> Reading:
-    """How a function reads past inputs: in a loop it goes back further than to the sample that arrives."""
+    """How a function reads past inputs: in a loop it may read inputs from before the arriving sample."""
     loops: list[int] = []
     found = False
     for line in next(f.lines for f in functions if f.name == name):
@@ -131,7 +131,7 @@ def _reading(name: str, functions: list[Function]) -> Reading:
 
 
 def _argument_shapes(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
-    """What functions are given besides gains and memory: of which kinds and shapes."""
+    """Types and shapes of the functions' arguments other than gains and memory."""
 
     def kind(dtype: type, *shape: int) -> Any:
         return jax.ShapeDtypeStruct(shape, dtype)
@@ -154,7 +154,7 @@ def _make_fields(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]
 
 
 def _observer_functions(o: Observer, noted: int) -> dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]:
-    """The functions that an observer has: what each computes, of what, and what that changes; in the order of a tick."""
+    """The functions of the observer in the order of a tick: their results, their arguments, and what they change."""
 
     def undecided(now: Iterable[Array]) -> Now:
         return present(*now, decided=False)
@@ -177,7 +177,7 @@ def _observer_functions(o: Observer, noted: int) -> dict[str, tuple[Callable[...
 
 
 def _complete(a: Arrival) -> Arrival:
-    """An arrival with 0 for the value and the age of the others for that of a channel that does not arrive."""
+    """An arrival in which channels without an arrival have value 0 and the age of the other channels."""
     oldest = jnp.max(jnp.where(a.mask, a.age, 0))
     return a._replace(value=jnp.where(a.mask, a.value, 0.0), age=jnp.where(a.mask, a.age, oldest))
 
@@ -185,9 +185,9 @@ def _complete(a: Arrival) -> Arrival:
 def _lines(
     closed: ClosedJaxpr, entries: list[Entries], into: list[Entries] | None, changes: str, refuses: bool
 ) -> list[str]:
-    """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`.
+    """The lines of a function that writes the outputs of a program `into` a struct, or into an array called `changes`.
 
-    One that `refuses` returns 1 before it changes anything if the program has gone outside the room, and else 0.
+    A function that `refuses` returns 1 and changes nothing if the program exceeds the room, and otherwise returns 0.
     """
     w = Writer()
     left = jaxpr_to_c.write(w, closed, entries)
@@ -206,7 +206,7 @@ def _lines(
 
 
 def _head(label: str, args: tuple[str, ...], changes: str) -> str:
-    """The arguments of a function in C."""
+    """The declaration of a function's arguments in C."""
     const = "" if changes == "m" else "const "
     said = {
         "g": f"const {label}_gains *g",

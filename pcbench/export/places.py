@@ -1,7 +1,7 @@
-"""Entries of an array at indices that are computed: slices, rows, and what is put in their place.
+"""Entries of an array at computed indices: slices, rows and their replacement.
 
-C reads them from an array of its own; one whose entries are from several places is copied into one first. Indices are kept to
-the array as jax keeps them: a slice is moved inside, a row is clipped, or is NaN (of integers the least) where it is outside.
+C reads them from one array. If the entries are in several places, they are copied into one first. Indices beyond the
+array are treated as in jax: a slice is moved inside, and a row is clipped, or is NaN (for integers the smallest value).
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ FILL = (GatherScatterMode.FILL_OR_DROP,)
 
 
 def dynamic_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write a slice that begins where some indices say."""
+    """Write a slice with computed start indices."""
     operand, sizes = args[0], tuple(jaxpr_compat.param(eqn, "slice_sizes"))
     starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
     window = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), -1) if sizes else np.zeros((0,), int)
@@ -26,7 +26,7 @@ def dynamic_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write an array anew, with a slice replaced that begins where some indices say."""
+    """Write a copy of an array, with a slice at computed start indices replaced."""
     operand, update = args[:2]
     starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[2:], operand.shape, update.shape, strict=True)]
     if not any(isinstance(s, Term) for s in starts):
@@ -42,7 +42,7 @@ def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 def _starts(
     axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batching: Iterable[tuple[int, int]]
 ) -> list[Entry]:
-    """Where a slice begins: the columns of a row of indices say it of `places`, the row itself of batching axes."""
+    """The start of a slice: a row of indices gives it for the axes `places`, and the row's own position for batch axes."""
     starts: list[Entry] = [np.int64(0)] * axes
     for column, axis in enumerate(places):
         starts[axis] = indices[(*row, column)]
@@ -52,7 +52,7 @@ def _starts(
 
 
 def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write slices of an array, each from where a row of indices says."""
+    """Write slices of an array, each with start indices from a row."""
     operand, indices = args
     d, sizes = jaxpr_compat.param(eqn, "dimension_numbers"), jaxpr_compat.param(eqn, "slice_sizes")
     aval, mode = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "mode")
@@ -79,7 +79,7 @@ def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
-    """Write an array anew, with slices replaced (or added to) from where rows of indices say; what falls outside is dropped."""
+    """Write a copy of an array with slices replaced or added at start indices from rows; those outside are dropped."""
     operand, indices, updates = args
     d, adds = jaxpr_compat.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
     windowed = [i for i in range(operand.ndim) if i not in (*d.inserted_window_dims, *d.operand_batching_dims)]
@@ -107,13 +107,13 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 
 def as_c_array(w: Writer, kind: str, values: Entries) -> Term:
-    """Return the first entry of an array in C that holds these entries, which is written where there is none."""
+    """Return the first entry of a C array with these entries; writes one if there is none."""
     found: Term = place_of(values) or w.array(kind, values).flat[0]
     return found
 
 
 def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window: NDArray[np.int64]) -> Entries:
-    """The entries at `starts` and, beyond, at the indices that the last axis of `window` holds."""
+    """The entries at `starts` plus the indices on the last axis of `window`."""
     out = np.empty(window.shape[:-1], object)
     if not any(isinstance(s, Term) for s in starts):
         for i in np.ndindex(out.shape):
@@ -129,14 +129,14 @@ def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window
 
 
 def _copy_operand(w: Writer, eqn: Eqn, operand: Entries) -> str:
-    """The name of an array of its own that holds what the operand does."""
+    """The name of a new array with a copy of the operand."""
     name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
     w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(written, operand.flat)) or '0'}}};")
     return name
 
 
 def _inside(w: Writer, start: Entry, most: int) -> Entry:
-    """An index moved to 0 .. most."""
+    """An index clipped to 0 .. most."""
     if not most:
         return np.int64(0)
     if isinstance(start, Term):
@@ -145,13 +145,13 @@ def _inside(w: Writer, start: Entry, most: int) -> Entry:
 
 
 def _is_inside(w: Writer, starts: Sequence[Entry], limits: list[int]) -> str:
-    """Whether indices are in 0 .. limits: a condition in C."""
+    """A condition in C: the indices are in 0 .. limits."""
     each = [f"{written(s)} >= 0 && {written(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
     return w.let("bool", " && ".join(each)).text
 
 
 def _or_else(w: Writer, eqn: Eqn, found: Entries, there: str) -> Entries:
-    """What was found, or what stands for nothing where the index was outside."""
+    """The value, or the fill value if the index is outside."""
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
     none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
@@ -166,7 +166,7 @@ def _flat(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
 
 
 def _offset(w: Writer, shape: tuple[int, ...], starts: Sequence[Entry], base: str = "") -> str:
-    """The index in C of the entry at `starts`, beyond a base."""
+    """The index in C of the entry at `starts`, relative to a base."""
     strides = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
     terms = [f"{written(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
     text = " + ".join([*([base] if base else []), *terms])

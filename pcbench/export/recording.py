@@ -1,4 +1,4 @@
-"""A recording as a run to test an exported observer by, with observers that have room for all of it."""
+"""A recording as the test run of an exported observer, whose buffers have the size that the recording needs."""
 
 import numpy as np
 
@@ -12,9 +12,9 @@ LONGEST = 300_000  # ticks, which become lines of C
 
 
 def prepare_recording(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
-    """Return an observer prepared for a recording, and the recording as a run, still without what is expected of it.
+    """Return an observer prepared for a recording, and the recording as a run, without the expected estimates.
 
-    Raises UserError for a recording that is too long to become a table in C.
+    Raises UserError if the recording is too long for a table in C.
     """
     if a.last >= LONGEST:
         raise UserError(

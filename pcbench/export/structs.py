@@ -1,6 +1,6 @@
-"""Pytrees as structs of C: a field for each array, named by its path, row after row.
+"""Pytrees as C structs: one field per array, named by its path, in row-major order.
 
-A run to test an exported observer by: its inputs, what happens at which tick, and what the simulation made of it.
+Also the test run of an exported observer: its inputs, the events of each tick, and the estimates of the simulation.
 """
 
 import keyword
@@ -40,12 +40,12 @@ class Field(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers it has; 0: C has no such field."""
+        """Number of entries; with 0 the field is left out in C."""
         return int(np.prod(self.shape))
 
 
 def fields(tree: PyTree, alone: str) -> list[Field]:
-    """Return the fields of a pytree of arrays, in the order of its leaves; a tree that is one array is called `alone`."""
+    """Return the fields of a pytree of arrays, in the order of its leaves; a single array is called `alone`."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
     out: list[Field] = []
     for path, leaf in leaves:
@@ -62,7 +62,7 @@ def _word(key: object) -> str:
 
 
 def entries(pointer: str, given: Iterable[Field]) -> list[Entries]:
-    """Return the entries of a struct's fields behind a pointer."""
+    """Return the entries of a struct's fields, read through a pointer."""
     out = []
     for f in given:
         text = f"{pointer}->{f.name}"
@@ -71,7 +71,7 @@ def entries(pointer: str, given: Iterable[Field]) -> list[Entries]:
 
 
 def declare_struct(name: str, given: Iterable[Field]) -> list[str]:
-    """Return the lines that declare a struct; C has no empty one."""
+    """Return the lines that declare a struct; an empty one gets a dummy field, because C has none."""
     lines = ["typedef struct {"]
     for f in given:
         if f.size:
@@ -85,7 +85,7 @@ def declare_struct(name: str, given: Iterable[Field]) -> list[str]:
 
 
 def initialiser(given: Iterable[Field], values: Iterable[np.ndarray]) -> list[str]:
-    """Return the lines of an initialiser, field by field, eight numbers a line."""
+    """Return the lines of an initialiser, field by field, eight numbers per line."""
     lines = []
     for f, value in zip(given, values, strict=True):
         if not f.size:
@@ -104,7 +104,7 @@ Floats = NDArray[np.float64]
 
 
 class Event(NamedTuple):
-    """What happens at a tick, in the order in which it does; q outputs."""
+    """The events of one tick, in their order; q outputs."""
 
     tick: int
     what: int  # SNAPSHOT, SAMPLED or JUMP
@@ -129,7 +129,10 @@ class Vector(NamedTuple):
 
 
 def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
-    """Return a run of a plan of one observer, on a schedule of that run (`planning.alone`), with `rows` inputs from before."""
+    """Return the run of a plan with one observer, on that run's schedule (`planning.alone`).
+
+    `rows` is the number of inputs from before tick 0.
+    """
     (name, _), root, index = p.layout.observers[0], np.asarray(root_seed), np.asarray(seed)
     out = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, p.problem, root, index))
     ask = jax.jit(beginning, static_argnums=(0, 1))
@@ -166,7 +169,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
 
 
 def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
-    """Return xhat(0) of a run, and the inputs applied before tick 0, the newest first."""
+    """Return xhat(0) of a run, and the inputs before tick 0, the newest first."""
     _, state = prepare(layout, p, root_seed, seeds)
 
     def one(commands: PyTree) -> Array:
@@ -178,9 +181,9 @@ def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, s
 
 
 def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:
-    """Return the events of ticks from `first` on, in the order of a tick: snapshots, what is sampled, what arrives.
+    """Return the events of the ticks from `first` on, in the order of a tick: snapshots, samples, arrivals.
 
-    `early` packets were taken before tick 0; `tells`: the observer is told what is sampled.
+    `early` packets were taken before tick 0. With `tells`, the observer is notified when a sample is taken.
     """
     q = w.sampled.shape[1]
     none = np.zeros(q, int)

@@ -1,7 +1,7 @@
-"""The numbers of a program in C: how each is written, and the lines that compute them.
+"""Numbers of a program in C: how each is written, and the lines that compute them.
 
-An array is an object array of NumPy, whose entries are known numbers or `Term`s. What only moves numbers about is then done by
-NumPy here, and leaves no line.
+An array is a NumPy object array. Its entries are known numbers or `Term`s. NumPy moves entries here, so such operations
+produce no code.
 """
 
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class Term(NamedTuple):
 
 
 class Writer:
-    """The lines of one function as they are written, and the products of floats in them."""
+    """The lines of one function during translation, and the multiplications of floats in them."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -44,32 +44,32 @@ class Writer:
         self.lines.append("    " * self.deep + line)
 
     def name(self, letter: str) -> str:
-        """Return a name that nothing has yet."""
+        """Return an unused name."""
         return f"{letter}{next(self._names)}"
 
     def let(self, kind: str, expression: str, products: int = 0) -> Term:
-        """Write a number of its own, and return it."""
+        """Write a variable with this value, and return it."""
         name = self.name("t")
         self.products += products
         self.say(f"const {kind} {name} = {expression};")
         return Term(name)
 
     def check(self, within: Entries) -> None:
-        """Write that something is outside the room unless all of these are true."""
+        """Write a test that records an index beyond the room unless all of these conditions are true."""
         each = {written(x) for x in within.flat} - {"true"}
         self.checks += len(each)
         for text in sorted(each):
             self.say(f"outside = outside || !{text};")
 
     def array(self, kind: str, values: Entries) -> Entries:
-        """Write an array that holds these entries, and return its own."""
+        """Write an array with these entries, and return its entries."""
         name, texts = self.name("a"), [written(x) for x in values.flat]
         fixed = "static const " if not any(isinstance(x, Term) for x in values.flat) else ""
         self.say(f"{fixed}{kind} {name}[{values.size}] = {{{', '.join(texts)}}};")
         return array_entries(name, values.shape)
 
     def room(self, kind: str, shape: tuple[int, ...]) -> Entries:
-        """Write an array without values yet, and return its entries; a number alone is a name."""
+        """Write an uninitialised array, and return its entries; a scalar is a plain variable."""
         name, size = self.name("v"), int(np.prod(shape))
         if size:
             self.say(f"{kind} {name}{f'[{size}]' if shape else ''};")
@@ -77,7 +77,7 @@ class Writer:
 
     @contextmanager
     def block(self, head: str) -> Iterator[None]:
-        """Write what is written inside as a block of its own, which counts the products of its own."""
+        """Write the lines inside as a block, whose multiplications are counted separately."""
         self.say(head + " {")
         before, self.products = self.products, 0
         self.deep += 1
@@ -88,7 +88,7 @@ class Writer:
         self.say("}")
 
     def count(self) -> None:
-        """Write how many products the lines of this block take, once they are all there."""
+        """Write the count of multiplications of this block, once its lines are complete."""
         if self.products:
             self.say(f"PRODUCTS({self.products});")
         self.products = 0
@@ -111,12 +111,12 @@ def number_entries(value: ArrayLike) -> Entries:
 
 
 def is_known(*arrays: Entries) -> bool:
-    """Say whether no entry is a Term."""
+    """Return whether no entry is a Term."""
     return not any(isinstance(x, Term) for a in arrays for x in a.flat)
 
 
 def array_entries(name: str, shape: tuple[int, ...], base: str = "", first: int = 0) -> Entries:
-    """Return the entries of an array of C, behind an index `base` and `first` more."""
+    """Return the entries of a C array, from the index `base` plus `first` on."""
     out = np.empty(int(np.prod(shape)), object)
     for i in range(out.size):
         at = first + i
@@ -125,7 +125,7 @@ def array_entries(name: str, shape: tuple[int, ...], base: str = "", first: int 
 
 
 def place_of(values: Entries) -> Term | None:
-    """Return the first entry of an array that stands in one of C as it is; None where its entries are from several places."""
+    """Return the first entry if all entries are consecutive in one C array; otherwise None."""
     each = list(values.flat)
     first = each[0] if each else None
     if not isinstance(first, Term) or not first.store:
@@ -137,12 +137,12 @@ def place_of(values: Entries) -> Term | None:
 
 
 def kind_of(dtype: DTypeLike) -> str:
-    """Return what C calls a type."""
+    """Return the name of a type in C."""
     return KINDS[str(np.dtype(dtype))]
 
 
 def written(x: Entry) -> str:
-    """Return an entry as C reads it."""
+    """Return an entry as an expression of C."""
     if isinstance(x, Term):
         return x.text
     if isinstance(x, bool | np.bool_):
