@@ -24,12 +24,28 @@ from pcbench.moments.noise_state import OneCell, by_shapes, form_of, slope, vect
 from pcbench.moments.propagate import flat, one_cell
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Now
+from pcbench.scenarios.scenario import Sampling
 from pcbench.simulation import simulate_runs
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
 
 ROUNDING = 1e-9  # of the largest number in a comparison; found on affine cells: below 1e-12
 KEY = 20190131  # of where a plant is looked at: no result depends on it
+
+
+def describe_unsupported_samples(sampling: Sampling) -> str:
+    """Return why samples have no exact moments, the end of a sentence about them; empty if they have."""
+    if chance := sampling.outlier_probability:
+        return f"of which {100 * np.max(chance):g} % are outliers, whose noise is not normal"
+    if sampling.noise_correlation:
+        return "whose noise is correlated between channels, which exact moments do not follow"
+    if np.isfinite(degrees := sampling.student_t_dof):
+        return f"whose noise is Student's t with {degrees:g} degrees, which is not normal"
+    if sampling.sensors_decide:
+        return "that are sent or not by what they measure, which is not affine in the noise"
+    if any(sampling.quantization_step):
+        return "that are rounded, which is not affine in what is measured"
+    return ""
 
 
 def bend(p: Plan) -> float:

@@ -15,7 +15,7 @@ square (`programs`). In a loop the same holds for the response to the input, of 
 import numpy as np
 from jaxtyping import Float
 
-from pcbench.moments.affinity import ROUNDING
+from pcbench.moments.affinity import ROUNDING, describe_unsupported_samples
 from pcbench.moments.error_sums import AMPLIFIED, relative_deviation
 from pcbench.moments.solve import CellMoments
 from pcbench.planning import drafts
@@ -66,18 +66,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     p, s = cell.planned, cell.sums
     mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
-    if chance := p.cell.scenario.sampling.outlier_probability:
-        return f"{where} has samples of which {100 * np.max(chance):g} % are outliers, whose noise is not normal; {instead}."
-    if p.cell.scenario.sampling.noise_correlation:
-        return f"{where} has samples whose noise is correlated between channels, which exact moments do not follow; {instead}."
-    if np.isfinite(degrees := p.cell.scenario.sampling.student_t_dof):
-        return (
-            f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
-        )
-    if p.problem.trigger:
-        return f"{where} has samples that are sent or not by what they measure, which is not affine in the noise; {instead}."
-    if any(p.cell.scenario.sampling.quantization_step):
-        return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
+    if why := describe_unsupported_samples(p.cell.scenario.sampling):
+        return f"{where} has samples {why}; {instead}."
     if said := lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."
     part = relative_deviation(s, mine, cell.reached)

@@ -16,7 +16,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from pcbench.engine import runner
-from pcbench.moments.affinity import ROUNDING, bend, is_curved
+from pcbench.moments.affinity import ROUNDING, bend, describe_unsupported_samples, is_curved
 from pcbench.moments.delay_modes import over_modes
 from pcbench.moments.error_sums import Sums, nothing, relative_deviation
 from pcbench.moments.inputs import Numbers, shared_of
@@ -129,7 +129,8 @@ def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable])
     many = 0  # realisations in the window
     for p in plans:
         off = bend(p)
-        ones, drawn, trial = ([], False, False) if off > ROUNDING else _realisations(p, asked, unlike)
+        refused = off > ROUNDING or describe_unsupported_samples(p.cell.scenario.sampling)
+        ones, drawn, trial = ([], False, False) if refused else _realisations(p, asked, unlike)
         window.append(Work(p, ones, drawn, trial, off, []))
         many += len(ones)
         if many >= WINDOW:
