@@ -43,8 +43,8 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
         if kind in (targets.STUDY, "scenario"):
             if scenario is not None:
                 raise UserError(
-                    f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is tried on itself; leave it "
-                    "out."
+                    f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is checked on its own; leave "
+                    "it out."
                 )
             parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
             found = study.findings(target, [f"{key}={toml_value(value)}" for key, value in given.items()])

@@ -128,7 +128,7 @@ def shapes(t: Trial) -> str:
     """Check the shapes: one command per input, set points of the first states, and memory of unchanged shape."""
     n, m = t.told.model.B.shape
     law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(estimated_of(t.scenario)) - n, m))
-    return f"{', '.join(functions(t))} return what they should"
+    return f"{', '.join(functions(t))} return arrays of the right shapes"
 
 
 def lanes(t: Trial) -> str:
@@ -151,8 +151,8 @@ def check_hold(t: Trial) -> str:
     first = next((k for k, u in enumerate(commands) if not np.array_equal(u, commands[k - k % t.every])), None)
     require(
         first is None,
-        f"held: got another command at tick {first}, between decisions every {t.every} ticks (period), expected the last one; "
-        "keep it from start on, and decide where now.tick % every == 0.",
+        f"held: got a different command at tick {first}, between decisions every {t.every} ticks (period), expected the same; "
+        "store it from start on, and decide only if now.tick % every == 0.",
     )
     return f"commands change every {t.every} ticks only"
 
@@ -161,9 +161,7 @@ def settles(t: Trial) -> str:
     """Check that the eigenvalues of the closed loop with state feedback are within the unit circle."""
     found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
     if found is None:
-        raise SkipCheck(
-            "it has no linear law about rest, as it looks at inputs on their way: write linear(options, context)"
-        )
+        raise SkipCheck("it has no linear law, because it uses commands in transit: write linear(options, context)")
     if sentence := controller_table.warning(t.scenario, "settles"):
         raise UserError(sentence)
     return (
@@ -181,11 +179,11 @@ def run(t: Trial) -> str:
     x = np.asarray(out.x)[:, : len(states_of(s))]
     for k in np.flatnonzero(~(np.isfinite(x).all(1) & np.isfinite(np.asarray(out.u)).all(1))):
         raise UserError(
-            f"run: got a state or a command that is not finite at tick {k} ({k * s.dt:g} s) of {s.name}, from a true start "
-            "without noise, expected numbers; see what the law divides by, or give other options."
+            f"run: got a state or a command that is not finite at tick {k} ({k * s.dt:g} s) of {s.name}, from the true initial "
+            "state without noise, expected finite numbers; check the law's divisions, or give other options."
         )
     at_end = ", ".join(f"{name} {v:.3g}" for (name, _), v in zip(states_of(s), x[-1], strict=True))
-    return f"after {s.duration:g} s with the state known: {at_end}; commands of {np.abs(out.u).max():.3g} at most"
+    return f"after {s.duration:g} s with state feedback: {at_end}; commands of {np.abs(out.u).max():.3g} at most"
 
 
 CHECKS: dict[str, Callable[[Trial], str]] = {

@@ -66,8 +66,8 @@ def arrays(prepared: PyTree) -> PyTree:
     for leaf in jax.tree.leaves(prepared):
         if not is_number(leaf):
             raise UserError(
-                f"numbers: got {brief_repr(leaf)} among what prepare returns, expected arrays of numbers only; keep words and "
-                "functions out of it."
+                f"numbers: got {brief_repr(leaf)} in the result of prepare, expected arrays of numbers only; remove texts and "
+                "functions."
             )
     return jax.tree.map(jnp.asarray, prepared)
 
@@ -87,20 +87,19 @@ def purity(functions: Functions, given: PyTree) -> str:
             if "eak" not in str(error):
                 raise
             raise UserError(
-                f"purity: got a traced value that {name} leaves behind outside itself, expected none; return what is to be "
-                "kept."
+                f"purity: got a traced value that {name} stores outside itself, expected none; return it instead."
             ) from None
         if not is_same_program(first, second):
             raise UserError(
-                f"purity: got two programs when {name} was traced twice, expected one; take out counters and random numbers of "
-                "Python."
+                f"purity: got two programs when {name} was traced twice, expected one; remove Python's counters and random "
+                "numbers."
             )
         if _changes_its_arguments(f, given):
             raise UserError(
-                f"purity: got arguments that {name} has changed, expected them as they were; return new ones "
+                f"purity: got changed arguments from {name}, expected unchanged ones; return new ones "
                 "(x._replace, or {**x, ...})."
             )
-    return "same input, same output; nothing kept outside, no argument changed"
+    return "equal inputs give equal outputs; no state outside, no argument changed"
 
 
 def _changes_its_arguments(f: Callable[[Any], PyTree], given: PyTree) -> bool:
@@ -171,7 +170,7 @@ def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[An
             if not all(a.shape == b.shape and np.allclose(a, b, CLOSE, CLOSE, equal_nan=True) for a, b in pairs):
                 raise UserError(
                     f"many runs: {name} in {way}: got other numbers than one run at a time gives, expected the same to "
-                    f"{CLOSE:g}; let no run depend on how many there are, and keep gains of a moderate size."
+                    f"{CLOSE:g}; make each run independent of the others, and use gains of a moderate size."
                 )
     return f"{len(rows)} runs at once are the same as one at a time"
 

@@ -52,7 +52,7 @@ def shapes(t: Trial) -> str:
     """Check that every function of the protocol returns arrays of the right shapes."""
     for case in t.cases:
         shapes_of(t.label, t.observer, case.problem, continuous=t.observer.field is not None)
-    return "init, snapshot, jump, flow and estimate return what they should"
+    return "init, snapshot, jump, flow and estimate return arrays of the right shapes"
 
 
 def gains(t: Trial) -> str:
@@ -65,7 +65,7 @@ def gains(t: Trial) -> str:
         require(
             not captured,
             f"gains: got an array of shape {list(np.shape(captured[0])) if captured else []} written into {name}, expected "
-            "every number among the gains; return it from design and take it from there.",
+            "every number among the gains; return it from design and read it from gains.",
         )
     other = t.cases[-1]
     known = other.setting._replace(noise_std=tuple(2 * s or 1.0 for s in case.setting.noise_std))
@@ -81,7 +81,7 @@ def gains(t: Trial) -> str:
             f"gains: got other numbers in the program of {name} after another design, expected the gains alone to change; take "
             "from gains what design finds, not from a global or a closure.",
         )
-    return "all numbers are gains; another design needs no other program"
+    return "all numbers are gains; a second design uses the same program"
 
 
 def _form(gains: Gains) -> str:
@@ -112,9 +112,9 @@ def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
 def perfect_start(t: Trial) -> str:
     """Check that the error stays 0 with a true model, a true initial state and no noise, on every schedule."""
     if not t.candidate.entry.knows_schedule:
-        raise SkipCheck("it declares that it does not know the schedule")
+        raise SkipCheck("it declares knows_schedule = False")
     if t.cases[0].setting.model.E is not None:
-        raise SkipCheck("an unknown input pushes this plant: no start stays perfect; name a --scenario without one")
+        raise SkipCheck("this plant has an unknown input, so the error cannot stay 0; name a --scenario without one")
     for case in t.cases:
         p = case.problem
         got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
@@ -123,7 +123,7 @@ def perfect_start(t: Trial) -> str:
         for k in np.flatnonzero(~(e <= (LINEAR if t.near else ROUNDING))):
             raise UserError(
                 f"perfect start on {case.name}: got an error of {e[k]:.2g} of the largest state at tick {k}, expected none "
-                "(true model, true start, no noise); look for a tick of slip, or declare knows_schedule False."
+                "(true model, true start, no noise); look for an offset of one tick, or declare knows_schedule False."
             )
     return f"no error on {_many(t)}" + (", near the operating point" if t.near else "")
 
@@ -136,7 +136,7 @@ def delay_0(t: Trial) -> str:
     for bad in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
         raise UserError(
             f"delay 0: got an estimate that is not finite at tick {bad}, expected numbers when a sample of age 0 arrives; "
-            "divide by no age."
+            "do not divide by an age."
         )
     k = int(case.setting.period[0])
     require(
@@ -158,9 +158,9 @@ def no_peeking(t: Trial) -> str:
             require(
                 _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
                 f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later "
-                "inputs, expected the same bits; use past_u with ages of 0 or more only, and of an arrival what is fresh.",
+                "inputs, expected the same bits; use past_u with ages of 0 or more only, and values only if mask is true.",
             )
-    return f"what has not arrived changes no bit of an estimate, on {_many(t)}"
+    return f"no estimate depends on data that have not arrived, on {_many(t)}"
 
 
 def after_the_jump(t: Trial) -> str:
@@ -176,7 +176,7 @@ def after_the_jump(t: Trial) -> str:
     if not moved.any():
         return "no measurement changes its estimate"
     if not t.candidate.entry.knows_schedule:
-        raise SkipCheck("it declares that it does not know the schedule: when it corrects is its own")
+        raise SkipCheck("it declares knows_schedule = False: it may correct at any tick")
     first = int(np.flatnonzero(moved)[0])
     rate = first == k + 1 and moved[first + 1] > RATE * moved[first]
     require(
@@ -226,8 +226,8 @@ def _not_fresh(t: Trial, case: Case) -> None:
         results = [after(g.gains, g.memory, jnp.asarray(channel), jnp.asarray(value)) for value in (0.0, 77.0)]
         require(
             all(map(np.array_equal, *results)),
-            f"no peeking: got an estimate that changes with the value of channel {channel + 1} where fresh is False, expected "
-            "it to be ignored; take values by jnp.where(arrival.mask, ...).",
+            f"no peeking: got an estimate that changes with the value of channel {channel + 1} where arrival.mask is "
+            "False, expected it to be ignored; take values by jnp.where(arrival.mask, ...).",
         )
 
 
@@ -255,7 +255,7 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
             f"{where} an error beyond the scenario's divergence threshold at tick {bad[0]}, expected one that stays within "
             "it (true model, true start, no noise); give it other gains, or a --scenario whose loop is slower."
         )
-    return f"its error in {scenario.name} under {scenario.loop.controller} stays within the bound"
+    return f"its error in {scenario.name} under {scenario.loop.controller} stays below the divergence threshold"
 
 
 CHECKS: dict[str, Callable[[Trial], str]] = {

@@ -182,7 +182,7 @@ def shapes(t: Trial) -> str:
                 f"shapes: got an array of shape {list(value.shape)} from {name}, expected {list(want)}, a number for each of "
                 f"{', '.join(entries_of(t, name))}; return all of them."
             )
-    return f"{', '.join(functions(t))} return what they should"
+    return f"{', '.join(functions(t))} return arrays of the right shapes"
 
 
 def finite(t: Trial) -> str:
@@ -194,8 +194,7 @@ def finite(t: Trial) -> str:
             for i in np.flatnonzero(~np.isfinite(value)):
                 raise UserError(
                     f"finite: got {value[i]} for {entries_of(t, name)[i]} in {name} at {shown_at(t, g)}, expected a "
-                    "number; guard the root or the quotient there, or name a --scenario whose prior_std stays where the plant "
-                    "can be."
+                    "number; prevent the invalid root or division there, or name a --scenario with a smaller prior_std."
                 )
     return f"finite at the operating point and at {len(points(t)) - 1} points around it"
 
@@ -215,7 +214,7 @@ def slopes(t: Trial) -> str:
             who = "the linear model" if not i and is_slope else "jax"
             _compare(t, name, f, g, "x", t.spread, np.asarray(slopes_x) * t.spread, who)
             _compare(t, name, f, g, "u", t.reach, np.asarray(slopes_u) * t.reach, who)
-    return "jax and the linear model agree with differences of the values"
+    return "jax and the linear model agree with finite differences"
 
 
 def _compare(
@@ -251,7 +250,7 @@ def _compare(
 def axes(t: Trial) -> str:
     """Check that each parameter that a study can vary has an effect."""
     if not t.axes:
-        raise SkipCheck("it has no numbers that a study may vary")
+        raise SkipCheck("it has no parameters that a study can vary")
     numbers, idle = numbers_of(t.scenario), []
     fs = [jax.jit(f) for name, f in functions(t).items() if name != "unknown"]
     for name in t.axes:
@@ -262,9 +261,9 @@ def axes(t: Trial) -> str:
             idle.append(f"plant.{name}")
     if idle:
         raise CheckNote(
-            f"around the operating point nothing changes with {', '.join(idle)}: a study that varies it there gets equal cells"
+            f"around the operating point {', '.join(idle)} changes nothing: a study that varies it gets equal results"
         )
-    return "each of its numbers changes the plant"
+    return "each of its parameters changes the plant"
 
 
 def rest(t: Trial) -> str:
@@ -285,7 +284,7 @@ def rest(t: Trial) -> str:
 def tick(t: Trial) -> str:
     """Check that one tick is as accurate as two of half its length."""
     if motion(t) == "step":
-        raise SkipCheck("it is given by its step: a tick is what that says")
+        raise SkipCheck("it is defined by its step: a tick has no integration error")
     dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
     own, by = jax.jit(functions(t)["step"]), stepping(t)
     off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
@@ -294,7 +293,7 @@ def tick(t: Trial) -> str:
         advice = (
             f"write dt = {fine:g}, or less"
             if fine
-            else "see whether step is what field says, or leave out what is so fast"
+            else "check that step agrees with field, or leave out dynamics that are so fast"
         )
         raise UserError(
             f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.duration:g} s, "
@@ -339,15 +338,15 @@ def check_observability(t: Trial) -> str:
     lasting = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
     if lasting:
         raise CheckNote(
-            f"no output shows the mode {' and '.join(lasting)}, which does not decay: no observer can find the state; measure "
-            "another output"
+            f"no output shows the mode {' and '.join(lasting)}, which does not decay: no observer can estimate the state; "
+            "measure another output"
         )
     if hidden:
         raise CheckNote(
             f"no output shows the mode {' and '.join(map(shown_mode, hidden))}, which decays: observers that place every pole "
             "refuse the plant, kf and ekf do not"
         )
-    return "every mode shows in some output"
+    return "every mode is observable"
 
 
 def perfect_start(t: Trial) -> str:

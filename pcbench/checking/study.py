@@ -70,7 +70,7 @@ def settles(grid: Grid) -> str:
     if sentences := parse.unstable(grid):
         raise UserError(sentences[0])
     if not known:
-        raise SkipCheck("no loop is closed by a controller whose linear law is known")
+        raise SkipCheck("no controller here has a known linear law")
     return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in known.items())
 
 
@@ -123,7 +123,7 @@ def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
     for k, i in np.argwhere(~(e <= ROUNDING)):
         raise UserError(
             f"{got} an error of {e[k, i]:.2g} of the largest state in {states_of(cell.scenario)[i][0]} at tick {k}, expected "
-            "none (true model, true start, no noise); look for a tick of slip, or declare knows_schedule False."
+            "none (true model, true start, no noise); look for an offset of one tick, or declare knows_schedule False."
         )
 
 
@@ -144,8 +144,8 @@ def runs(grid: Grid) -> str:
                 left = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]
                 lost += [f"{label} in {cell.scenario.name} ({sum(left)} of {SEEDS} runs)"] if any(left) else []
     if lost:
-        raise CheckNote(f"the error leaves the bound of {', '.join(lost)}")
-    return f"{SEEDS} of each scenario: all errors stay within their bounds"
+        raise CheckNote(f"the error exceeds the divergence threshold of {', '.join(lost)}")
+    return f"{SEEDS} of each scenario: no error exceeds its divergence threshold"
 
 
 CHECKS: dict[str, Callable[[Grid], str]] = {

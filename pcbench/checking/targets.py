@@ -95,7 +95,7 @@ def ask(
         failed = [f.check for f in out if f.verdict == FAILS]
         lacking = next((need for need in (first, *needs.get(name, needs[""])) if need in failed), None)
         if lacking:
-            out.append(Finding(name, SKIPPED, f"not asked before {lacking} passes"))
+            out.append(Finding(name, SKIPPED, f"not run: {lacking} has not passed"))
         else:
             out.append(_verdict(name, partial(check, made[0])))
     return out

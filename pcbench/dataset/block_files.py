@@ -70,7 +70,7 @@ def read(target: storage.Target, block: Block) -> pa.Table:
     table = _table(target, block)
     if isinstance(table, str):
         raise UserError(
-            f"{target.name}/{block.name}: is damaged ({table}), expected a whole block; run the study again to have it redone."
+            f"{target.name}/{block.name}: is damaged ({table}), expected a whole block; run the study again to recompute it."
         )
     return table
 

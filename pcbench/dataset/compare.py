@@ -117,7 +117,7 @@ def _side(target: storage.Target, owned: StudyClaim) -> Side:
     stats = close.table(target, "stats.parquet")
     if stats is None:
         raise UserError(
-            f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
+            f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to continue."
         )
     digests = {c.key: identity(c, 0) for c in owned.cells}
     there = block_files.drop_overlaps(block_files.present(target))
@@ -129,7 +129,7 @@ def _side(target: storage.Target, owned: StudyClaim) -> Side:
             )
         if storage.footer(target, b.name) is None:
             raise UserError(
-                f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
+                f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to recompute it."
             )
     if not close.is_closed(target, there):
         raise UserError(

@@ -122,9 +122,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError:
-        raise UserError(
-            "--dask: the library is not there, expected it installed: pip install 'pcbench[dask]'."
-        ) from None
+        raise UserError("--dask: Dask is not installed, expected it: pip install 'pcbench[dask]'.") from None
     from asyncio import CancelledError as AsyncCancelled
 
     from dask import config as dask_config
@@ -140,7 +138,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         ) from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
-            f"--dask: got {shown_address(address)!r}, which is not reached ({type(error).__name__}); expected 'local' or the "
+            f"--dask: got {shown_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or the "
             "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 
@@ -160,17 +158,17 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
                 report = future.result()
             except distributed.KilledWorker:
                 raise UserError(
-                    "--dask: a task lost its worker again and again, expected workers that live; look at their memory, and run "
-                    "the same command again to go on."
+                    "--dask: a task lost its worker several times, expected workers that stay alive; check their memory, and "
+                    "run the same command again to go on."
                 ) from None
             except nobody:
                 raise UserError(
-                    "--dask: all workers have ended and none came again, expected workers that live; look at what they print, "
+                    "--dask: all workers have ended and none restarted, expected workers that live; look at their output, "
                     "or leave --dask out."
                 ) from None
             except (CancelledError, AsyncCancelled, OSError) as error:
                 raise UserError(
-                    f"--dask: the scheduler is gone ({type(error).__name__}), expected one that lives until the study ends; "
+                    f"--dask: the scheduler has ended ({type(error).__name__}), expected one that runs until the study ends; "
                     "run the same command again to go on."
                 ) from None
             future.release()

@@ -179,7 +179,7 @@ def _require_equal(part: Part, other: Part) -> None:
         how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
         raise UserError(
             f"{part.target.name}/{part.there.name}: its seeds {both.first} .. {both.stop - 1} differ {how} from those "
-            f"in {other.target.name}, expected equal rows; find out with pcbench verify which of them comes out again."
+            f"in {other.target.name}, expected equal rows; find out with pcbench verify which of them is reproduced."
         )
 
 

@@ -65,7 +65,7 @@ def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], 
     for sentence in refused[:SAID]:
         say(sentence)
     if refused[SAID:]:
-        say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
+        say(f"{target.name}: {len(refused) - SAID} more have no exact value; the column reason of stats shows why.")
     table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})
     storage.put_table(target, NAME, parquet_io.seal_table(table))
     return True

@@ -83,7 +83,7 @@ def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str],
     stays = set(kept)
     for b, damage in damages.items():
         if damage:
-            say(f"{target.name}/{b.name}: is damaged ({damage}); it is done again.")
+            say(f"{target.name}/{b.name}: is damaged ({damage}); it is computed again.")
         elif b not in stays:
             say(f"{target.name}/{b.name}: holds seeds that another block holds; it is removed.")
         if b not in stays:
@@ -91,7 +91,7 @@ def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str],
     old = block_files.about_block(target, kept[0]).get("versions", {}) if kept else {}
     if kept and old != (new := provenance.versions()):
         changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
-        say(f"{target.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
+        say(f"{target.name}: was begun with {changed}; the last bits of new runs may differ.")
     return kept
 
 
@@ -271,9 +271,9 @@ def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
             if cell.entry(label).elsewhere:
                 many = sum(seeds.many for seeds in ranges)
                 raise UserError(
-                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
-                    "elsewhere; write their draws with pcbench external prepare, estimate them, and give them to pcbench "
-                    "external score, or leave it out."
+                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it is an "
+                    "external program; write their measurements with pcbench external prepare, estimate the states, and score "
+                    "them with pcbench external score, or leave the observer out."
                 )
 
 

@@ -76,7 +76,7 @@ def _remote(out: str) -> Target:
         fs, root = pafs.FileSystem.from_uri(out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:
         reason = f" ({_reason(error)})" if name == out else ""  # which may quote what is not to be shown
-        raise UserError(f"{name}: is no place that can be reached{reason}; expected a path or a URI.") from None
+        raise UserError(f"{name}: cannot be accessed{reason}; expected a path or a URI.") from None
     return Target(fs, root.rstrip("/"), name, out)
 
 

@@ -56,8 +56,8 @@ class ExactValidation(NamedTuple):
         if len(self.z):
             said += f"{100 * far:.3g} % of |z| above 2 (4.6 % by chance), the largest {self.z.abs().max():.2f}; "
         if self.wrong.empty:
-            return said + f"none is farther off than chance allows (|z| < {self.limit:.2f})."
-        return said + f"{len(self.wrong):,} are farther off than chance allows (|z| < {self.limit:.2f})."
+            return said + f"none differs more than chance allows (|z| < {self.limit:.2f})."
+        return said + f"{len(self.wrong):,} differ more than chance allows (|z| < {self.limit:.2f})."
 
 
 def check(out: str | Path) -> ExactValidation:

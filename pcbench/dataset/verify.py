@@ -156,19 +156,19 @@ def _draw_sample(things: list[T], sample: int | None, seed: int) -> list[T]:
 def _others(target: storage.Target, owned: StudyClaim) -> Iterator[str]:
     """Yield a sentence for every file other than the blocks that has changed."""
     for name in close.damaged_files(target):
-        yield f"{name}: is not as it was written; run the study again to write it again."
+        yield f"{name}: has changed; run the study again to write it again."
     record = close.record(target)
     if record and record["study_sha256"] != digest(owned.study, owned.cells):
         yield f"{manifest.TEXT}: is not of the study that was run; run that study again to write it again."
     for name in [n for n in storage.names(target) if n.startswith(BESIDE) or n in (FAIR, moments_tables.NAME)]:
         if parquet_io.unseal_table(storage.get(target, name)) is None:
-            yield f"{name}: is not as it was written; remove it, and run the study again."
+            yield f"{name}: has changed; remove it, and run the study again."
 
 
 def _closing_differs(target: storage.Target, owned: StudyClaim, kept: list[Block]) -> Iterator[str]:
     """Yield a sentence for every closing table that does not follow from the blocks."""
     if not close.is_closed(target, kept):
-        yield "stats.parquet and pairs.parquet do not belong to the blocks; run the study again to go on."
+        yield "stats.parquet and pairs.parquet do not belong to the blocks; run the study again to continue."
         return
     tables = close.closing_tables(target, owned, kept)
     for name, content in (("stats.parquet", tables.stats), ("pairs.parquet", tables.pairs)):
@@ -224,11 +224,11 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
         if [
             k for k in old.keys() | new.keys() if k not in ("versions", "digest", "engine") and old.get(k) != new.get(k)
         ]:
-            yield f"{b.name}: its rows come out again, what it says of itself does not."
+            yield f"{b.name}: its rows are reproduced, its metadata are not."
         return
     apart = difference(there, here)
     if apart is None:
-        yield f"{b.name}: has other rows than come out now."
+        yield f"{b.name}: differs in its rows from the computed ones."
         return
     before, now = (each["versions"] | {"engine": each["engine"]} for each in (old, new))
     changed = [f"{k} {v}, now {now.get(k)}" for k, v in before.items() if now.get(k) != v]
@@ -248,7 +248,7 @@ def _exact_again(target: storage.Target, owned: StudyClaim, cells: list[Cell]) -
     for cell in cells:
         mine = (pc.field("scenario") == cell.scenario.name) & (pc.field("cell") == cell.number)
         if there is None or not agree(there.filter(mine), here.filter(mine)):
-            yield f"{moments_tables.NAME}: {_cell_title(cell)}: other numbers come out now."
+            yield f"{moments_tables.NAME}: {_cell_title(cell)}: the computed numbers differ."
 
 
 def _cell_title(cell: Cell) -> str:

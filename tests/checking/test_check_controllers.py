@@ -81,7 +81,7 @@ def fit(options, sizes):
 
 
 BROKEN = [
-    ("numbers", {"make": lambda options, told: ("PI", 1.0)}, {}, "got 'PI' among what prepare returns"),
+    ("numbers", {"make": lambda options, told: ("PI", 1.0)}, {}, "got 'PI' in the result of prepare"),
     ("shapes", {"target": lambda params, tick: 0.5}, {}, r"target returned shape \(\)"),
     ("shapes", {"command": lambda *given: given[-1][0]}, {}, "command returned no pair"),
     ("purity", changed(lambda u, *given: u * (1 + 1e-9 * next(COUNT))), {}, "two programs when command was traced twice"),
@@ -114,7 +114,7 @@ def test_options_that_do_not_fit_are_the_first_finding_and_the_last():
         first, *others = findings("pull", own(check=fit), CART, given)
         assert (first.check, first.verdict) == ("options", "fails")
         assert sentence in first.why
-        assert {f.why for f in others} == {"not asked before options passes"}
+        assert {f.why for f in others} == {"not run: options has not passed"}
 
 
 @pytest.mark.ci

@@ -149,7 +149,7 @@ def test_a_broken_plant_fails_the_check_it_should(check, make, sentence):
 NOTES = {
     "axes": (
         lambda: swing(numbers=(NamedTuple("More", [("length", float), ("friction", float), ("mass", float)]))(0.5, 0.2, 1.0)),
-        r"nothing changes with plant\.mass: ",
+        r"plant\.mass changes nothing: ",
     ),
     "rest": (
         lambda: swing(operating_point=([0.3, 0.0], [0.0])),
@@ -189,7 +189,7 @@ def test_there_is_a_plant_for_every_check():
 
 
 def test_numbers_that_are_none_are_named():
-    with pytest.raises(UserError, match=r"^numbers: got 'x' among what prepare returns"):
+    with pytest.raises(UserError, match=r"^numbers: got 'x' in the result of prepare"):
         asked("shapes", swing()._replace(prepare=lambda *given: "x"))
     with pytest.raises(UserError, match=r"^numbers: got A of shape \[2, 2\] in the linear model of 3 states"):
         asked("shapes", swing()._replace(signals=(("a", "1"),) * 3, operating_point=None))

@@ -77,7 +77,9 @@ def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
 
 @pytest.mark.ci
 def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(folder):
-    with pytest.raises(CheckNote, match=r"the error leaves the bound of model-only in lti \(3 of 3 runs\)"):
+    with pytest.raises(
+        CheckNote, match=r"the error exceeds the divergence threshold of model-only in lti \(3 of 3 runs\)"
+    ):
         asked("runs", free(["model-only"], divergence_threshold=0.5))
     timing = {"dt": 0.001, "sampling_period": 0.01, "delay": 0.0, "noise_std": 0.1, "duration": 0.1}
     table = {"plant": "four.py:burst", "x0": [1.0], "observers": ["model-only"], "input": "zero"} | timing
@@ -96,7 +98,7 @@ def test_an_observer_that_slips_in_a_loop_has_an_error_or_says_so_and_stays_with
     with pytest.raises(UserError, match=r"closed loop: got, in lti under lqr, an error of .* at tick 1, expected none"):
         in_lqr(slipped)
     modest = slipped._replace(knows_schedule=False)
-    assert in_lqr(modest) == "its error in lti under lqr stays within the bound"
+    assert in_lqr(modest) == "its error in lti under lqr stays below the divergence threshold"
     with pytest.raises(
         UserError, match=r"an error beyond the scenario's divergence threshold at tick 1, expected one that stays"
     ):

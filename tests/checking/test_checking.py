@@ -118,7 +118,7 @@ BROKEN = {
     "a word among gains": ("design", {"design": lambda s, o: Design({"L": "0.1"}, own.design(s, o)[1])}, "got a str among"),
     "a design that divides by zero": ("design", {"design": lambda s, o: 1 // 0}, "ZeroDivisionError.*test_checking.py line"),
     "estimate of one state": ("shapes", {"estimate": lambda gains, memory: memory[:1]}, r"estimate returned shape \(1,\)"),
-    "a list outside": ("purity", {"jump": kept}, "a traced value that jump leaves behind"),
+    "a list outside": ("purity", {"jump": kept}, "a traced value that jump stores outside"),
     "a counter": ("purity", {"flow": counted}, "two programs when flow was traced twice"),
     "a global": ("gains", {"jump": by_global, "design": sets_global}, "other numbers in the program of jump"),
     "a global table of whole numbers": (

@@ -135,7 +135,7 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     )
     found, said = verify.verify(copy, None, 0), io.StringIO()
     folder.verdict(found, "copy", Screen(file=said, width=200))
-    assert found.unlike == ["exact.parquet: lti, cell 0: other numbers come out now."]
+    assert found.unlike == ["exact.parquet: lti, cell 0: the computed numbers differ."]
     assert (
         said.getvalue().splitlines()[-1]
         == "copy: exact numbers of 1 of 2 recomputed grid points are equal up to rounding."

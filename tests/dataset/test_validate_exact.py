@@ -68,9 +68,9 @@ def test_the_verdict_names_what_chance_does_not_allow():
     good, bad = checked([0.5, -2.5, 1.0, 0.1]), checked([0.5, 5.0])
     assert good.wrong.empty
     assert "25 % of |z| above 2" in good.verdict
-    assert "none is farther off than chance allows" in good.verdict
+    assert "none differs more than chance allows" in good.verdict
     assert len(bad.wrong) == 1
-    assert "1 are farther off" in bad.verdict
+    assert "1 differ more" in bad.verdict
 
 
 def test_the_quantile_plot_has_a_point_for_every_mean():
