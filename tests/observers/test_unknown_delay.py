@@ -180,12 +180,12 @@ def test_what_cannot_be_is_one_sentence(options, sentence):
 @pytest.mark.nightly
 def test_the_pages_own_plant_gives_the_printed_numbers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    page = PAGES["unknown_delay.md"]
+    page = " ".join(PAGES["unknown_delay.md"].split())
     (text,) = (b.text for b in fenced("unknown_delay.md") if b.title == "motor.toml")
     (tmp_path / "motor.toml").write_text(text)
     steady = pcbench.run("motor.toml").stats.query("signal == 'angle' and metric == 'steady_rmse'")
     errors = [f"{steady.set_index('observer')['mean'][o]:.4f}" for o in ("mmae-delay", "ekf-delay", "kf")]
-    assert "is {} with `mmae-delay`, {} with `ekf-delay` and {} with\n`kf`".format(*errors) in page
+    assert "is {} with `mmae-delay`, {} with `ekf-delay` and {} with `kf`".format(*errors) in page
     call("simulate", "motor.toml", "--observer", "mmae-delay", "--out", "run.csv", "--log", "motor", cwd=tmp_path)
     found = pcbench.replay("motor", "motor.toml", ["mmae-delay", "ekf-delay"])
     estimates = {row["observer"]: row["estimate"] for row in found.summary["delays"]}
