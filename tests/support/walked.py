@@ -36,6 +36,7 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     ],
     "delayed-measurements": ["--seeds", "2"],
     "period-delay-map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
+    "processor": ["--seeds", "2", *axes(processor_speed=[2e4, 1e6])],
     "reactor": ["--seeds", "2"],
     "unequal-delays": ["--seeds", "2", *axes(delay=[[40.0, 40.0, 40.0], [10.0, 40.0, 70.0]])],
     "unknown-input": [
