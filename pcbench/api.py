@@ -16,7 +16,7 @@ from pcbench.errors import UserError
 from pcbench.gains import gain_variants
 from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, processor, samples_of
 from pcbench.planning import operation_counts as counts
-from pcbench.plants import signals_of
+from pcbench.plants import output_units, signals_of
 from pcbench.playback import run_as_log
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
@@ -253,6 +253,7 @@ def simulate(
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["excluded"] = study.excluded or {}  # why others of "all" are not here
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
+    frame.attrs["output_units"] = {f"y{i + 1}": unit for i, unit in enumerate(output_units(p.cell.scenario))}
     frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)  # of the predictions to now, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame

@@ -59,7 +59,8 @@ def _place(out: str | Path) -> tuple[storage.Target, str]:
 
 def trace_table(frame: "pd.DataFrame", signals: tuple[tuple[str, str], ...]) -> pa.Table:
     """Return a simulated run as a table with units; ticks 0 .. N, estimates after the jump of each tick."""
-    units, inputs = {"t": "s"} | dict(signals), frame.attrs.get("input_units", {})
+    units = {"t": "s"} | dict(signals)
+    channels = frame.attrs.get("input_units", {}) | frame.attrs.get("output_units", {})
     fields = []
     for name in map(str, frame.columns):
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
@@ -67,7 +68,7 @@ def trace_table(frame: "pd.DataFrame", signals: tuple[tuple[str, str], ...]) -> 
             meaning = "standard deviation of the error by the observer's own covariance"
         if name.startswith("target."):
             meaning = "set point"
-        unit = (inputs.get(name) or "unit of the input") if name[0] == "u" else "unit of the output"
+        unit = channels.get(name) or f"unit of the {'input' if name[0] == 'u' else 'output'}"
         about = {"unit": units.get(name.removesuffix(".sigma").rpartition(".")[2], unit)}
         about["meaning"] = meaning or (
             "input held over the tick" if name[0] == "u" else "newest arrived measurement, held"

@@ -34,7 +34,8 @@ UNIT = 1e-12  # a row of C shows a state as it is if it differs from a unit vect
 
 
 def _of(module: ModuleType, summary: str) -> PlantSpec:
-    return PlantSpec(module.PLANT, module.SIGNALS, module.Numbers(), module.nominal, module.prepare, summary)
+    spec = PlantSpec(module.PLANT, module.SIGNALS, module.Numbers(), module.nominal, module.prepare, summary)
+    return spec._replace(outputs=getattr(module, "OUTPUTS", ()))
 
 
 PLANTS: dict[str, PlantSpec] = {
@@ -134,7 +135,9 @@ def outputs_of_states(scenario: Scenario) -> dict[str, int]:
 
 
 def output_units(scenario: Scenario) -> list[str]:
-    """Return the unit of every output; empty where it shows no single state."""
+    """Return the unit of every output; empty where the plant names none and it shows no single state."""
+    if outputs := entry_of(scenario).outputs:
+        return [unit for _, unit in outputs]
     units = dict(states_of(scenario))
     named = {output: units[state] for state, output in outputs_of_states(scenario).items()}
     return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]

@@ -19,6 +19,7 @@ from pcbench.plants import lti
 from pcbench.plants.lti import Params
 
 SIGNALS = (("offset", "m"), ("target", "m"), ("target_velocity", "m/s"))
+OUTPUTS = (("offset", "m"), ("platform", "m"))
 
 
 class Numbers(NamedTuple):

@@ -29,6 +29,7 @@ SIGNALS = (
     ("turn_rate", "rad/s"),
 )
 ERRORS = (("position", "m"), ("velocity", "m/s"))
+OUTPUTS = (("range", "m"), ("bearing", "rad"))
 START = (1000.0, 300.0, 1000.0, 0.0, float(np.radians(-3.0)))  # where the linear model is taken
 TICK = 1.0  # s
 STRAIGHT = 1e-4  # rad/s: below it s and c are series, exact to rounding for T = 1 s

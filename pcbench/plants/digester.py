@@ -45,6 +45,14 @@ SIGNALS = (
     ("methane_gas", "g/L"),
     ("carbon_dioxide_gas", "g/L"),
 )
+OUTPUTS = (
+    ("gas_flow", "L/d"),
+    ("methane_pressure", "bar"),
+    ("carbon_dioxide_pressure", "bar"),
+    ("inorganic_nitrogen", "g/L"),
+    ("total_solids", "1"),
+    ("volatile_solids", "1"),
+)
 DAY = 86400.0  # s
 STEPS = 4  # of a tick
 GAMMA = 1 + 1 / np.sqrt(2)  # of ROS2; the other root oscillates where pressures start some per cent off

@@ -70,6 +70,7 @@ class PlantSpec(NamedTuple):
     operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # state and input at the operating point
     tick: float | None = None  # tick of a plant that is given by its step [s]; None: any
     errors: tuple[tuple[str, str], ...] = ()  # name and unit of each error that `plant.errors` returns
+    outputs: tuple[tuple[str, str], ...] = ()  # name and unit of each output; empty: those of the states that it shows
 
 
 class NoNumbers(NamedTuple):
@@ -81,6 +82,7 @@ def make_plant(
     output: Function,
     states: Sequence[str],
     operating_point: Sequence[object],
+    outputs: Sequence[str] = (),
     field: Function | None = None,
     step: Function | None = None,
     tick: float | None = None,
@@ -101,6 +103,8 @@ def make_plant(
         output: measured y [q] = output(numbers, now, x). Functions are written in jax.numpy, for one run.
         states: names with units, such as "angle [rad]"; n of them.
         operating_point: (x0 [n], u0 [m]).
+        outputs: names with units of what is measured, such as "range [m]"; q of them. If you leave them out, an output has the
+            unit of the state that it shows, if it shows one.
         field: dx/dt [n]; give this or `step`.
         step: x one tick later [n].
         tick: time step of `step` [s], which is then the scenario's `dt`.
@@ -131,6 +135,7 @@ def make_plant(
         raise UserError(
             f"{WHERE}: got {_list_given(field, step, tick)}, expected field, or step with its tick in seconds; give one."
         )
+    measured = names_and_units(outputs, f"{WHERE}: outputs")
     numbers = NoNumbers() if numbers is None else numbers
     pushed, sought = dict(unknown_inputs or {}), dict(unknown_parameters or {})
     kept = _numbers(numbers, pushed, sought)
@@ -152,6 +157,10 @@ def make_plant(
         errors=tuple((errors or {}).values()),
     )
     e = e._replace(y0=_try_output(e, kept))
+    if measured and len(measured) != len(e.y0):
+        raise UserError(
+            f"{WHERE}: outputs: got {len(measured)} names, expected {len(e.y0)}, one for each number that output returns."
+        )
     units = [
         (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
         for name, each in (pushed | sought).items()
@@ -189,6 +198,7 @@ def make_plant(
         operating_point=(x0, u0),
         tick=tick,
         errors=own_errors,
+        outputs=measured,
     )
 
 

@@ -21,6 +21,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("altitude", "ft"), ("speed", "ft/s"), ("drag", "1/ft"))
+OUTPUTS = (("distance", "ft"),)
 START = (3e5, 2e4, 1e-3)  # where the linear model is taken
 
 

@@ -20,6 +20,7 @@ from pcbench.plants.nonlinear import require_tick
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("x", "1"),)
+OUTPUTS = (("square", "1"),)
 TICK = 1.0  # s
 
 

@@ -16,6 +16,7 @@ from pcbench.plants import lti
 from pcbench.plants.lti import Params
 
 SIGNALS = (("x1", "1"), ("x2", "1"), ("x3", "1"), ("x4", "1"))
+OUTPUTS = (("first_node", "1"), ("second_node", "1"))
 A = (
     (1.38, -0.2077, 6.715, -5.676),
     (-0.5814, -4.29, 0.0, 0.675),

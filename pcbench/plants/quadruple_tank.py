@@ -28,6 +28,7 @@ from pcbench.dynamics.linear import Matrix, Model
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("level_1", "cm"), ("level_2", "cm"), ("level_3", "cm"), ("level_4", "cm"))
+OUTPUTS = (("sensor_1", "V"), ("sensor_2", "V"))
 EMPTY = 0.01  # cm
 
 

@@ -20,6 +20,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("pressure_a", "atm"), ("pressure_b", "atm"))
+OUTPUTS = (("total_pressure", "atm"),)
 
 
 class Numbers(NamedTuple):

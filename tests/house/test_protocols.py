@@ -10,7 +10,7 @@ from harness import CART, Case, problem, setting, suitable
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.observers import OBSERVERS, base_of
-from pcbench.plants import PLANTS, entry_of, signals_of, states_of
+from pcbench.plants import PLANTS, entry_of, output_units, signals_of, states_of
 from pcbench.protocols import Arrival
 from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.simulation.types import present
@@ -100,6 +100,8 @@ def test_scenarios_name_what_exists(name):
     assert {base_of(label) for label in s.observers} <= set(OBSERVERS)
     assert {len(s.truth.x0), len(s.belief.xhat0), len(s.belief.prior_std)} == {len(states_of(s))}
     assert len(s.scoring.settle_band) == len(signals_of(s))
+    assert len(output_units(s)) == len(s.sampling.noise_std)
+    assert all(output_units(s)), "every output has a unit"
     assert len(signals_of(s)) == len(s.truth.x0) + len(s.belief.unknown_std) + len(entry_of(s).errors)
     assert set(s.scoring.headline) <= {name for name, _ in signals_of(s)}
     assert 0 <= s.scoring.steady_start < s.duration

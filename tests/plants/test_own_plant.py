@@ -1,16 +1,19 @@
 """A nonlinear plant of a user's own, a pendulum on a cart: against matrices by hand, SciPy and the same plant linearised."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from pendulum import Numbers, field, matrices, output, pendulum, scipys
 
 import pcbench
 from pcbench import planning
+from pcbench.dataset.single_table import trace_table
 from pcbench.errors import UserError
-from pcbench.plants import PLANTS, entry_of
+from pcbench.plants import PLANTS, entry_of, output_units
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import parse
 from pcbench.study.grid import cell_of
+from pcbench.study.plugins import user_plants
 from pcbench.study.plugins.user_code import Code, UserPlugin
 
 TABLE = {
@@ -51,6 +54,21 @@ def test_its_linearisation_is_the_one_by_hand():
         for got, want in zip((model.A, model.B, model.C), matrices(p), strict=True):
             np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
         assert (model.D, model.E, model.discrete) == (None, None, False)
+
+
+def test_its_outputs_have_the_units_that_it_names(own):
+    """Without names, an output has the unit of the state that it shows; a dataset keeps them without the code."""
+    entry = pendulum(output=lambda p, now, x: jnp.stack([jnp.hypot(x[0], p.l), x[1]]))
+    scenario = parse.scenarios_of(parse.parse(own(entry=entry), "mine"))["mine"]
+    assert output_units(scenario) == ["", "rad"]
+    entry = pendulum(output=lambda p, now, x: x[:2], outputs=["range [m]", "bearing [deg]"])
+    read = parse.parse(own(entry=entry), "mine")
+    assert output_units(parse.scenarios_of(read)["mine"]) == ["m", "deg"]
+    kept = user_plants.absent("mine.py:pendulum", Code("mine.py", "pendulum", (), ""), user_plants.facts(entry))
+    assert kept.entry.outputs == entry.outputs == (("range", "m"), ("bearing", "deg"))
+    frame = pcbench.simulate(read, ["model-only"])
+    table = trace_table(frame, entry.signals)
+    assert [table.field(y).metadata[b"unit"] for y in ("y1", "y2")] == [b"m", b"deg"]
 
 
 @pytest.mark.ci
@@ -290,6 +308,7 @@ def rooted(p, now, x):
             "the slope of field or output cannot be taken: .*write it in jax.numpy",
         ),
         ({"states": ["x"]}, "states: got 1 names, expected 4"),
+        ({"outputs": ["place [m]"]}, "outputs: got 1 names, expected 2, one for each number that output returns"),
         ({"states": ["2x", "a", "b", "c"]}, "states: got '2x', expected a name with a unit"),
         ({"field": None}, "got neither field nor step, expected field, or step with its tick"),
         ({"step": field}, "got field and step, expected field, or step"),

@@ -73,6 +73,15 @@ def test_experiment_shows_default_values_of_axes_in_words():
     assert facts["actuator delay"] == "0.1 s"
 
 
+def test_noise_of_a_nonlinear_sensor_has_the_unit_of_its_output():
+    """The report of a radar had "10, 0.003162", and an axis in the "unit of the output"."""
+    study = parse.grid_of({"name": "x", "scenarios": ["coordinated-turn/radar"], "observers": ["ekf"]}, {}, []).study
+    facts = {
+        f.what: f.said for f in experiment.experiment(SimpleNamespace(study=study), "coordinated-turn/radar").facts
+    }
+    assert facts["measurement noise (std)"] == "y1: 10 m, y2: 0.003162 rad"
+
+
 def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
     tuned = {"scenario": "cart/slow", "cell": {"delay": 0.2}, "metric": "rmse", "signal": "position"}
     study = {

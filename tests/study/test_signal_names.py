@@ -46,11 +46,12 @@ class Numbers(NamedTuple):
 
 
 @cache
-def own_plant(states=("angle [rad]", "rate [rad/s]"), unit="1/s"):
+def own_plant(states=("angle [rad]", "rate [rad/s]"), unit="1/s", outputs=()):
     return pcbench.make_plant(
         field=lambda p, now, x: jnp.stack([x[1], now.u[0] - p.friction * x[1]]),
         output=lambda p, now, x: x[:1],
         states=list(states),
+        outputs=outputs,
         numbers=Numbers(),
         operating_point=([0.0, 0.0], [0.0]),
         unknown_parameters={"friction": unit},
@@ -82,6 +83,15 @@ PLACES = {
         base="helicopter/constant", unknowns=[text, "other"], headline=["pitch"]
     ),
     "states of a plant's function": lambda text, tmp_path: own_plant(states=(text, "rate")),
+    "outputs of a plant's function": lambda text, tmp_path: own_plant(outputs=(text,)),
+    "outputs of a plant that is an entry": lambda text, tmp_path: registry._plant(
+        own_plant()._replace(outputs=((text.partition(" ")[0], text.partition(" [")[2][:-1] or "1"),)), None, "mine.py"
+    ),
+    "outputs of a plant in a dataset": lambda text, tmp_path: user_plants.absent(
+        "code/1/mine.py:pendulum",
+        EMPTY,
+        user_plants.facts(own_plant()) | {"outputs": [[text.partition(" ")[0], text.partition(" [")[2][:-1] or "1"]]},
+    ),
     "states of a plant that is an entry": lambda text, tmp_path: registry._plant(
         own_plant()._replace(signals=((text.partition(" ")[0], text.partition(" [")[2][:-1] or "1"), ("rate", "1"))),
         None,

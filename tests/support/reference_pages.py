@@ -23,8 +23,9 @@ from pcbench.dataset import columns
 from pcbench.fields import FIELDS
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
-from pcbench.plants import PLANTS
+from pcbench.plants import PLANTS, output_units
 from pcbench.runtime import config
+from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.signals import SIGNALS
 from pcbench.scenarios.sources import SHAPES
 from pcbench.statistics import RUN_METRICS
@@ -342,6 +343,8 @@ def scenarios_page() -> str:
     for name, s in list_catalogue("scenarios").items():
         signals = [f"{each['name']} [{each['unit']}]" for each in s["signals"]]
         about = {"source": s["source"], "plant": f"`{s['plant']}`, {PLANTS[s['plant']].summary}", "signals": signals}
+        measured = ", ".join(dict.fromkeys(output_units(SCENARIOS[name])))
+        units["noise_std"] = f" [{measured}]".replace(" [1]", "")
         rest = {named(k) + units.get(k, ""): words(v) for k, v in s.items() if k not in omitted}
         parts.append(entry(name, s["summary"], about | rest))
     lead = """Look up a built-in scenario here, with its plant, inputs, timing, noise and source. `pcbench show NAME` prints all

@@ -41,7 +41,7 @@ class InModule(NamedTuple):
 
 
 def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
-    for name, unit in found.signals + found.unknowns + found.errors:
+    for name, unit in found.signals + found.unknowns + found.errors + found.outputs:
         pair(name, unit, f"{where}: {name}")
     return found
 
