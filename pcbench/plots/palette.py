@@ -82,7 +82,8 @@ LOOKS = {
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
 OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
 OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))
-SHADES = (0.0, 0.34, -0.42, 0.5, -0.6, 0.18, -0.22)  # of white or black, for the first, second ... label of a base
+SHADES = (0.0, 0.34, -0.6, 0.5, -0.42, 0.18, -0.22)  # of white or black, for the first, second ... label of a base
+CONTRAST = 2.4  # to white, that every shade has at least
 
 
 def styles(labels: Iterable[str]) -> dict[str, Style]:
@@ -111,8 +112,9 @@ def _style(base: str, rank: int) -> Style:
         return look
     dotted = ((*look.dash, 1.0, 1.4) if look.dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
     first = 3 * list(LOOKS).index(base) if base in LOOKS else number
-    shade = SHADES[rank % len(SHADES)]
-    colour = mix_gray(look.colour, abs(shade), 255 if shade >= 0 else 0)
+    shades = [mix_gray(look.colour, abs(shade), 255 if shade >= 0 else 0) for shade in SHADES]
+    shades = [colour for colour in shades if 1.05 / (luminance(colour) + 0.05) > CONTRAST]
+    colour = shades[rank % len(shades)]
     return Style(colour, dotted, SIBLINGS[(first + rank) % len(SIBLINGS)])
 
 
@@ -127,9 +129,13 @@ def pale(colour: str, share: float = 0.75) -> str:
     return mix_gray(colour, share, 255)
 
 
+def luminance(colour: str) -> float:
+    """Return the relative luminance of a colour: 0 of black, 1 of white."""
+    parts = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return sum(w * (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4)
+               for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
+
+
 def on(colour: str) -> str:
     """Return the ink that is read on a colour: dark or white."""
-    parts = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    light = sum(w * (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4)
-                for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
-    return INK if light > 0.22 else "#FFFFFF"
+    return INK if luminance(colour) > 0.22 else "#FFFFFF"

@@ -50,6 +50,13 @@ def test_every_observer_has_a_look_of_its_own_that_is_seen_on_white():
         assert apart(a, b) > 8, (a, b)
 
 
+@pytest.mark.parametrize("base", OBSERVERS)
+def test_every_shade_of_an_observer_is_seen_on_white(base):
+    """Lines of mhe-bounded and of pio-reconstruct were pale: a light colour mixed with white."""
+    for style in palette.styles([base, *(f"{base}-{label}" for label in "abcd")]).values():
+        assert (1.05 / (XYZ[1] @ linear(style.colour) + 0.05)) > 2.4, style
+
+
 @pytest.mark.parametrize("group", GROUPS, ids=", ".join)
 def test_observers_that_run_together_are_told_apart_in_colour_and_on_grey_paper(group):
     look = palette.styles(group)
