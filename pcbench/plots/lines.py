@@ -140,13 +140,15 @@ def convergence(
     part = frames.convergence(result, scenario, signal, metric, cell)
     look = styles(named.observer)
     with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
-        set_values(ax, "x", sorted(set(part.seeds)) or [1, 2])
+        runs = sorted(set(part.seeds)) or [1, 2]  # each time twice as many
+        set_range(ax, "x", runs, log=True)
+        ax.set_xticks(runs, [f"{n}" for n in runs])
         set_range(ax, "y", 100 * part.half, log=True)
         ax.set(title=f"half 95 % interval of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="runs")
         for observer, line in lines(n for n in look if n in set(part.observer)).items():
             mine = part[part.observer == observer]
             ax.plot(mine.seeds, 100 * mine.half, marker=look[observer].marker, markersize=3.5, **line)
-        seeds = np.linspace(part.seeds.min(), part.seeds.max(), 100)  # the axis of runs is linear
+        seeds = np.array(runs)
         last = 100 * part[part.seeds == part.seeds.max()].half.median()
         ax.plot(seeds, last * np.sqrt(seeds[-1] / seeds), label="1/√runs", color=SOFT, linestyle=":", linewidth=0.9)
     return figure

@@ -88,7 +88,8 @@ def heatmaps(
     def cell(row: Row) -> Cell:
         value = row["value"]
         if not isfinite(value):
-            return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
+            why = "all diverged" if row["diverged"] else "infinite" if np.isinf(value) else "no value"
+            return Cell(NOTHING, (why, "-"), f"{row['observer']}: {why.replace('all', 'all runs')}")
         tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
         return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
 
@@ -164,7 +165,7 @@ def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str
 
 def _standing(look: dict[str, Style], row: Row) -> Cell:
     if not row["best"]:
-        return Cell(NOTHING, ("all diverge", "-"), "all runs diverge")
+        return Cell(NOTHING, (row["text"], "-"), row["text"].replace("all", "all runs"))
     colour, factor = look[row["best"]].colour, row["factor"]
     ahead = times(factor) if isfinite(factor) and factor > 1 else ""
     if row["winner"]:
@@ -213,14 +214,17 @@ def draw(
     """Draw maps with their titles side by side, as many as two columns of the paper hold; titles once a column and a row."""
     fine = is_fine(x, y)
     em, words = paper.em, [list(map(layout.word, side.values)) for side in (x, y)]
+    words[0] = [word.replace(", ", ",\n") for word in words[0]]
+    lines = max(word.count("\n") for word in words[0])
     room = max(paper.width_of(w, 1) for w in words[1]) + 2 * em
     cell = max(3.3 * em, *(paper.width_of(w, 1) + 0.4 * em for w in words[0]))
     each = SIDE + room if fine else max(cell * len(x.values), LEAST * em) + room
     rows = ceil(len(maps) / max(1, int(paper.full / each)))
     columns = ceil(len(maps) / rows)
     width = columns * each if fine else min(paper.full, columns * max(paper.width / 1.6, each))
-    width = paper.width if columns == 1 and not fine else width
+    width = max(paper.width, min(paper.full, each)) if columns == 1 and not fine else width
     height = SIDE if fine else max(2.6 * em, min(ROW, TALL / len(y.values))) * len(y.values)
+    height += 1.2 * em * lines
     with sheet(paper, title, len(maps), columns, height=height, width=width, keys=keys) as (figure, axes):
         for i, (ax, (name, cells)) in enumerate(zip(axes, maps, strict=True)):
             ax.set(xlim=(-0.5, len(x.values) - 0.5), ylim=(-0.5, len(y.values) - 0.5))
@@ -236,9 +240,13 @@ def draw(
             if fine or min(len(x.values), len(y.values)) >= LINES:
                 _draw_levels(ax, cells, x, y, log, paper.size - 2 if fine else None)
             _draw_marks(ax, x, y, marks, paper)
-    if not fine:
-        for ax, (_, cells) in zip(axes, maps, strict=True):
+    for ax, (_, cells) in zip(axes, maps, strict=True):
+        if not fine:
             _write(ax, cells, x, y, paper)
+        for text in [text for text in ax.texts if fine and text.get_text() not in marks]:
+            box, frame = text.get_window_extent(), ax.bbox
+            if not (frame.x0 < box.x0 and box.x1 < frame.x1 and frame.y0 < box.y0 and box.y1 < frame.y1):
+                text.remove()  # the value of a line, cut by the frame
     return figure
 
 
@@ -279,10 +287,13 @@ def _draw_levels(ax: Axes, cells: Cells, x: Side, y: Side, log: bool, size: floa
     finite = grid[np.isfinite(grid)]
     if finite.size and np.ptp(finite) > SAME * np.abs(finite).max():
         locator = LogLocator(subs=(1.0, 2.0, 5.0)) if log else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
-        lines = ax.contour(
-            range(len(x.values)), range(len(y.values)), grid, locator=locator, colors=INK, linewidths=0.6
-        )
-        if size:
+        low, high = float(finite.min()), float(finite.max())
+        levels = [float(v) for v in locator.tick_values(low, high) if low < v < high]
+        known = [cell for cell in cells.values() if isfinite(cell.value)]
+        inks = [on(min(known, key=lambda cell: abs(cell.value - level)).colour) for level in levels]
+        across, up = range(len(x.values)), range(len(y.values))
+        lines = ax.contour(across, up, grid, levels, colors=inks, linewidths=0.6) if levels else None
+        if size and lines:
             ax.clabel(lines, fmt=layout.number, fontsize=size)
 
 

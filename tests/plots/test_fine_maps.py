@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 
 from pcbench.plots import maps
 from pcbench.plots.layout import PAPER
 from pcbench.plots.maps import Cell, Side
+from pcbench.plots.palette import on
 
 X = Side("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])
 Y = Side("delay [s]", [round(0.02 * i, 2) for i in range(30)])
@@ -51,6 +52,30 @@ def test_lines_stand_where_the_value_is_and_none_where_it_does_not_vary(figure):
         across, up = path.vertices.T
         values = np.interp(across, np.arange(30), X.values) + np.interp(up, np.arange(30), Y.values)
         np.testing.assert_allclose(values, values[0], atol=1e-12)
+
+
+def test_values_of_lines_are_read_on_their_colour_and_none_is_cut(figure):
+    """Dark words on a dark map could not be read, and the frame cut "2.45" to ".45"."""
+    for ax in figure.axes[:2]:
+        texts = [text for text in ax.texts if text.get_text() != "Table 2"]
+        assert texts
+        for text in texts:
+            assert to_hex(text.get_color()).upper() == on(COLOURS[float(text.get_text()) < 0.3])
+            box, frame = text.get_window_extent(), ax.bbox
+            assert frame.x0 <= box.x0 <= box.x1 <= frame.x1
+            assert frame.y0 <= box.y0 <= box.y1 <= frame.y1
+
+
+@pytest.mark.parametrize("maps_", [1, 4])
+def test_every_word_of_a_map_has_its_label(maps_):
+    """A column without a label: the delays of three sensors leave little room for their noises."""
+    noise = Side("noise std [m]", ["y1: 1, y2 and y3: 0.1", "y1: 0.1, y2 and y3: 0.01"])
+    delay = Side("delay [s]", ["y1 to y3: 40", "y1: 30, y2: 40, y3: 50"])
+    cells = {(a, b): Cell("#112233", ("1",)) for a in noise.values for b in delay.values}
+    for ax in maps.draw([("kf", cells)] * maps_, noise, delay, "error [m]", [], PAPER).axes:
+        boxes = [label.get_window_extent() for label in ax.get_xticklabels()]
+        assert [label.get_text().replace("\n", " ") for label in ax.get_xticklabels()] == noise.values
+        assert boxes[0].x1 < boxes[1].x0
 
 
 def test_a_mark_stands_between_cells_at_its_values(figure):
