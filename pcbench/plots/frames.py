@@ -282,7 +282,7 @@ def standings(
                 {name: first[name] for name in axes}
                 | {"cell": cell, "winner": found.winner, "best": best, "alike": found.alike, "leaders": found.leaders}
                 | {"p": found.p_value, "factor": found.factor, "mean": first["mean"]}
-                | {"text": found.winner or ("tie" if best else "all diverge")}
+                | {"text": found.winner or ("tie" if best else "all diverge" if first["diverged"] else "no value")}
             )
         kept[key] = pd.DataFrame(out)
     return kept[key].copy()

@@ -81,14 +81,15 @@ def quantity(value: str, unit: str) -> str:
 
 
 def times(value: float) -> str:
-    """Return a ratio with two digits, or as many as distinguish it from 1."""
+    """Return a ratio with two digits, or as many as distinguish it from 1, at most four."""
     if not isfinite(value):
         return "∞"
     if 1 < value < 1.1:
-        return f"{value:.3f}×" if value < 1.01 else f"{value:.2f}×"
+        return "1×" if value < SAME else f"{value:.3f}×" if value < 1.01 else f"{value:.2f}×"
     return f"{number(float(f'{value:.2g}' if value < 100 else f'{value:.1g}'))}×"
 
 
+SAME = 1.0005  # a ratio below it is written as 1
 POLYLINE = re.compile(r' d="([-+.\deMLz\s]*)"')  # a path of straight lines
 KINDS = ("svg", "pdf", "png")
 DPI = 200  # of PNG

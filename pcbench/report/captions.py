@@ -17,7 +17,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.crossings import Crossing
-from pcbench.plots.labels import describe_runs, quantity, times
+from pcbench.plots.labels import SAME, describe_runs, quantity, times
 from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
@@ -39,7 +39,6 @@ NEES = "Above 1 a filter is optimistic, below 1 pessimistic. Bars: 95 % interval
 FIRST_VALUES = "the first values of all axes"
 NINETY_FIVE = 0.95
 TIMES = 2.0  # the default limit divided by the least mean of the axis
-SAME = 1.0005  # a ratio below it is written as 1
 WORDS = {"published": "published", "design": "designed", "tuned": "tuned"}
 
 
@@ -67,14 +66,19 @@ def best(found: Ratios) -> str:
     beaten = f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}" if tied else "every other observer is"
     beaten = beaten if worse else "no other observer is"
     method = ", ".join([f"{runs:,} runs", *methods])
+    less = others.observer[others.ratio < 1 / SAME].to_list()
+    first = f"{found.best} has the {'fewest diverged runs' if less else 'least error'}"
     if found.exact:
-        return f"{found.best} has the least error, and {beaten} worse (exact values)."
+        return f"{first}, and {beaten} worse (exact values)."
     elif runs < 2:
-        return f"{found.best} has the least error; one run shows no significance."
+        return f"{first}; one run shows no significance."
     beaten += " significantly worse"
     if tied and worse:
         beaten += f", {_joined(tied)} {'is' if len(tied) == 1 else 'are'} not"
-    return f"{found.best} has the least error, and {beaten} ({method})."
+    beaten += (
+        f"; {_joined(less)} {'have' if less[1:] else 'has'} less error in the runs that do not diverge" if less else ""
+    )
+    return f"{first}, and {beaten} ({method})."
 
 
 def regrets(found: Regrets) -> tuple[str, str]:
@@ -91,11 +95,14 @@ def regrets(found: Regrets) -> tuple[str, str]:
     if not all(map(np.isfinite, largest.values())):
         method += "; ∞: every run diverged" if found.runs else "; ∞: the expected value is infinite"
     if largest[first] < SAME:
-        note = f"{first} has the least error, or one as good, in all {many} ({method})."
+        each = [observer for observer in found.observers if largest[observer] < SAME]
+        note = f"{_joined(each)} {'have' if each[1:] else 'has'} the least error, or one as good, in all {many} ({method})."
     else:
         worst = f"at most {times(largest[first])} the least error in {many}"
         note = f"{first} has the smallest worst case: its error is {worst} ({method})."
     lost = found.rows[(found.rows.ratio < SAME) & found.rows.worse]  # least error, but not among the best
+    if (found.rows.best & (found.rows.ratio > SAME)).any():
+        note += " Bold: the best, which has the fewest diverged runs."
     for observer, mine in lost.groupby("observer", sort=False):
         note += (
             f" Errors are of runs that do not diverge: {observer} diverges significantly more often in "
@@ -110,7 +117,10 @@ def _joined(names: list[str]) -> str:
 
 def medians(part: pd.DataFrame, unit: str) -> str:
     """Return the medians at a grid point."""
-    said = [f"{row['observer']} {_format_value(row['p50'], unit)}" for row in part.to_dict("records")]
+    said = [
+        f"{row['observer']} {_format_value(row['p50'], unit, _absent(row['diverged']))}"
+        for row in part.to_dict("records")
+    ]
     return f"Medians: {', '.join(said)}."
 
 
@@ -123,7 +133,10 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     said = []
     for observer, mine in first.groupby("observer", sort=False):
         a, b = mine.iloc[0], mine.iloc[-1]
-        ends = [f"{_format_value(row['mean'], unit)} at {layout.word(row[axis])}" for row in (a, b)]
+        ends = [
+            f"{_format_value(row['mean'], unit, _absent(row['diverged']))} at {layout.word(row[axis])}"
+            for row in (a, b)
+        ]
         said.append(f"{observer}: {' to '.join(ends)}")
     return "; ".join(said) + "."
 
@@ -140,9 +153,9 @@ def crossed(found: list[Crossing]) -> str:
 def ranges(part: pd.DataFrame, unit: str) -> str:
     """Return the least and the largest value of each observer's map."""
     said = []
-    for observer, means in part.groupby("observer", sort=False)["mean"]:
-        found = means[np.isfinite(means)]
-        known = f"{number(found.min())} to {number(found.max())}" if len(found) else "diverged in every run"
+    for observer, mine in part.groupby("observer", sort=False):
+        found = mine["mean"][np.isfinite(mine["mean"])]
+        known = f"{number(found.min())} to {number(found.max())}" if len(found) else _absent(mine.diverged.sum())
         said.append(f"{observer} {known}")
     return f"Ranges{f' [{unit}]' if unit not in ('', '1') else ''}: {', '.join(said)}."
 
@@ -329,8 +342,14 @@ def where(result: Result, part: pd.DataFrame, cell: int) -> str:
     return ", ".join(named) or (FIRST_VALUES if frames.varying(part) else "")
 
 
-def _format_value(value: float, unit: str) -> str:
-    return quantity(number(value), unit) if np.isfinite(value) else "(diverged in every run)"
+def _format_value(value: float, unit: str, otherwise: str = "diverged") -> str:
+    """Return a value with its unit; NaN: what there is `otherwise`."""
+    return "infinite" if np.isinf(value) else f"({otherwise})" if np.isnan(value) else quantity(number(value), unit)
+
+
+def _absent(diverged: float) -> str:
+    """Return why rows have no mean: runs `diverged`, or none did, as where exact moments have no answer."""
+    return "diverged in every run" if diverged else "no value"
 
 
 def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | None) -> str:

@@ -87,8 +87,9 @@ def _field_rows(s: Scenario) -> list[Row]:
     signals, outputs = signals_of(s), frames.output_units(s)
 
     def states(values: ArrayLike) -> str:
-        if np.ndim(values) > 1:
-            return _plain(values)
+        if np.ndim(values) > 1:  # a root of the covariance of a tick's noise
+            each = states(np.linalg.norm(np.asarray(values, float), axis=1))
+            return f"{each}, correlated by a matrix {' x '.join(map(str, np.shape(values)))}"
         named = zip(np.ravel(values), signals, strict=False)
         return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in named)
 

@@ -1,5 +1,6 @@
 """The report's first table of a scenario: ranked observers with differences and significance."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -86,12 +87,14 @@ def _cell(
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     ranked = ranked.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
-    rows = []
+    rows, less = [], []
     for i, observer in enumerate(ranked.index):
         row = wide.loc[observer]
         against = number_format.difference(pairs, observer, ranked.index[0]) if i else ""
         if i and diverges_more(ranked.iloc[0], ranked.iloc[i]):
             against = "diverges more often"
+        if re.match(r"\(?-\d", against):
+            less.append(str(observer))
         lost = row.loc["divergence_rate"]
         cells = [
             number_format.mark_uncertified(observer, [row.loc[metric].certified]),
@@ -117,6 +120,11 @@ def _cell(
     )
     some_diverge = heads.index("diverged") in kept
     note += " Means are over the runs that did not diverge." if some_diverge else " None of them diverged."
+    if less:
+        note += (
+            f" {ranked.index[0]} is first because fewer of its runs diverged, though not significantly fewer. The error of "
+            f"{', '.join(less)} is significantly less, so there is no winner."
+        )
     note = note if n else "Exact expected values over all noise."
     title = f"At {at}" if at else ""
     return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
@@ -141,6 +149,10 @@ def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
         with_unit(f"median {metric}", part.unit.iloc[0]),
         "diverged",
     ]
+    if len(rows) == 1:  # it is compared with none
+        rows = [row._replace(cells=[row.cells[0], *row.cells[3:]]) for row in rows]
+        title = f"All {len(found)} grid points"
+        return Headline(title, [heads[0], *heads[3:]], rows, result.unproven(stood.scenario).strip())
     ties = int((found.winner == "").sum())
     runs = frames.runs_of(part) > 0
     better, test = ("significantly better", " (paired t-test, Holm, 5 %)") if runs else ("better", "")

@@ -120,6 +120,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         method=_method(result),
         head=head,
         tally=won,
+        alone=len(won) == 1,
         summary=rows,
         several=any(t.of > len(rows) for t in won),
         anchors=anchors,
@@ -209,7 +210,8 @@ def _how_sure(result: Result) -> str:
 
 def _method(result: Result) -> str:
     """Return what is averaged over, for all numbers that have an interval."""
-    runs = "Intervals are 95 % over runs. All observers use the same random numbers."
+    runs = "Intervals are 95 % over runs."
+    runs += " All observers use the same random numbers." if result.stats.observer.nunique() > 1 else ""
     return runs if frames.runs_of(result.stats) else "The values are exact over all noise."
 
 

@@ -105,7 +105,7 @@ def _row(result: Result, stood: Stood) -> Row:
     deterministic = not frames.has_spread(part) and not result.exact
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     leaders = [best] if several and best else most_often(found.leaders)[0]
-    unit, own = part.unit.iloc[0], part[part.observer == best]
+    unit, own = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
     value = "-"
     if len(own) and not several:
         value = quantity(number_format.interval(own.iloc[0]), unit)
@@ -133,7 +133,7 @@ def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic:
             if most:
                 return number_format.as_good(names, most, len(found))
             if not any(found.best):
-                return "all diverge"
+                return str(found.text.iloc[0])
             return "one run: no significance" if runs == 1 else "not compared"
         ties = int((found.winner == "").sum())
         share = f"{int(won.get(best, 0))} of {len(found)} grid points"
@@ -141,7 +141,7 @@ def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic:
         return "; ".join(filter(None, [share, rest, f"ties {ties}" if ties else ""]))
     row = found.iloc[0]
     if not best:
-        return "all diverge"
+        return str(row.text)
     if runs == 1:
         return "one run: no significance"
     if deterministic and row.winner:

@@ -11,6 +11,9 @@ import pytest
 
 from pcbench.cli.render import results
 from pcbench.cli.render.tables import Screen
+from pcbench.plots.labels import times
+from pcbench.plots.paired_ratios import Ratios
+from pcbench.plots.regret_matrix import regrets_of
 from pcbench.report import captions, headline, summary
 from pcbench.report.summary import _significance
 from pcbench.statistics import ranking
@@ -24,6 +27,7 @@ NAN = float("nan")
 def standings(*sets):
     rows = [
         {"winner": "", "best": each[0] if each else "", "alike": tuple(each[1:]), "leaders": each, "p": 0.5}
+        | {"text": "tie" if each else "all diverge"}
         for each in sets
     ]
     return pd.DataFrame(rows)
@@ -153,6 +157,7 @@ def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
         captions.winners(found)
         == "Of 4 grid points: tie 4. No observer is significantly better than kf and kf-shifted-innovation at 4 of them."
     )
+    assert row.value == "1 to 1.01 m", "the errors of those that share the first place"
     (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
     assert one.won == "as good as the best: kf, kf-shifted-innovation"
 
@@ -172,3 +177,54 @@ def test_a_metric_without_tests_has_no_leaders():
     rows = result.stats[result.stats.metric == "rmse"]
     assert ranking.standing(rows, result.pairs[:0]).leaders == ()
     assert ranking.most_often([(), ()]) == ([], 0)
+
+
+def test_equal_observers_have_the_same_ratio():
+    """ "kf 1.000×" stood behind "kf-larsen 1×"."""
+    assert [times(ratio) for ratio in (1.0, 1.0002, 1.004, 1.04)] == ["1×", "1×", "1.004×", "1.04×"]
+
+
+def test_all_observers_that_are_nowhere_worse_are_named():
+    result = study_of(4, **CASES["draw"])
+    result.stats["mean"] = result.stats["mean"].replace(1.01, 1.0002)
+    _, note = captions.regrets(regrets_of(result, "steady_rmse", None))
+    assert note.startswith("kf and kf-shifted-innovation have the least error, or one as good, in all 4 situations")
+
+
+def test_observers_without_an_answer_have_not_diverged():
+    """Exact moments may have none: captions and tables said that every run diverged."""
+    rows = pd.DataFrame({"observer": "kf", "delay": [0.1, 0.2], "mean": [NAN, 1.0], "p50": NAN, "diverged": 0})
+    lost = rows.assign(diverged=[8, 0])
+    assert captions.curve(rows, "delay", "m") == "kf: (no value) at 0.1 to 1 m at 0.2."
+    assert captions.curve(lost, "delay", "m") == "kf: (diverged in every run) at 0.1 to 1 m at 0.2."
+    assert captions.curve(rows.assign(mean=np.inf), "delay", "m") == "kf: infinite at 0.1 to infinite at 0.2."
+    assert captions.medians(rows[:1], "m") == "Medians: kf (no value)."
+    assert captions.ranges(rows[:1], "m") == "Ranges [m]: kf no value."
+    assert captions.ranges(lost[:1], "m") == "Ranges [m]: kf diverged in every run."
+    result = study_of(2, kf=[NAN, NAN], pco=[NAN, NAN])
+    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
+    assert (row.won, row.best, row.value) == ("no value", [], "-")
+
+
+def test_less_error_with_more_diverged_runs_is_explained():
+    """Of a falling body: ekf was called best, with "the least error", and ukf a tie, though its error is half."""
+    result = study_of(1, ekf=[1.0], ukf=[0.5], kf=[2.0])
+    stats, pairs = result.stats, result.pairs
+    stats.loc[stats.observer == "ukf", "diverged"] = 2
+    pairs.loc[pairs.observer_b == "ukf", ["ci_low", "ci_high"]] = 0.4, 0.6
+    (table,) = headline.headlines(result, "cart/white", "position", "steady_rmse")
+    assert [row.cells[0] for row in table.rows if row.best] == ["ekf", "ukf"]
+    assert (
+        "ekf is first because fewer of its runs diverged, though not significantly fewer. The error of ukf is significantly "
+        "less, so there is no winner." in table.note
+    )
+    rows = pd.DataFrame({"observer": ["ekf", "ukf", "kf"], "ratio": [1.0, 0.5, 2.0], "worse": [False, False, True]})
+    rows = rows.assign(n=64, ci_low=NAN, ci_high=NAN, p=1e-6, diverged=[0.0, 0.02, 0.0], more=False)
+    said = captions.best(Ratios(rows, "ekf", 1.0, None, False))
+    assert said.startswith(
+        "ekf has the fewest diverged runs, and kf is significantly worse, ukf is not; ukf has less error"
+    )
+    two = study_of(2, ekf=[1.0, 1.0], ukf=[0.5, 2.0])
+    two.stats.loc[two.stats.observer == "ukf", "diverged"] = 2
+    _, note = captions.regrets(regrets_of(two, "steady_rmse", None))
+    assert "Bold: the best, which has the fewest diverged runs." in note

@@ -80,6 +80,11 @@ def test_noise_of_a_nonlinear_sensor_has_the_unit_of_its_output():
         f.what: f.said for f in experiment.experiment(SimpleNamespace(study=study), "coordinated-turn/radar").facts
     }
     assert facts["measurement noise (std)"] == "y1: 10 m, y2: 0.003162 rad"
+    assert re.fullmatch(
+        r"position x 0.1826 m, velocity x 0.3162 m/s, position y 0.1826 m, velocity y 0.3162 m/s, turn rate .* rad/s, "
+        "correlated by a matrix 5 x 5",
+        facts["process noise per tick (std)"],
+    )
 
 
 def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
