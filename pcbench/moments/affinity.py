@@ -30,11 +30,20 @@ from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
 
 ROUNDING = 1e-9  # of the largest number in a comparison; found on affine cells: below 1e-12
+MOST_NUMBERS = 1024  # that noise reaches: their covariance has the square of it, for each of eight cells
 KEY = 20190131  # of where a plant is looked at: no result depends on it
 
 
-def describe_unsupported_samples(sampling: Sampling) -> str:
-    """Return why samples have no exact moments, the end of a sentence about them; empty if they have."""
+def refusal_beforehand(p: Plan) -> str:
+    """Return why an observer has no exact moments, the end of a sentence about it, if that needs no moments; else empty."""
+    if why := _unsupported_samples(p.cell.scenario.sampling):
+        return f"has samples {why}"
+    if (numbers := form_of(p.layout, p.problem).reached) > MOST_NUMBERS:
+        return f"keeps {numbers:,} numbers, where exact moments follow the covariance of at most {MOST_NUMBERS:,}"
+    return ""
+
+
+def _unsupported_samples(sampling: Sampling) -> str:
     if chance := sampling.outlier_probability:
         return f"of which {100 * np.max(chance):g} % are outliers, whose noise is not normal"
     if sampling.noise_correlation:

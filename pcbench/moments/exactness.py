@@ -15,7 +15,7 @@ square (`programs`). In a loop the same holds for the response to the input, of 
 import numpy as np
 from jaxtyping import Float
 
-from pcbench.moments.affinity import ROUNDING, describe_unsupported_samples
+from pcbench.moments.affinity import ROUNDING
 from pcbench.moments.error_sums import AMPLIFIED, relative_deviation
 from pcbench.moments.solve import CellMoments
 from pcbench.planning import drafts
@@ -66,8 +66,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     p, s = cell.planned, cell.sums
     mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
-    if why := describe_unsupported_samples(p.cell.scenario.sampling):
-        return f"{where} has samples {why}; {instead}."
+    if cell.refused:
+        return f"{where} {cell.refused}; {instead}."
     if said := lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."
     part = relative_deviation(s, mine, cell.reached)

@@ -38,6 +38,7 @@ class Form(NamedTuple):
     other: tuple[bool, ...]  # those that differ between runs in another way
     flight: bool  # whether it reaches what is on the network, besides the noise of the samples themselves
     many: int  # numbers of a state
+    reached: int  # of these, numbers that noise reaches
 
 
 def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layout, GridPointParams], Look]:
@@ -63,11 +64,14 @@ def form_of(layout: Layout, p: GridPointParams) -> Form:
     bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())  # as moments have it
     leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs as entries
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
+    sizes = [a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves]
+    moving = tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True))
     return Form(
-        moving=tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True)),
+        moving=moving,
         other=tuple(is_lanes(a) and not f for a, f in zip(leaves, floats, strict=True)),
         flight=is_lanes(begun.x) or any(is_lanes(each) for each in begun.flight.notes.values()),
-        many=sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves),
+        many=sum(sizes),
+        reached=sum(itertools.compress(sizes, moving)),
     )
 
 

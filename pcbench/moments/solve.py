@@ -16,7 +16,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from pcbench.engine import runner
-from pcbench.moments.affinity import ROUNDING, bend, describe_unsupported_samples, is_curved
+from pcbench.moments.affinity import ROUNDING, bend, is_curved, refusal_beforehand
 from pcbench.moments.delay_modes import over_modes
 from pcbench.moments.error_sums import Sums, nothing, relative_deviation
 from pcbench.moments.inputs import Numbers, shared_of
@@ -64,17 +64,21 @@ class CellMoments(NamedTuple):
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     reached: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
     shares: NDArray[np.float64] | None = None  # [S] of `last`, whose realisations are modes; None: each counts alike
+    refused: str = (
+        ""  # why there are no exact moments, the end of a sentence about an observer, if that needs no moments
+    )
 
 
 class Work(NamedTuple):
     """A planned cell, its realisations, and the calls that compute them."""
 
     planned: Plan
-    ones: list[Realisation]  # none of a cell whose plant is not affine
+    ones: list[Realisation]  # none of a cell that has no exact moments
     random: bool
     trial: bool  # whether it has to go on drawn schedules yet, unless what was tried answers
     bend: float
     calls: list[tuple[Future[Outcome], int]]  # with the place of each realisation among those of its call
+    refused: str  # why it has no exact moments, if that is known without them
 
 
 def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
@@ -129,9 +133,9 @@ def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable])
     many = 0  # realisations in the window
     for p in plans:
         off = bend(p)
-        refused = off > ROUNDING or describe_unsupported_samples(p.cell.scenario.sampling)
-        ones, drawn, trial = ([], False, False) if refused else _realisations(p, asked, unlike)
-        window.append(Work(p, ones, drawn, trial, off, []))
+        refused = refusal_beforehand(p)
+        ones, drawn, trial = ([], False, False) if refused or off > ROUNDING else _realisations(p, asked, unlike)
+        window.append(Work(p, ones, drawn, trial, off, [], refused))
         many += len(ones)
         if many >= WINDOW:
             yield window
@@ -250,6 +254,7 @@ def _gather(work: Work, each: list[Outcome]) -> CellMoments:
         mixture=shares is not None or any(one.chance < 1 for one in work.ones),
         reached=outcome.reached,
         shares=shares,
+        refused=work.refused,
     )
 
 
