@@ -86,7 +86,7 @@ def times(value: float) -> str:
         return "∞"
     if 1 < value < 1.1:
         return "1×" if value < SAME else f"{value:.3f}×" if value < 1.01 else f"{value:.2f}×"
-    return f"{number(float(f'{value:.2g}' if value < 100 else f'{value:.1g}'))}×"
+    return f"{number(float(f'{value:.2g}'))}×"
 
 
 SAME = 1.0005  # a ratio below it is written as 1

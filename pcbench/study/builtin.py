@@ -309,7 +309,7 @@ STUDIES = {
         | {f"servo-{gain:g}": _servoing(gain) for gain in GAINS},
         seeds=64,
         axes={"delay": [[delay, 0.0] for delay in (0.0, 0.1, 0.2, 0.3)]},
-        options={"scenario": {"random_initial_state": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "outage": Study(  # the error grows by a factor of 1.25 per step
         name="outage",
@@ -337,7 +337,7 @@ STUDIES = {
         scenarios=["double-well/sampled"],
         seeds=128,
         axes={"processor_speed": [5e3, 1e4, 2e4, 5e4, 2e5, 3e5, 4e5, 5e5, 7e5, 1e6, 2e6, inf]},
-        options={"scenario": {"random_initial_state": True}},
+        options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(

@@ -180,8 +180,9 @@ def test_a_metric_without_tests_has_no_leaders():
 
 
 def test_equal_observers_have_the_same_ratio():
-    """ "kf 1.000×" stood behind "kf-larsen 1×"."""
+    """In one row were "kf-larsen 1×" and "kf 1.000×"; ratios of 340 and 375 were 300 and 400."""
     assert [times(ratio) for ratio in (1.0, 1.0002, 1.004, 1.04)] == ["1×", "1×", "1.004×", "1.04×"]
+    assert [times(ratio) for ratio in (1.94, 47.2, 340.0, 374.0)] == ["1.9×", "47×", "340×", "370×"]
 
 
 def test_all_observers_that_are_nowhere_worse_are_named():

@@ -3,7 +3,7 @@
 import pytest
 
 from pcbench.errors import UserError
-from pcbench.study import choices_of, merge_options, observers_of, options_of, parse, scenarios_of
+from pcbench.study import STUDIES, choices_of, merge_options, observers_of, options_of, parse, scenarios_of
 
 
 def study(scenario="cart/variable", **changes):
@@ -73,3 +73,10 @@ def test_a_label_without_its_options_or_its_dash_is_answered_with_how_it_is_writ
     ):
         with pytest.raises(UserError, match=answer):
             study("cart/white", **changes)
+
+
+def test_filters_from_random_initial_states_are_judged_by_their_consistency():
+    """Reports of `camera-target` and `processor` did not say which filter is optimistic."""
+    for name in ("camera-target", "processor"):
+        chosen = STUDIES[name].options["scenario"]
+        assert chosen == {"random_initial_state": True, "consistency": True}, name
