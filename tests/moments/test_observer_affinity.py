@@ -131,3 +131,24 @@ def test_doubted_is_who_goes_by_a_slope_that_noise_moves(scenario, observer, dou
     p = planned(observer, scenario)
     one = draw_realisation(p, 0, 0)
     assert is_curved(one.layout, one.problem) is doubted
+
+
+@pytest.mark.parametrize(
+    ("observer", "changes", "reason"),
+    [
+        ("kf", {"outlier_probability": 0.1}, "has samples of which 10 % are outliers"),
+        ("kf", {"quantization_step": 0.1}, "has samples that are rounded"),
+        ("kf", {"student_t_dof": 5.0}, "has samples whose noise is Student's t with 5 degrees"),
+        ("kf", {"send_threshold": 0.1}, "has samples that are sent or not"),
+        (
+            "cascade-predictor",
+            {"delay": 0.8},
+            "keeps 4,103 numbers, where exact moments follow the covariance of at most",
+        ),
+    ],
+)
+def test_moments_that_are_refused_are_not_computed(monkeypatch, observer, changes, reason):
+    monkeypatch.setattr(solve, "compute", lambda *given: pytest.fail("moments were computed"))
+    study = {"name": "refused", "scenario": {"base": "cart/gaussian", **changes}, "observers": [observer]}
+    (refused,) = pcbench.exact_moments(study).stats.reason.dropna().unique()
+    assert refused.startswith(f"refused, cell 0: {observer} {reason}")
