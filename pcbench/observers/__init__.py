@@ -1,4 +1,4 @@
-"""The observers, one file each, and the dicts that name them."""
+"""The observers, one file each, and dicts of them by name."""
 
 from collections.abc import Callable, Mapping
 from types import ModuleType
@@ -76,9 +76,9 @@ class ObserverSpec(NamedTuple):
     loops: bool = True  # whether its estimate can close a loop
     elsewhere: bool = False  # whether another program computes the estimates, which are only scored
     measurement_noise: bool = False  # whether it uses the variance of each measurement of a recording
-    # options with which the gains suit the true noise and delays; None: there are none
+    # options for gains designed for the true noise and delays; None: no such options
     designed: Mapping[str, Any] | None = None
-    method: Method | None = None  # the same in words, of an observer of pcbench
+    method: Method | None = None  # description of the method; None: not an observer of pcbench
 
 
 def _of(module: ModuleType, summary: str, takes: Takes = "any schedule", knows_schedule: bool = True) -> ObserverSpec:
@@ -113,7 +113,7 @@ LATE = {
     "oosm-b1": _late(oosm_b1, "out-of-sequence update that neglects process noise"),
     "oosm-lag": _late(oosm_lag, "out-of-sequence update over several steps"),
 }
-# Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it.
+# Estimators for nonlinear plants in addition to `ekf`; like it, they use a sample of any age at its sampling time.
 NONLINEAR = {
     "ekf-iterated": _late(ekf_iterated, "EKF with iterated linearisation of the sensor")._replace(nonlinear=True),
     "ukf": _late(ukf, "unscented (or cubature) Kalman filter")._replace(nonlinear=True, lanes=particle.LANES),
@@ -185,7 +185,7 @@ OBSERVERS = {name: entry._replace(method=METHODS[name]) for name, entry in OBSER
 
 
 def base_of(label: str) -> str | None:
-    """Return the observer that a label names: its own name, or name-anything (an observer run with other options)."""
+    """Return the observer of a label (its name, or its name with a suffix), or None for an unknown label."""
     if label in OBSERVERS:
         return label
     names = [name for name in OBSERVERS if label.startswith(name + "-")]
@@ -194,5 +194,5 @@ def base_of(label: str) -> str | None:
 
 
 def entry_of(label: str) -> ObserverSpec:
-    """Return the entry of the observer that a label names; raise KeyError where there is none."""
+    """Return the entry of the observer of a label; raise KeyError for an unknown one."""
     return OBSERVERS[base_of(label) or label]

@@ -1,22 +1,27 @@
-"""Cascade predictors: a chain of observers, each a part of the delay ahead of the one before.
+"""cascade-predictor: chain of observers, in which each link predicts over a part of the delay.
 
-With m links over d_1 + .. + d_m = delay, link j estimates the state of lag_j = d_(j+1) + .. + d_m ago:
+With m links over the delay d_1 + .. + d_m, link j estimates the state at a lag of lag_j = d_(j+1) + .. + d_m, and the last
+link estimates the present:
 
     x_j' = A x_j + B u(t - lag_j) - K (C x_j(t - d_j) - y_j(t)),   y_1 the delayed output,  y_j = C x_(j-1)
 
-and the last link estimates the present. The error of a single predictor decays for a limited delay only, for x' = a x with
-a d < 1. With links, this holds for each d_j. More links allow longer delays; they do not make the error decay faster.
-Here a tick is exact under the held input, x_j(k+1) = Phi x_j(k) + Gamma u(k - lag_j) - K (..), with the gains of
-`synthesis.cascade`. Between samples the output of `delay` ago is predicted,
-y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay), and a sample that arrives sets it. On a nonlinear plant
-each link moves by the plant's own tick instead of Phi x + Gamma u, and the gains are those of the linear model.
+The error of a single predictor decays only for a limited delay; for x' = a x this requires a d < 1. With links, the limit
+applies to each d_j. More links allow longer delays, but do not make the error decay faster.
 
-Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement and nonlinear plants too. The choice of the
-gain, the output between samples and the tick are this project's. Outputs must be linear in the state.
-Schedule: one constant delay, as each link has a fixed length; sampling intervals may vary, and a lost sample is predicted.
-The certificate is for the mean period; there is none for a nonlinear plant. Time index: the estimate is of the present; what
-arrives at tick k corrects it from tick k + 1 on. A link stays at xhat(0) until tick lag_j. Not claimed: that it filters noise
-well.
+- A tick is exact for a held input: x_j(k+1) = Phi x_j(k) + Gamma u(k - lag_j) - K (..), with the gains of
+  `synthesis.cascade`.
+- Between samples the delayed output is predicted, y_1(k+1) = y_1(k) + C (Phi - I) x_1(k - d_1) + C Gamma u(k - delay). A
+  sample that arrives replaces it.
+- On a nonlinear plant, each link uses the plant's own tick instead of Phi x + Gamma u, and the gains are those of the linear
+  model.
+
+Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002, for continuous measurement and nonlinear plants. The choice of the gain,
+the output between samples and the discretisation are this project's. Outputs must be linear in the state.
+Schedule: one constant delay, because each link has a fixed length. Sampling intervals may vary, and a lost sample is
+predicted. The certificate is for the mean period. There is none for a nonlinear plant.
+Time index: xhat is the estimate of the present. A sample that arrives at tick k corrects it from tick k + 1 on. A link stays
+at xhat(0) until tick lag_j.
+Not claimed: noise filtering.
 """
 
 from math import exp
@@ -49,15 +54,15 @@ class Gains(NamedTuple):
     D: Float[Leaf, "q m"]
     K: Float[Leaf, "n q"]
     d: Int[Leaf, " j"]  # [ticks] of each link
-    lag: Int[Leaf, " j"]  # [ticks] of each link's estimate behind the present
+    lag: Int[Leaf, " j"]  # [ticks] lag of each link's estimate
     delay: Int[Leaf, ""]  # [ticks]
     room: Room  # for the ticks of the longest link
-    motion: Any = None  # (now, (x, p)) -> the same one tick later, of a nonlinear plant
+    motion: Any = None  # (now, (x, p)) -> (x, p) one tick later, for a nonlinear plant
     unknowns: Float[Leaf, " s"] = np.zeros(0)  # p, assumed constant
 
 
 class Memory(NamedTuple):
-    """The links' states and their past; the output of `delay` ago."""
+    """States of the links with their past, and the output `delay` ticks ago."""
 
     x: Float[Array, "j n"]
     y: Float[Array, " q"]
@@ -77,43 +82,43 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start every link from xhat(0), as if its output had been measured."""
+    """Return the memory with every link at xhat(0), as if its output had been measured."""
     x = jnp.broadcast_to(xhat0, (gains.d.shape[0], xhat0.shape[0]))
     return Memory(x, gains.C @ xhat0, ring(gains.room, x), jnp.asarray(0))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Take what arrived for the output of `delay` ago."""
+    """Replace the predicted output of `delay` ticks ago by the arriving sample."""
     y = arrival.value - known_input(gains.D, now, arrival.age)
     return memory._replace(y=jnp.where(arrival.mask, y, memory.y))
 
 
 def next_state(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""]) -> Float[Array, " n"]:
-    """Return the state of `lag` ticks ago one tick later."""
+    """Return the state at tick k + 1 - `lag` from that at k - `lag`, where k is the present tick."""
     if gains.motion is None:
         return gains.Phi @ x + gains.Gamma @ now.past_u(lag)
-    there = nonlinear_model.at(now, now.tick - lag)
-    return gains.motion(there, jnp.concatenate([x, gains.unknowns]))[: x.shape[0]]
+    past = nonlinear_model.at(now, now.tick - lag)
+    return gains.motion(past, jnp.concatenate([x, gains.unknowns]))[: x.shape[0]]
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move every link by one tick, and predict the output."""
-    C, k, many = gains.C, memory.tick, gains.d.shape[0]
+    """Advance every link by one tick, and predict the delayed output."""
+    C, k, count = gains.C, memory.tick, gains.d.shape[0]
     past = write(memory.past, k, memory.x, jnp.asarray(True))
-    links, y, compared = [], memory.y, memory.y
-    for j in range(many):
+    links, y, reference = [], memory.y, memory.y
+    for j in range(count):
         old = read(past, k - gains.d[j])[j]
-        x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (compared - C @ old)
+        x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (reference - C @ old)
         links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
-        compared = C @ memory.x[j]
+        reference = C @ memory.x[j]
         if j == 0:
-            ahead = C @ (next_state(gains, now, old, gains.delay) - old)
-            y = jnp.where(k >= gains.delay, y + ahead, y)
+            change = C @ (next_state(gains, now, old, gains.delay) - old)
+            y = jnp.where(k >= gains.delay, y + change, y)
     return Memory(jnp.stack(links), y, past, k + 1)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return the last link's estimate, of the present."""
+    """Return the estimate of the last link, which is that of the present."""
     return memory.x[gains.d.shape[0] - 1]
 
 
@@ -121,7 +126,7 @@ OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Divide the delay, place the poles of each link, and certify the maps of their errors."""
+    """Divide the delay, place the poles of each link, and certify the error maps."""
     where, period, delay = (
         f"cascade-predictor in {setting.scenario}",
         one_clock(setting, "cascade-predictor"),

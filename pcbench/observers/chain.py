@@ -1,19 +1,23 @@
-"""The chain observer for unequal measurement delays: each sensor is used as soon as it comes.
+"""chain: chain observer for unequal measurement delays, which uses each sensor's samples as soon as they arrive.
 
-With theta_1 < ... < theta_q the distinct delays in samples, link i carries an estimate from its source s = k - theta_i to its
-stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to the present, where the nearest one ends:
+With theta_1 < ... < theta_q the distinct delays in samples, link i propagates an estimate over d_i samples, from its source s
+= k - theta_i to its stamp t = k - theta_(i-1). The first link starts at the longest delay, and the last one ends at the
+present:
 
     ybar_i(s)[j] = y_j(s) where tau_j <= theta_i, else yhat_(i+1)(s)[j]
     xhat_i(t) = F_i xhat_i(s) + K_i ybar_i(s) + response to the known input                  (26), F = inv(T) G T, K = inv(T) L
     yhat_i(t) = W_i xhat_i(s) + V_i ybar_i(s) + response to the known input                  (27)
 
-Here the known input is taken out at once (`parts/sample_rate`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
-before a link's first source (s < 0) it is the model alone, as decided. A sample that never arrives is replaced by
-C xhat_i(s): no correction. Delays are data, so ties, zeros and any order are legal and delay vectors are an axis; one delay at
-least must be positive.
+The code subtracts the response to the known input (`parts/sample_rate`): z = xhat - xbar, and y - D u - C xbar. This is the
+same observer. Before a link's first source (s < 0), its estimate is the model's. A lost sample is replaced by C xhat_i(s), so
+it causes no correction.
+Delays are arrays, so they may be equal, zero and in any order, and delay vectors may be an axis of a study. At least one
+delay must be positive.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3. Different from print: T = I; Q_0 = D and Q_d less V D.
-Time index: the estimate is of now, after the jump. Not claimed: that the printed poles filter any noise.
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3. Different from print: T = I; Q_0 = D, and V D is subtracted from
+Q_d.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: noise filtering with the printed poles.
 """
 
 from typing import Literal, NamedTuple
@@ -37,11 +41,11 @@ from pcbench.synthesis.sampled_model import sample_plant
 
 
 class Links(NamedTuple):
-    """A link; or all q of them, latest first, on a leading axis. n states, q outputs."""
+    """One link, or all q of them on a leading axis, with the longest delay first; n states, q outputs."""
 
     stamp: Int[Leaf, "..."]  # samples ago
     source: Int[Leaf, "..."]
-    seen: Float[Leaf, "... q"]  # by channel: arrived at the link's source
+    seen: Float[Leaf, "... q"]  # 1 for a channel whose sample of the source has arrived, else 0
     F: Float[Leaf, "... n n"]
     K: Float[Leaf, "... n q"]
     V: Float[Leaf, "... q q"]
@@ -54,22 +58,22 @@ class Gains(NamedTuple):
     model: SampledModel
     tau: Int[Leaf, " q"]  # samples
     links: Links
-    room: Room  # for as many samples as the longest delay of the study reaches back
+    room: Room  # for the samples of the longest delay of the study
 
 
 class Memory(NamedTuple):
-    """Deviations from the model alone."""
+    """Deviations from the model without measurements."""
 
     run: ModelRun
-    past: Float[Array, "ring n"]  # the links' estimates by the sample they are of
-    arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of a channel by when it was sampled
-    known: tuple[Bool[Array, " ring"], ...]  # [q] it has arrived
-    value: Float[Array, " q"]  # what has arrived since the last tick, so reduced
+    past: Float[Array, "ring n"]  # the links' estimates, by sample number
+    arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of each channel, by sample number
+    known: tuple[Bool[Array, " ring"], ...]  # [q] whether it has arrived, by sample number
+    value: Float[Array, " q"]  # y - D u - C xbar of the samples that have arrived since the last sampling tick
     mask: Bool[Array, " q"]
 
 
 class Options(StrictOptions):
-    """How the links' gains and outputs are found."""
+    """Design of the links' gains and outputs."""
 
     gain: Literal["poles", "companion", "riccati"] = way(
         "poles",
@@ -87,7 +91,7 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), nothing measured."""
+    """Return the memory at xhat(0), before the first sample."""
     (q, n), room = gains.model.C.shape, gains.room
     arrived = (ring(room, jnp.zeros(())),) * q
     known = (ring(room, jnp.asarray(False)),) * q
@@ -96,42 +100,42 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
-    """Note what the model alone expects of the sample, C xbar."""
+    """Return the model's prediction of the sample, C xbar."""
     return gains.model.C @ memory.run.xbar
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Keep what arrives, less what is known of it."""
+    """Store the arriving sample, minus D u and C xbar."""
     y = arrival.value - known_input(gains.model.D, now, arrival.age) - arrival.snapshot
     return memory._replace(value=jnp.where(arrival.mask, y, memory.value), mask=memory.mask | arrival.mask)
 
 
 def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
-    """Run the links on all that has arrived: the estimate at the stamp of each, latest first."""
+    """Return the estimate at the stamp of each link [q, n], longest delay first, from all samples that have arrived."""
     k, C, channels = memory.run.sample, gains.model.C, range(gains.model.C.shape[0])
 
     def link(before: tuple[Array, Array], this: Links) -> tuple[tuple[Array, Array], Array]:
-        there = this.source > this.stamp  # a link over no samples passes on what it is given
+        nonempty = this.source > this.stamp  # a link over no samples passes its inputs on
         z = read(memory.past, k - this.source)
         expected = C @ z
         y = jnp.stack([_sample(gains, memory, j, this.source, expected[j]) for j in channels])
         ybar = jnp.where(this.seen > 0, y, before[1])
-        estimate = jnp.where(there, this.F @ z + this.K @ ybar, before[0])
-        yhat = jnp.where(there, this.W @ z + this.V @ ybar, before[1])
+        estimate = jnp.where(nonempty, this.F @ z + this.K @ ybar, before[0])
+        yhat = jnp.where(nonempty, this.W @ z + this.V @ ybar, before[1])
         return (estimate, yhat), estimate
 
     return lax.scan(link, (jnp.zeros(C.shape[1]), jnp.zeros(C.shape[0])), gains.links)[1]
 
 
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
-    """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
+    """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
     sample, new = memory.run.sample - age, age == gains.tau[j]
     known = jnp.where(new, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
     return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Advance by one tick; where a sample is due, store what this one brought."""
+    """Advance by one tick; at a sampling tick, store the samples that have arrived."""
     run, due = sample_rate.flow(gains.model, memory.run, now)
     k, past = memory.run.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source
@@ -149,7 +153,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return the nearest link's estimate, carried on to now."""
+    """Return the last link's estimate, propagated to the present."""
     return memory.run.xbar + memory.run.carried @ links(gains, memory)[-1]
 
 
@@ -157,7 +161,7 @@ OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Find every link's gains and certify the map of one sample; refuse what is no chain."""
+    """Return the gains of all links, with a certified map of one sample; raise UserError without a delay."""
     where, plant = f"chain in {setting.scenario}", sample_plant(setting, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
@@ -166,13 +170,13 @@ def design(setting: DesignContext, options: Options) -> Design:
         )
     each_tick = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
-    found = chain.links(plant, options.gain, pole, each_tick, options.output, where)
-    certificate = require_certified(chain.certify(found, plant.C, options.gain), where)
+    designed = chain.links(plant, options.gain, pole, each_tick, options.output, where)
+    certificate = require_certified(chain.certify(designed, plant.C, options.gain), where)
     certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:
-        extra = chain.check(found, plant.scale)
+        extra = chain.check(designed, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
-    latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
+    latest_first, theta = designed[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
     each = Links(stamp=theta[1:], source=theta[:-1], **stacked)
     room = np.zeros(max(setting.reach, *plant.tau))

@@ -1,7 +1,7 @@
-"""CDOB: the communication disturbance observer, which reads a delay as a disturbance of the input.
+"""CDOB: communication disturbance observer, which estimates the effect of a delay as a disturbance of the input.
 
-A plant with a delay is y = P(s) e^(-sT) u = P(s) (u - d), with d(t) = u(t) - u(t - T). A disturbance observer estimates d, and
-P d is added to the output:
+A plant with a delay is y = P(s) e^(-sT) u = P(s) (u - d), with d(t) = u(t) - u(t - T). A disturbance observer estimates d,
+and P d is added to the output:
 
     dh = Q (u - y / P),   yhat = y + P dh = P u + (1 - Q) (y - P u),   Q(0) = 1
 
@@ -10,17 +10,19 @@ With Q = 1 this is P u: a Smith predictor that does not need the value of the de
     at an arrival:  i = y - C z,   z <- z + L i,   dh <- dh - l i,   xhat <- xhat + L i       the age is not used
     over a tick:    z <- Phi z + Gamma (u - dh),   xhat <- Phi xhat + Gamma u
 
-z is the state that the delayed output shows, and xhat - z is the motion of P that dh causes: xhat is the state of yhat. The
+z is the state that belongs to the delayed output, xhat is the state of yhat, and xhat - z is the response of P to dh. The
 poles of (z, dh) are at one bandwidth, exp(-omega T_s), so Q is (omega / (s + omega))^(n+1) for short periods.
 
 Source: Natori, Ohnishi, IEEE Trans. Industrial Electronics 55(5), 2008, and Natori, Oboe, Ohnishi, IEEE Trans. Industrial
-Informatics 4(3), 2008, for the structure; the texts were not obtained. Sampled form, order of Q and use of the state are this
-project's.
-Schedule: samples of any age and order, each used when it arrives. Time index: the estimate is of the present, after the jump.
-Not claimed: perfect start. Its error with a true model and a true start is (1 - Q) (1 - e^(-sT)) P u, which is 0 without a
-delay and tends to 0 as the bandwidth grows. By Q(0) = 1 it never removes a constant error of the start or a constant
-disturbance: it reads both as a delay. Refused: what is no chain of integrators from its one input to its one output
-(`synthesis.bandwidth.chain_of`), and unstable plants, on which P u grows.
+Informatics 4(3), 2008, for the structure; the texts were not obtained. The sampled form, the order of Q and the use of the
+state are this project's.
+Schedule: samples of any age and order, each used when it arrives.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: perfect start. With a true model and a true initial state, the error is (1 - Q) (1 - e^(-sT)) P u. It is 0
+without a delay, and tends to 0 as the bandwidth grows. Because Q(0) = 1, the observer never removes a constant initial error
+or a constant disturbance: it attributes both to a delay.
+Refused: plants that are not a chain of integrators from one input to one output (`synthesis.bandwidth.chain_of`), and
+unstable plants, on which P u grows.
 """
 
 from math import exp
@@ -54,7 +56,7 @@ class Gains(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The state of the delayed output, the disturbance, and the estimate."""
+    """State of the delayed output, disturbance, and estimate."""
 
     z: Float[Array, " n"]
     dh: Float[Array, "1"]
@@ -69,24 +71,24 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), without a disturbance."""
+    """Return the memory at xhat(0), without a disturbance."""
     return Memory(xhat0, jnp.zeros(1), xhat0)
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing when a sample is taken."""
+    """Return nothing: a sample is used at its arrival only."""
     return jnp.zeros(0)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Correct z and dh by what arrives, as if it were of now, and move xhat with z."""
+    """Correct z and dh by the arriving sample as if it had been taken now, and xhat by the same amount as z."""
     innovation = jnp.where(arrival.mask, arrival.value - gains.C @ memory.z, 0.0)
-    moved = gains.L @ innovation
-    return Memory(memory.z + moved, memory.dh - gains.l @ innovation, memory.xhat + moved)
+    correction = gains.L @ innovation
+    return Memory(memory.z + correction, memory.dh - gains.l @ innovation, memory.xhat + correction)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move by one tick under the held input."""
+    """Advance by one tick under the held input."""
     z = gains.Phi @ memory.z + gains.Gamma @ (now.u - memory.dh)
     return Memory(z, memory.dh, gains.Phi @ memory.xhat + gains.Gamma @ now.u)
 
@@ -97,7 +99,7 @@ OBSERVER = Observer(init, snapshot, jump, flow, xhat)
 def design(setting: DesignContext, options: Options) -> Design:
     """Place the poles at the mean period.
 
-    Raises UserError where the plant is no chain of integrators from its input to its output, or unstable.
+    Raises UserError if the plant is not a chain of integrators from its input to its output, or is unstable.
     """
     period, where = one_clock(setting, "cdob"), f"cdob in {setting.scenario}"
     model = setting.model._replace(E=None)
@@ -112,7 +114,7 @@ def design(setting: DesignContext, options: Options) -> Design:
     Phi, push = linear.discretize_zoh(model.A, model.B, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
     n = len(Phi)
-    both, C = np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
-    L = bandwidth.current_gain(both, C, pole, pole, where)
+    augmented, C = np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
+    L = bandwidth.current_gain(augmented, C, pole, pole, where)
     Phi, Gamma = linear.one_tick(model, setting.dt)
     return Design(Gains(Phi, Gamma, model.C, L[:n], L[n:]), no_certificate("it ignores delays"))

@@ -1,20 +1,24 @@
-"""ekf: the extended Kalman filter by re-propagation from the measurement's own time.
+"""ekf: extended Kalman filter that updates at the sampling time and propagates to the present tick by tick.
 
-State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. At the
-arrival of a sample taken at t_m: tick by tick from the posterior of the sample before it,
+The state is z = (x, p): the plant's state x, and unknown parameters and inputs p, modelled as random walks. When a sample
+arrives that was taken at t_m, the posterior of the preceding sample is propagated to t_m, tick by tick:
 
-    P <- F P F' + Q,  F = I + h J(z, u),  J the Jacobian (jax),    z <- one Runge-Kutta step under the tick's input
+    P <- F P F' + Q,  F = I + h J(z, u),  J the Jacobian (jax),    z <- one Runge-Kutta step under the input of the tick
 
-then the update at t_m in Joseph form, one channel after the other (where y is not linear in z, by its Jacobian at the
-prediction), then the mean alone rolls forward to now under the stored inputs, and flows on. p is clipped to the plant's range
-after every update and tick. Where the model is linear the tick is its exact map, F its matrix, and the filter is `kf` done
-tick by tick; where a plant is given by its step, that is the tick, F its Jacobian.
+Then follow the update at t_m in Joseph form, one channel after the other, and the propagation of the mean to the present
+under the stored inputs. For an output that is nonlinear in z, the update uses the Jacobian at the prediction. p is clipped to
+the plant's range after every update and tick.
 
-R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
-and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
-start. One that comes after a newer one is put in its place (`parts/reorder_buffer`). With `gate` or `huber` a sample that is
-far from what is expected is left out, or weighed less (`parts/robust_update`).
-Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
+- Linear model: the tick is its exact map and F its matrix, so the filter is `kf` computed tick by tick.
+- Plant defined by its step: the tick is that step, and F its Jacobian.
+- R is the variance of one sample, and P0 = diag(prior_std^2, unknown_std^2). Q is the scenario's assumed process noise of x,
+  and walk unknown_std^2 h of p.
+- A sample from before t = 0 counts as a measurement of x(0). An out-of-sequence sample is inserted at its sampling time
+  (`parts/reorder_buffer`).
+- `gate` rejects outliers, and `huber` reduces their weight (`parts/robust_update`).
+
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: optimality, or that a parameter can be estimated if the motion contains no information on it.
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
 
@@ -46,14 +50,14 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Memory(NamedTuple):
-    """The samples that may be overtaken with the posterior before them, and the mean of now."""
+    """The buffered samples with the posterior before them, and the present mean."""
 
     buffer: Buffer
     z: Float[Array, " N"]
 
 
 class Options(nonlinear_model.Options):
-    """What the filter assumes, and what it does with a sample that is far from what it expects."""
+    """Assumptions of the filter, and its treatment of outliers."""
 
     gate: float | None = robust_update.GATE
     gate_opens: int = robust_update.OPENS
@@ -61,14 +65,14 @@ class Options(nonlinear_model.Options):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from the prior: xhat(0), p at its start, P0."""
+    """Return the memory at the prior: xhat(0), the initial p, and P0."""
     z, q = nonlinear_model.initial_augmented(gains, xhat0), gains.C.shape[0]
     first = robust_update.initial_posterior(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
     return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
 
 
 def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
-    """Carry mean and covariance to the sample's own time and update there, channel by channel."""
+    """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
     z, P = predict_joint(gains, now, before, sample.taken)
     if gains.sensor is not None:
         z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
@@ -88,7 +92,7 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
 
 
 def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
-    """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
+    """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
     z = predicted = before.mean
     P, left_out, R = before.P, [], sample.variances(gains.R)
     y, C = linearize_sensor(gains, there, z[: gains.P0.shape[0]])
@@ -106,7 +110,7 @@ def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tu
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Put what arrived in its place, and roll the mean forward to now."""
+    """Insert the arriving sample in order of sampling, and propagate the mean to the present."""
     sample = reorder_buffer.sample_of(now, arrival, gains.D)
     buffer, newest = reorder_buffer.replay(
         lambda state, sample: update(gains, now, state, sample), memory.buffer, sample
@@ -118,12 +122,12 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move the mean by one tick."""
+    """Propagate the mean by one tick."""
     return memory._replace(z=clip_parameters(gains, gains.motion(now, memory.z)))
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
-    """Return xhat of now, and the unknowns."""
+    """Return the present xhat, and the unknowns."""
     return memory.z
 
 
@@ -133,12 +137,12 @@ def newest(gains: Gains, memory: Memory, now: Now) -> Known:
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
-    """Return what the filter believes of its error now: P at the newest sample used, by the slopes of every tick since."""
+    """Return the present covariance: P at the newest sample used, propagated by the Jacobian of every tick since."""
     return predict_joint(gains, now, newest(gains, memory, now), now.tick)[1]
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
+    """Return the innovation statistics of a sample, predicted from all samples that arrived before, newer ones included."""
     buffer, sample = memory.buffer, reorder_buffer.sample_of(now, arrival, gains.D)
     first, N = buffer.before, gains.P0.shape[0]
     mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
@@ -166,7 +170,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 
 
 def _whole(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of the filter, vectorized as a whole where the covariance is large."""
+    """Return a function of the filter, vectorized as a unit if the covariance is large."""
 
     @wraps(f)
     def called(gains: Gains, memory: Memory, now: Now, *arrival: Arrival) -> Any:
@@ -187,6 +191,6 @@ OBSERVER = Observer(
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; there is no certificate for a nonlinear model."""
+    """Return the assumptions; a nonlinear model has no certificate."""
     guard = robust_update.of(options.gate, options.gate_opens, options.huber)
     return nonlinear_model.design(setting, options, "ekf", guard=guard)

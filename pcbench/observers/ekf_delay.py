@@ -1,22 +1,28 @@
-"""ekf-delay: an extended Kalman filter that has the delay of its samples as one more state.
+"""ekf-delay: extended Kalman filter with the delay of the samples as an additional state.
 
-z = (x, tau), x the state as many ticks ago as the longest delay of the oldest sample, L: at tick b = k - L when a sample
-arrives at tick k. Then a sample's time lies ahead of b whatever tau is, and no motion is undone (a cart that brakes at 122 1/s
-grows e^24 times in 0.2 s backwards). With x_i the prediction of tick i from x_b, i = k - (a - abar) - tau / h (a: the sample's
-age, `parts/unknown_delay`) between whole ticks by a straight line,
+The state is z = (x, tau). x is the plant's state at tick b = k - L, where k is the tick of the arrival and L is the longest
+possible age of a sample. So the sampling time is after b for every tau, and the filter never integrates backwards. (A cart
+that brakes at 122 1/s would grow by e^24 in 0.2 s backwards.) Let x_i be the prediction from x_b to i = k - (a - abar) - tau
+/ h, with the age a of the sample (`parts/unknown_delay`), linearly interpolated between ticks:
 
-    y = C x_i + v,   H = [C F_i, -C x'_i],   x'_i = (x_(i+1) - x_i) / h,   F_i the slope of x_i by x_b
+    y = C x_i + v,   H = [C F_i, -C x'_i],   x'_i = (x_(i+1) - x_i) / h,   F_i = dx_i / dx_b
 
-one update in Joseph's form, channel by channel, at the predicted z; tau is kept within [0, L h] and walks with `delay_walk`.
-Then x_b is carried to now. Before L ticks have passed b = 0.
+One update in Joseph form, channel by channel, uses this H at the predicted z. tau is clipped to [0, L h] and is a random walk
+of variance `delay_walk`. Then x_b is predicted to the present. Before tick L, b = 0.
 
-Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is
-always biased and optimistic (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
-both: the first samples are used at slopes of the wrong time, and the error that they leave stays. `mmae-delay` is not.
-Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt. The process noise
-between b and a sample's time is not counted, so with much of it the filter is optimistic.
-Time index: the estimate is of now, after the jump. Samples of any age and in any order: each lies ahead of b.
-Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
+Properties on cart/unknown-delay (see the guide, unknown_delay):
+
+- From an accurate initial delay, the error is as small as the bound allows, and the covariance is consistent. Literature says
+  that such a filter is always biased and optimistic (arXiv:2106.00391, arXiv:2605.13266); that is not so here.
+- From an initial delay two standard deviations off, it is biased and optimistic: the first updates use Jacobians of the wrong
+  time, and their error persists. `mmae-delay` does not have this problem.
+
+Not claimed: convergence from a large initial error of the delay. If the motion contains no information (x' = 0), the delay is
+not observable. The process noise between b and the sampling time is neglected, so with large process noise the filter is
+optimistic.
+Time index: xhat is the estimate of the present, after the jump. Samples may have any age and order, as each is newer than b.
+Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA
+2010.
 """
 
 from typing import NamedTuple
@@ -35,7 +41,7 @@ from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 
 class Memory(NamedTuple):
-    """State and delay of `at`, and the estimate of now."""
+    """State and delay at tick `at`, and the present estimate."""
 
     z: Float[Array, " n+1"]
     P: Float[Array, "n+1 n+1"]
@@ -44,40 +50,40 @@ class Memory(NamedTuple):
 
 
 class Options(unknown_delay.Options):
-    """What the filter assumes."""
+    """Assumptions of the filter."""
 
     delay_walk: float = Field(0.0, ge=0, description="variance of the random walk of the delay per second [s^2/s]")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from the prior."""
+    """Return the memory at the prior."""
     n = xhat0.shape[0]
     P = jnp.zeros((n + 1, n + 1)).at[:n, :n].set(gains.P0).at[n, n].set(gains.delay_std**2)
     return Memory(jnp.append(xhat0, gains.delay), P, jnp.asarray(0), xhat0)
 
 
 def joint(gains: Gains) -> tuple[Array, Array, Array]:
-    """Return Phi, Gamma and Q of state and delay, which stands still but for its walk."""
+    """Return Phi, Gamma and Q of state and delay; the delay is a random walk."""
     n, m = gains.Gamma.shape
 
-    def beside(A: Leaf, last: Leaf) -> Array:
+    def extended(A: Leaf, last: Leaf) -> Array:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])
-    return beside(gains.Phi, 1.0), Gamma, beside(gains.Q, gains.own)
+    return extended(gains.Phi, 1.0), Gamma, extended(gains.Q, gains.own)
 
 
 class SamplePrediction(NamedTuple):
-    """The tick of a sample and the next, as predicted from the base, and their slopes by it."""
+    """Predictions from the base tick at the present and on both sides of the sampling time, with Jacobians."""
 
     x: Float[Array, " n"]
     F: Float[Array, "n n"]
-    before: tuple[Array, Array]  # x, F of the tick at or before the sample's time
-    after: tuple[Array, Array]  # and of the next
+    before: tuple[Array, Array]  # x, F at the last tick up to the sampling time
+    after: tuple[Array, Array]  # x, F at the next tick
 
 
 def predict_sample(gains: Gains, now: Now, x: Array, base: Array, first: Array) -> SamplePrediction:
-    """Return what the model says of ticks `first` and `first` + 1, and of now, from the state at `base`."""
+    """Return predictions from the state at tick `base`: at ticks `first` and `first` + 1, and at the present."""
 
     def tick(k: Array, c: SamplePrediction) -> SamplePrediction:
         here = c.x, c.F
@@ -91,7 +97,7 @@ def predict_sample(gains: Gains, now: Now, x: Array, base: Array, first: Array) 
 
 
 def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Carry state and delay to the base, update there by a sample between ticks, and go to now."""
+    """Predict to the base tick, update there by a sample taken between ticks, and predict to the present."""
     base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
     z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.at, base)
     place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
@@ -110,22 +116,22 @@ def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) 
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Update state and delay by what arrives, and go to now."""
+    """Update state and delay by the arriving sample, and predict to the present."""
     return vmap_as_unit(lambda memory, arrival: _update_at_sample(gains, memory, now, arrival))(memory, arrival)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move the estimate of now by one tick."""
+    """Propagate the present estimate by one tick."""
     return memory._replace(xhat=gains.Phi @ memory.xhat + gains.Gamma @ now.u)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
-    """Return xhat of now, and the delay where the plant has one that is unknown."""
+    """Return the present xhat, and the delay if it is the plant's unknown."""
     return read(gains, memory.xhat, memory.z[-1])
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance that is assumed of the error now: P at its base, carried on."""
+    """Return the present covariance: P at the base tick, propagated."""
 
     def present(z: Array, P: Array, at: Array) -> Array:
         return spread(gains, predict_linear(*joint(gains), now, z, P, at, now.tick)[1])
@@ -134,7 +140,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
-    """Return the mean delay and its standard deviation [s]: the last state, which does not move between samples."""
+    """Return mean and standard deviation of the delay [s]; the mean is constant between samples."""
     walked = gains.own * (now.tick - memory.at)
     return jnp.stack([memory.z[-1], jnp.sqrt(memory.P[-1, -1] + walked)])
 
@@ -143,7 +149,7 @@ OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covarian
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; a delay among the states makes it nonlinear, and nothing proves it."""
+    """Return the assumptions; with the delay as a state the filter is nonlinear, so it has no certificate."""
     gains = unknown_delay.design(setting, options, "ekf-delay")
     walk = np.asarray(options.delay_walk * setting.dt)
     return Design(gains._replace(own=walk), no_certificate("the delay is a state, so the filter is nonlinear"))

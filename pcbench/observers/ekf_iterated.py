@@ -1,13 +1,14 @@
-"""ekf-iterated: the iterated extended Kalman filter: the sensor's slope is taken anew where each correction leads.
+"""ekf-iterated: iterated extended Kalman filter, which linearises the sensor again at each corrected estimate.
 
     z_0 = z-,   z_(i+1) = z- + K_i (y - h(z_i) - H_i (z- - z_i)),   K_i = P- H_i' (H_i P- H_i' + R)^-1,   H_i = dh/dz at z_i
 
-for a fixed number of times; P by the last slope. It is Gauss-Newton on what a sample and the prediction say of z, so it finds
-the likeliest z where that converges. Between samples it is `ekf`: mean and covariance go by slopes, tick by tick, and a sample
-of any age is used at its own time (`parts/repropagation`).
+The number of iterations is fixed, and P uses the last H_i. The iteration is a Gauss-Newton search for the most likely z,
+given the sample and the prediction. Between samples the filter is `ekf`: it propagates mean and covariance by Jacobians, tick
+by tick. A sample of any age is used at its sampling time (`parts/repropagation`).
 Source: Bell, Cathey 1993.
-Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a linear plant `kf`, to rounding.
-Time index: the estimate is of now, after the jump. Not claimed: that the iteration converges; no step is ever shortened.
+If y is linear in z, the iteration changes nothing: the filter equals `ekf`, and on a linear plant `kf`, up to rounding.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: convergence of the iteration. There is no step-size control.
 """
 
 import numpy as np
@@ -24,13 +25,13 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(nonlinear_model.Options):
-    """What the filter assumes, and how often it looks again."""
+    """Assumptions of the filter, and the number of iterations."""
 
     iterations: int = Field(3, ge=1, le=100, description="corrections per sample")
 
 
 def tick(gains: Gains, now: Now, state: State) -> State:
-    """Move mean and covariance by the slope there."""
+    """Propagate mean and covariance by one tick, by the Jacobian at the mean."""
     F = gains.slope(now, state.mean)
     return state._replace(mean=clip_parameters(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
@@ -38,12 +39,12 @@ def tick(gains: Gains, now: Now, state: State) -> State:
 def update_about(
     gains: Gains, now: Now, state: State, sample: Measurement, about: Array
 ) -> tuple[Array, Array, InnovationStats]:
-    """Return what z is once a sample is known, by the sensor's slope at `about`."""
+    """Return mean, covariance and innovation statistics after a sample, with the sensor linearised at `about`."""
     return kalman.by_slope(gains, state.mean, state.P, Linear(*linearize_output(gains, now, about), about), sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
-    """Correct by a sample of the state's tick, as often as `own` is long."""
+    """Update by a sample of the state's tick, with as many iterations as `own` has entries."""
     z, P = state.mean, state.P
     for _ in range(gains.own.shape[0]):
         z, P, _ = update_about(gains, now, state, sample, z)
@@ -51,7 +52,7 @@ def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
 
 
 def innovation_at_mean(gains: Gains, now: Now, state: State, sample: Measurement) -> InnovationStats:
-    """Return how far a sample is from what is expected of it, by the slope at the prediction."""
+    """Return the innovation statistics of a sample, with the sensor linearised at the prediction."""
     return update_about(gains, now, state, sample, state.mean)[2]
 
 
@@ -59,6 +60,6 @@ OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_at_
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    own = np.zeros(options.iterations)  # its length alone is the message (`protocols.Room`)
+    """Return the assumptions; a nonlinear model has no certificate."""
+    own = np.zeros(options.iterations)  # its length is the number of iterations (`protocols.Room`)
     return nonlinear_model.design(setting, options, "ekf-iterated", lambda gains: own)

@@ -1,16 +1,18 @@
-"""Pretending that all channels have one delay: what the chain is compared with first (Method 2 of the paper).
+"""equal-delay: observer that assumes the same delay d for all channels (Method 2 of the paper, compared there with the
+chain).
 
-`theorem1`, a single link of the chain fed with whatever arrives, as if all of it were d samples old:
+`variant = "theorem1"` is a single link of the chain. It treats whatever has arrived as d samples old:
 
     xhat(k) = A^d xhat(k-d) + response to the input + K e(k),   e(k) = r(k) - C xhat(k-d) - D u(k-d),   A^d - K C = F       (6)
 
-`held` (default), a slow observer of the same belief: xhat(k+1) = A xhat(k) + B u(k) + K e(k), K = kappa A pinv(C),
-kappa = d^d / (d+1)^(d+1) (4/27 for d = 2), the largest for which e(k+1) = e(k) - kappa e(k-d) does not oscillate: in place of
-the design that the paper cites and does not print. Both are stable and biased wherever a delay is not d.
-The delay d believed is the shortest of the channels', one sample at least, or the option `delay`.
+`variant = "held"` (default) is a slow observer with the same assumption, xhat(k+1) = A xhat(k) + B u(k) + K e(k) with K =
+kappa A pinv(C). kappa = d^d / (d+1)^(d+1) (4/27 for d = 2) is the largest gain for which e(k+1) = e(k) - kappa e(k-d) does
+not oscillate. It replaces the design that the paper cites and does not print.
+Both variants are stable, and biased if a delay differs from d. d is the option `delay`; by default it is the shortest delay
+of the channels, at least one sample.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 1 and section 5. It does not know the schedule: no perfect start is
-claimed unless every delay is d.
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 1 and section 5.
+Not claimed: perfect start, unless every delay is d, because the observer does not use the schedule.
 """
 
 from typing import Literal
@@ -32,7 +34,7 @@ OBSERVER = assumed_age.OBSERVER
 
 
 class Options(StrictOptions):
-    """Which of the two, and the delay it believes in."""
+    """The variant, and the assumed delay."""
 
     variant: Literal["held", "theorem1"] = Field(
         "held", description="held: a slow observer without oscillation; theorem1: a single link of `chain`"
@@ -42,7 +44,7 @@ class Options(StrictOptions):
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Design for the believed delay and certify that alone; the delays as they are enter as a disturbance."""
+    """Design for the assumed delay, and certify the gain for that delay only; delays other than d act as a disturbance."""
     where, plant = f"equal-delay in {setting.scenario}", sample_plant(setting, "equal-delay")
     d, A = options.delay or max(min(plant.tau), 1), plant.A
     if options.variant == "theorem1":
@@ -60,6 +62,6 @@ def design(setting: DesignContext, options: Options) -> Design:
         gains = assumed_age.gains_of(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
-    if set(plant.tau) == {d}:  # otherwise the delays as they are disturb it, and no rate is promised
+    if set(plant.tau) == {d}:  # otherwise the true delays act as a disturbance, and the rate is not certified
         certificate = certificate._replace(rate=rate_of(rate, plant.period * setting.dt))
     return Design(gains, require_certified(certificate, where))

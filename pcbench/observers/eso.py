@@ -1,25 +1,27 @@
-"""ESO: the extended state observer of active disturbance rejection control (ADRC), with a predictor.
+"""ESO: extended state observer of active disturbance rejection control (ADRC), with a predictor.
 
-The disturbance d of a chain of n integrators is one more state, constant between samples, z = [x; d]:
+The disturbance d of a chain of n integrators is an additional state, constant between samples, z = [x; d]:
 
     x' = A x + B u + G d,   d' = 0,   y = C x                                G = B (or E of an unknown input)
     zbar_m = Phi z_(m-1) + I(t_(m-1), t_m),   z_m = zbar_m + L (y_m - C zbar_m)
 
-at each sample's own time, and predicted to the present with d held (`parts/prediction`). All poles of (I - L C) Phi are
-beta = exp(-omega T), so one number, the bandwidth omega, tunes the observer. For n = 2 and A = [0 1; 0 0], G = [0; 1]
+The correction is at each sampling time. The estimate is predicted to the present with constant d (`parts/prediction`). All
+poles of (I - L C) Phi are beta = exp(-omega T), so the bandwidth omega is the only tuning parameter. For n = 2 and A = [0 1;
+0 0], G = [0; 1]:
 
     L = (1 - beta^3,  3 (1 - beta)^2 (1 + beta) / (2 T),  (1 - beta)^3 / T^2)
 
-beta = 0 is the deadbeat unknown-input observer: with a constant d, the error is 0 after n + 1 samples.
-With `model = "chain"` the observer is Gao's: it uses the order n and b = C A^(n-1) G alone, and d contains C A^n x / b. With
-`model = "full"` d is what the model does not explain, and the modes that decay faster than beta per sample keep their poles.
+- beta = 0 is the deadbeat unknown-input observer: with a constant d, the error is 0 after n + 1 samples.
+- `model = "chain"` is Gao's observer. It uses only the order n and b = C A^(n-1) G, and d contains C A^n x / b.
+- `model = "full"`: d is the difference from the model. Modes that decay faster than beta per sample keep their poles.
 
-Source: Gao, ACC 2003 (chain, bandwidth); Miklosovic, Radke, Gao, ACC 2006 (discrete, correction at the sample's time). The
-use at the time of a delayed sample, the prediction over its delay and `model = "full"` are this project's.
-Schedule: samples of any age and order. L and the certificate are for the mean period T and the model of the observer. A lost
+Source: Gao, ACC 2003 (chain, bandwidth); Miklosovic, Radke, Gao, ACC 2006 (discrete, correction at the sampling time). The
+use of delayed samples, the prediction over the delay and `model = "full"` are this project's.
+Schedule: samples of any age and order. L and the certificate are for the mean period T and the observer's model. A lost
 sample lengthens one interval.
-Time index: the estimate is of the present, after the jump. Not claimed: an error of zero while d changes, nor, with "chain",
-from a perfect start. Refused: several outputs, feedthrough, a discrete plant, and a relative degree below n.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: an error of zero while d changes, nor, with "chain", after a perfect start.
+Refused: several outputs, feedthrough, a discrete plant, and a relative degree below n.
 """
 
 from math import exp
@@ -51,12 +53,12 @@ class Gains(NamedTuple):
     L: Float[Leaf, "n 1"]
     start: Float[Leaf, "n k"]  # (x, d) at t = 0 from xhat(0)
     d0: Float[Leaf, " n"]
-    signals: Room  # for as many signals as are estimated: the plant's states, and its unknown input if it has one
+    signals: Room  # for the estimated signals: the plant's states, and its unknown input if it has one
     room: Room  # for samples that may arrive after newer ones
 
 
 class Options(StrictOptions):
-    """The bandwidth, and what the model is used for."""
+    """Bandwidth and model."""
 
     pole: float = tunable(0.5, (0.0, 0.999), ge=0, le=0.999, description="pole of the error per sample; 0: deadbeat")
     omega: float | None = Field(None, gt=0, description="bandwidth [1/s], instead of `pole`: pole = exp(-omega T)")
@@ -66,20 +68,20 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " k"]) -> Memory:
-    """Start from xhat(0) and the disturbance that belongs to it."""
+    """Return the memory at xhat(0) and the corresponding disturbance."""
     z = gains.start @ xhat0 + gains.d0
     return prediction.start(z, prediction.origin(z), gains.room, 1)
 
 
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
-    """Correct at the sample's own time."""
+    """Correct at the sampling time."""
     free = prediction.at(gains.motion, before, sample.taken)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
     return Point(free + gains.L @ innovation, sample.taken)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
-    """Return xhat of the present, and the unknown input where the plant has one."""
+    """Return the present xhat, and the unknown input if the plant has one."""
     return memory.xhat[: gains.signals.shape[0]]
 
 
@@ -88,25 +90,26 @@ OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Place the poles at the mean period, and certify them; raise UserError for a plant that is no chain of integrators."""
+    """Place the poles at the mean period, and certify them; raise UserError if the plant is not a chain of integrators."""
     period, where, model = one_clock(setting, "eso"), f"eso in {setting.scenario}", setting.model
     chain = bandwidth.chain_of(model, where)
     n, seconds = len(model.A), period * setting.dt
     row = chain.row / chain.b * (options.model == "chain")
     E = chain.G  # A - E row is a chain of integrators: C (A - E row)^n = 0
-    whole = linear.with_unknown_input(model._replace(A=model.A - E @ row, E=E))
+    augmented = linear.with_unknown_input(model._replace(A=model.A - E @ row, E=E))
     Phi, push = linear.discretize_zoh(model.A - E @ row, E, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
-    L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), whole.C, pole, pole, where)
+    L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), augmented.C, pole, pole, where)
     prior = np.where(np.diag(setting.P0) > 0, np.diag(setting.P0), 1.0)
-    size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))  # d that moves x by as much as x(0) is uncertain
-    wider = setting._replace(model=whole, P0=block_diag(setting.P0, [[size]]), process_std=())
+    # variance of d that changes x by the prior's standard deviation in a period
+    size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))
+    wider = setting._replace(model=augmented, P0=block_diag(setting.P0, [[size]]), process_std=())
     L, certificate = current_gains.find(wider, "given", L, 0.0, None, None, where)
     certificate = certificate._replace(inequality="[P, M'; M, P] > 0, M = P (I - L C) Phi, of state and disturbance")
     known = setting.unknown0 if model.E is not None else ()
     gains = Gains(
-        motion=prediction.motion_of(whole, setting),
-        C=whole.C,
+        motion=prediction.motion_of(augmented, setting),
+        C=augmented.C,
         D=model.feedthrough,
         L=L,
         start=np.vstack([np.eye(n), row]),

@@ -1,18 +1,19 @@
-"""Observer with a delay inside, which converges in finite time (Engel and Kreisselmeier).
+"""finite-time: observer with an internal delay, which converges in finite time (Engel and Kreisselmeier).
 
-Two current estimators z1, z2 of different poles run side by side, at each sample's own time:
+Two current estimators z1, z2 with different poles run in parallel, and are corrected at each sampling time:
 
     zbar_i = Phi z_i + I(t_(m-1), t_m),   z_i = zbar_i + L_i (y_m - C zbar_i)
     xhat_m = K1 z1_m + K2 z2_m - H (z1_(m-N) - z2_(m-N)),   K1 + K2 = I                  with `synthesis.finite_time`
 
-From N samples after the first one on, the error is 0 without noise and with a true model, whatever the initial error was.
-Until then xhat is z1. The estimate is predicted to the present (`parts/prediction`), so a delay adds to that time.
+With a true model and without noise, the error is 0 from N samples after the first one on, for every initial error. Until then
+xhat is z1. The estimate is predicted to the present (`parts/prediction`), so a delay adds to that time.
 
 Source: Engel, Kreisselmeier, IEEE TAC 47(7), 2002, for continuous measurement, z_i' = A z_i + B u + L_i (y - C z_i). The form
 for samples and the prediction over the delay are this project's.
-Schedule: samples of any age and order. H is for the mean period: where intervals vary or samples are lost, the error does
-not vanish in finite time, and decays only as those of z1 and z2 do. Time index: the estimate is of the present, after the jump.
-Not claimed: that it filters noise; a short time makes K1 and K2 large. Modes that lose 99 % in a sample vanish at that rate.
+Schedule: samples of any age and order. H is for the mean period. With varying intervals or lost samples, the error does not
+vanish in finite time; it then decays as those of z1 and z2.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: noise filtering; a short time makes K1 and K2 large. Modes that decay by 99 % or more per sample keep their rate.
 """
 
 from typing import NamedTuple
@@ -51,17 +52,17 @@ class Gains(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Both estimators at the time of a sample, less the response to the input; the newest is first among the past."""
+    """Both estimators at a sampling time, without the response to the input; `past` contains the newest first."""
 
     z: Float[Array, "n 2"]
-    free: Float[Array, " n"]  # of xhat
+    free: Float[Array, " n"]  # xhat without the response to the input
     taken: Int[Array, ""]
     past: Float[Array, "N n 2"]
-    used: Int[Array, ""]  # samples
+    used: Int[Array, ""]  # number of samples used
 
 
 class Options(StrictOptions):
-    """The poles and the time."""
+    """Poles and convergence time."""
 
     pole: float = tunable(0.6, (0.01, 0.99), gt=0, lt=1, description="pole of the slower estimator per sample")
     ratio: float = Field(2.0, gt=1, description="the pole of the faster estimator is pole^ratio")
@@ -71,7 +72,7 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start both estimators from xhat(0)."""
+    """Return the memory with both estimators at xhat(0)."""
     z = jnp.stack([xhat0, xhat0], axis=1)
     past = jnp.zeros((gains.window.shape[0], *z.shape))
     pair = Pair(z, xhat0, jnp.asarray(0), past, jnp.asarray(0))
@@ -79,14 +80,14 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 
 def correct(gains: Gains, before: Pair, sample: Measurement) -> Pair:
-    """Correct both estimators at the sample's own time, and combine them."""
+    """Correct both estimators at the sampling time, and combine them."""
     z = after(gains.motion.powers, sample.taken - before.taken, before.z)
     innovation = (sample.value - gains.C @ sample.snapshot)[:, None] - gains.C @ z
     innovation = jnp.where(sample.mask[:, None], innovation, 0.0)
     z = z + jnp.stack([gains.L[i] @ innovation[:, i] for i in range(2)], axis=1)
     old = before.past[-1]
-    both = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (old[:, 0] - old[:, 1])
-    free = jnp.where(before.used >= before.past.shape[0], both, z[:, 0])
+    combined = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (old[:, 0] - old[:, 1])
+    free = jnp.where(before.used >= before.past.shape[0], combined, z[:, 0])
     past = jnp.concatenate([z[None], before.past[:-1]])
     return select_memory(sample.mask, Pair(z, free, sample.taken, past, before.used + 1), before)
 
@@ -105,7 +106,7 @@ def design(setting: DesignContext, options: Options) -> Design:
             f"{where}: got samples = {N}, expected at least {-(-n // q)} for {n} states and {q} outputs; give more."
         )
     doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
-    found, certificate = finite_time.design(
+    matrices, certificate = finite_time.design(
         linear.over(doubled, period), model.C, options.pole, options.ratio, N, where
     )
     require_certified(certificate, where)
@@ -113,7 +114,7 @@ def design(setting: DesignContext, options: Options) -> Design:
         motion=prediction.motion_of(model, setting),
         C=model.C,
         D=model.feedthrough,
-        **found._asdict(),
+        **matrices._asdict(),
         window=np.zeros(N),
         room=setting.room,
     )

@@ -1,17 +1,18 @@
-"""high-gain-predictor: a high-gain observer of a plant with one output, with an output predictor between samples.
+"""high-gain-predictor: high-gain observer for plants with one output, with an output predictor between samples.
 
     xhat' = f(xhat, u) + L (w - C xhat),    w' = C f(xhat, u),    w(t_k) = y_k
 
-L puts all n eigenvalues of A - L C at -theta. In the coordinates (y, y', ...) of the linear model these are the binomial gains
-C(n, i) theta^i of a chain of integrators. As the period goes to 0, this is the continuous high-gain observer.
-On a linear plant the error is mapped from sample to sample by a matrix, whose spectral radius decides at a constant period. The
-limit of a chain of integrators is in `synthesis/sampled_high_gain`: theta T < 4.99991, 2.89627, 1.28317 for n = 2, 3, 4.
-`parts/held_innovation` writes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
-Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` is the same with a matrix S instead of
-constant gains, for a plant of positions, rates and parameters.
-A stable mode faster than theta is slowed to theta, by a large gain that may diverge at long periods. So the default of theta is
-the decay rate of the fastest mode, but at least 4 1/s.
-Not claimed: convergence on a nonlinear plant, nor at varying intervals or with delay.
+L places all n eigenvalues of A - L C at -theta. In the coordinates (y, y', ...) of the linear model, the gains are binomial,
+C(n, i) theta^i, as for a chain of integrators. As the period goes to 0, this is the continuous high-gain observer.
+On a linear plant with a constant period, the error converges if the spectral radius of its map from sample to sample is below
+1. For a chain of integrators, this requires theta T < 4.99991, 2.89627, 1.28317 for n = 2, 3, 4
+(`synthesis/sampled_high_gain`).
+`parts/held_innovation` computes w - C xhat as c - al, so that a delayed sample is predicted to its arrival.
+Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, which was not obtained. `high-gain` has a matrix S instead of constant
+gains, for a plant of positions, rates and parameters.
+The observer slows a stable mode faster than theta down to theta. This needs a large gain, which may diverge at long periods.
+So the default of theta is the decay rate of the fastest mode, but at least 4 1/s.
+Not claimed: convergence on a nonlinear plant, at varying intervals or with delay.
 """
 
 import numpy as np
@@ -26,11 +27,11 @@ from pcbench.synthesis.constant_periods import predictor_map, spectral_radius
 from pcbench.synthesis.error_bounds import rate_of
 
 OBSERVER = held_innovation.OBSERVER
-SLOWEST = 4.0  # 1/s, the least theta that is chosen by itself
+SLOWEST = 4.0  # 1/s, least default of theta
 
 
 class Options(StrictOptions):
-    """The tuning."""
+    """Tuning parameter."""
 
     theta: float | None = tunable(
         None,
@@ -71,6 +72,6 @@ def design(setting: DesignContext, options: Options) -> Design:
 def binomial_gain(A: Matrix, C: Matrix, theta: float) -> Matrix:
     """Return L [n, 1] with all eigenvalues of A - L C at -theta, by Ackermann's formula in units of theta."""
     n, scaled = len(A), A / theta
-    seen = np.vstack([C @ np.linalg.matrix_power(scaled, i) for i in range(n)])
+    observability = np.vstack([C @ np.linalg.matrix_power(scaled, i) for i in range(n)])
     polynomial = np.linalg.matrix_power(scaled + np.eye(n), n)
-    return np.asarray(theta * polynomial @ np.linalg.solve(seen, np.eye(n)[:, -1:]))
+    return np.asarray(theta * polynomial @ np.linalg.solve(observability, np.eye(n)[:, -1:]))

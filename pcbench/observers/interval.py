@@ -1,31 +1,33 @@
-"""interval: an interval observer, an estimate with bounds of the state that hold for all noise within given bounds.
+"""interval: interval observer: an estimate with bounds of the state for all noise within given bounds.
 
-It corrects at each sample's own time, and predicts to the present (`parts/prediction`):
+It corrects at each sampling time, and predicts to the present (`parts/prediction`):
 
     xbar_m = Phi^s xhat_(m-1) + I(t_(m-1), t_m),   xhat_m = xbar_m + L (y_m - C xbar_m),   s ticks from sample to sample
 
-With columns b_j of the process noise per tick, |w_j| <= wmax_j, |v_i| <= vmax_i and r_m a bound of |V^-1 (x - xbar)| at t_m,
+b_j are the columns of the process noise per tick, |w_j| <= wmax_j and |v_i| <= vmax_i. r_m bounds |V^-1 (x - xbar)| at t_m:
 
     B_m = [(I - L C) V diag(r_m),  L diag(vmax)],   q(s) = sum_(i<s) |V^-1 Phi^i b| wmax
     r(s) = |V^-1 Phi^s B_m| 1 + q(s),               x in xhat +- |V| r(s)  s ticks after t_m,   r_(m+1) = r(interval)
 
-Proof: just after t_m, x - xhat = (I - L C) (x - xbar) - L v = B_m z with all |z_i| <= 1. Phi^s carries it to s ticks later,
-where the noise of tick i has passed Phi^(s-1-i). V^-1 times the sum has, entry by entry, absolute values of at most r(s).
-Let V have the modes of M = Phi^p (I - L C) at the period of p ticks. Then |V^-1 M V| = |l|, so with K = Phi^p L
+Proof: just after t_m, x - xhat = (I - L C) (x - xbar) - L v = B_m z with all |z_i| <= 1. Phi^s propagates it over s ticks,
+and the noise of tick i is propagated by Phi^(s-1-i). V^-1 times the sum has, entry by entry, absolute values of at most r(s).
+Let V contain the modes of M = Phi^p (I - L C) at the period of p ticks. Then |V^-1 M V| = |l|, so with K = Phi^p L
 
     r_(m+1) = |l| r_m + q(p) + |V^-1 K| vmax
 
-as in `synthesis.interval_observer`. The proof does not need a constant s. So jitter, lost samples or channels, and samples in
-any order are sound too. They widen the interval: without samples, r follows |V^-1 Phi^s V|.
+as in `synthesis.interval_observer`. The proof does not need a constant s. So the bounds also hold with jitter, lost samples
+or channels, and samples in any order, but the interval is wider. Without samples, r follows |V^-1 Phi^s V|.
 
-Source: ours, after Mazenc, Dinh, Automatica 50(10), 2014, which was not obtained.
+Source: this project's, after Mazenc, Dinh, Automatica 50(10), 2014, which was not obtained.
 Schedule: samples of any age and order, with true timestamps. The certificate (r is bounded) is for the mean period.
-Time index: estimate and bounds are of the present, after the jump. With a delay of one sampling period they are those of the
+Time index: estimate and bounds are of the present, after the jump. With a delay of one sampling period, they are those of the
 Luenberger predictor, xhat + K (y - C xhat), just before the next sample is used.
-Bounds are given, or `sigmas` standard deviations of what the scenario assumes; process noise is bounded along the principal
-axes of its covariance. Gaussian noise exceeds every bound with some probability, at 6 standard deviations 2e-9 per number.
-Not claimed: coverage 1 with noise beyond its bound, outliers, a wrong model or a wrong timestamp, or with a `quantization_step`
-whose rounding `noise_bound` does not include. Refused: unknown inputs.
+Bounds are options, or `sigmas` standard deviations of the scenario's assumed noise. Process noise is bounded along the
+principal axes of its covariance. Gaussian noise exceeds every bound with some probability, at 6 standard deviations 2e-9 per
+number.
+Not claimed: coverage 1 with noise beyond its bound, outliers, a wrong model or a wrong timestamp, or with a
+`quantization_step` whose rounding `noise_bound` does not include.
+Refused: unknown inputs.
 """
 
 from typing import NamedTuple
@@ -50,7 +52,7 @@ from pcbench.synthesis import interval_observer
 from pcbench.synthesis.certificate import Design, DesignContext, one_clock
 from pcbench.synthesis.error_bounds import rate_of
 
-ROUNDING = 1e-12  # part of the estimate and of the radius by which an interval is wider
+ROUNDING = 1e-12  # relative widening of the interval, for rounding errors
 
 
 class Gains(NamedTuple):
@@ -69,7 +71,7 @@ class Gains(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """The estimate just after a sample was used, less the response to the input, and the generators of its error."""
+    """Estimate just after a sample was used, without the response to the input, and the generators of its error."""
 
     free: Float[Array, " n"]
     taken: Int[Array, ""]
@@ -77,7 +79,7 @@ class Ball(NamedTuple):
 
 
 class Options(StrictOptions):
-    """The gain, and the bounds of what is random."""
+    """The gain, and bounds of noise and initial error."""
 
     pole: float = tunable(0.5, (0.01, 0.99), gt=0, lt=1, description="slowest pole of the error per sample")
     poles: list[float] | None = Field(
@@ -97,21 +99,21 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), as if a sample had been used at tick 0."""
+    """Return the memory at xhat(0), as if a sample had been used at tick 0."""
     n, q = gains.L.shape
     ball = Ball(xhat0, jnp.asarray(0), jnp.concatenate([gains.V * gains.start[None], jnp.zeros((n, q))], axis=1))
     return prediction.start(xhat0, ball, gains.room, q)
 
 
 def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]:
-    """Return r at a tick after the sample."""
+    """Return r at a tick at or after the sample."""
     s = tick - ball.taken
     known = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
     return known + jnp.take(gains.noise, s, axis=0, mode="clip")
 
 
 def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
-    """Correct at the sample's own time."""
+    """Correct at the sampling time."""
     free = prediction.at(gains.motion, Point(before.free, before.taken), sample.taken)
     L = jnp.where(sample.mask[None], gains.L, 0.0)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
@@ -120,7 +122,7 @@ def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
 
 
 def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Return the ends of the interval of the present state."""
+    """Return lower and upper bound of the present state."""
     ball = reorder_buffer.newest(lambda state, sample: correct(gains, state, sample), memory.buffer)
     half = jnp.abs(gains.V) @ radius(gains, ball, memory.tick)
     half = half + ROUNDING * (half + jnp.abs(memory.xhat))
@@ -150,7 +152,7 @@ def design(setting: DesignContext, options: Options) -> Design:
         raise UserError(f"{where}: poles: got {len(options.poles)}, expected {n}, one for each state.")
     else:
         L = interval_observer.gain(Phi, model.C, options.pole, options.poles, where)
-    found, certificate = interval_observer.certify(Phi, model.C, L, where)
+    modes, certificate = interval_observer.certify(Phi, model.C, L, where)
     size, axes = np.linalg.eigh(setting.process_noise)
     columns = options.sigmas * axes * np.sqrt(np.maximum(size, 0.0))
     if options.process_bound is not None:
@@ -159,14 +161,14 @@ def design(setting: DesignContext, options: Options) -> Design:
     vmax = _bound(options.noise_bound, std, f"{where}: noise_bound", "output")
     box = options.sigmas * np.sqrt(np.diag(setting.P0))
     box = _bound(options.initial_bound, box, f"{where}: initial_bound", "state")
-    noise = interval_observer.accumulated(one, columns, found.back, setting.ticks)
-    width = interval_observer.final_width(found, Phi, model.C, noise[min(period, setting.ticks)], vmax)
+    noise = interval_observer.accumulated(one, columns, modes.back, setting.ticks)
+    width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, setting.ticks)], vmax)
     gains = Gains(
         motion=prediction.motion_of(model, setting),
         C=model.C,
         D=model.feedthrough,
-        **found._asdict(),
-        start=np.abs(found.back) @ box,
+        **modes._asdict(),
+        start=np.abs(modes.back) @ box,
         vmax=vmax,
         noise=noise,
         room=setting.room,
@@ -177,7 +179,7 @@ def design(setting: DesignContext, options: Options) -> Design:
 
 
 def _bound(given: list[float] | None, otherwise: Matrix, where: str, each: str) -> Matrix:
-    """Return a bound that is given, one number for each state or output, or otherwise another one."""
+    """Return the option `given`, one number per state or output, or `otherwise` if it is None."""
     if given is None:
         return otherwise
     if len(given) != len(otherwise) or min(given) < 0:

@@ -1,19 +1,24 @@
-"""kf-alexander: the covariance is updated when a sample is taken, the estimate when it arrives.
+"""kf-alexander: Kalman filter that updates the covariance when a sample is taken, and the estimate when it arrives.
 
     taken at t_m:  K_m = P c (c'P c + r)^-1,   P <- (I - K_m c') P (I - K_m c')' + K_m r K_m',
-                   M_i <- (I - K_m c') M_i of all that are on their way
+                   M_i <- (I - K_m c') M_i for every sample i in transit
     every tick:    P <- E P E' + Q,  M_i <- E M_i
     at arrival:    xhat <- xhat + M_m K_m (y - C xhat(t_m)),   M_m = I at t_m
 
-P is that of a filter to which nothing comes late. xhat(t_m) is what was estimated when the sample was taken.
+P is the covariance of a filter without delays. xhat(t_m) is the estimate at the tick at which the sample was taken.
 
-Source: Alexander 1991, printed for one late sample at a time. Keeps xhat(t_m) and M_m K_m for each sample on its way, n x
-(1 + q) numbers; costs one update when a sample is taken and one product when it arrives. Found: it must be told at
-sampling time that a sample will come. Once nothing is on its way it is `kf` to rounding, with any number of late samples
-between; while one is, the others are used with gains that count on it, and it lies above. A sample that is lost was
-counted on for ever: it is optimistic then (`test_late_samples`). Where more than one is on its way at all times it
-never is `kf`.
-Time index: the estimate is of now, after the jump.
+Source: Alexander 1991, printed for one delayed sample at a time.
+Memory: xhat(t_m) and M_m K_m for each sample in transit, n (1 + q) numbers. Cost: one update when a sample is taken, and one
+product when it arrives. The observer needs a signal when a sample is taken.
+
+Properties (`test_late_samples`):
+
+- When no sample is in transit, it equals `kf` up to rounding, however many delayed samples it has used.
+- While a sample is in transit, the gains of other samples assume that it will arrive, and the error is larger than that of
+  `kf`. If there is always more than one in transit, it never equals `kf`.
+- After a sample is lost, P stays too small (optimistic), as it includes the lost sample.
+
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from typing import NamedTuple
@@ -32,20 +37,20 @@ Options = linear_filter.Options
 
 
 class Memory(NamedTuple):
-    """The estimate of now, the covariance as if all had arrived, and what waits for each of J samples on their way."""
+    """Present estimate, covariance as if all samples had arrived, and data of J samples in transit."""
 
     xhat: Float[Array, " n"]
     P: Float[Array, "n n"]
     then: Float[Array, "J n"]  # xhat when the sample was taken
-    K: Float[Array, "J n q"]  # M K: what its innovations will be worth
+    K: Float[Array, "J n q"]  # M K: gain of its innovation at tick `at`
     at: Int[Array, ""]  # the tick of P and K
     taken: Int[Array, " J"]  # ticks; -1: none
-    made: Int[Array, ""]
+    made: Int[Array, ""]  # number of samples taken so far
     tick: Int[Array, ""]
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
-    """Start from the prior, with nothing on its way."""
+    """Return the memory at the prior, with no sample in transit."""
     first, J, zero = linear_filter.prior(gains, xhat0), gains.own.shape[0], jnp.asarray(0)
     n, q = first.mean.shape[0], gains.C.shape[0]
     return Memory(
@@ -61,7 +66,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 
 def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Return the memory with covariance and gains of now."""
+    """Return the memory with covariance and gains propagated to the present."""
     age, powers = now.tick - memory.at, gains.motion.powers
     J, n, q = memory.K.shape
     side = jnp.moveaxis(memory.K, 1, 0).reshape(n, J * q)
@@ -70,7 +75,7 @@ def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
-    """Update the covariance by what is taken now, and keep its gain until it arrives."""
+    """Update the covariance for the sample that is taken now, and store its gain until it arrives."""
     memory = predict_memory(gains, memory, now)
     mine = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
     P, L = memory.P, jnp.where(mine[:, None, None], 0.0, memory.K)
@@ -91,7 +96,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Add what the late innovations are worth now."""
+    """Add the delayed innovations, multiplied by their propagated gains."""
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
     mine = (memory.taken == sample.taken).astype(float)
     expected = gains.C @ (mine @ memory.then)
@@ -101,7 +106,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance as if all that was taken had arrived, carried to now."""
+    """Return the present covariance as if all samples taken had arrived."""
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P)
     return linear_filter.spread(gains, memory, P)
 
@@ -118,7 +123,7 @@ OBSERVER = Observer(
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, with room for what is on its way."""
+    """Return the assumptions, with room for the samples in transit; there is no certificate."""
     own, why = (
         stochastic_cloning.room(setting, "kf-alexander"),
         "its covariance includes measurements that have not arrived",

@@ -1,14 +1,15 @@
-"""kf-cloning: stochastic cloning, a Kalman filter whose state has copies of itself at the ticks at which samples were taken.
+"""kf-cloning: Kalman filter with stochastic cloning: the state contains copies of itself from past sampling times.
 
-K = h / s of the whole state (`parts/stochastic_cloning`): the present and every copy are corrected by each sample, through the
-copy of its time.
+The gain is K = h / s for the whole augmented state (`parts/stochastic_cloning`). Each sample updates the present state and
+every copy, through the copy of its sampling time.
 
-Source: Roumeliotis, Burdick 2002 (stochastic cloning, there for relative measurements); on late measurements the
-augmented state of many. Keeps J + 1 states and their joint covariance, J the samples that can be on their way at once;
-costs an update of all.
-Found: it is `kf` to rounding whatever is late, lost or overtaking, as said (arXiv 2508.21260); `kf` gets there with n
-states. It must be told when a sample is taken, and of a lost one keeps the copy until it is overwritten.
-Time index: the estimate is of now, after the jump.
+Source: Roumeliotis, Burdick 2002 (stochastic cloning, there for relative measurements); delayed measurements with an
+augmented state are common.
+Memory: J + 1 states and their joint covariance, with J the largest number of samples in transit. Cost: an update of all of
+them.
+It equals `kf` up to rounding for delayed, lost and out-of-sequence samples, as arXiv 2508.21260 states; `kf` needs n states
+only. It needs a signal when a sample is taken. The copy of a lost sample is stored until it is overwritten.
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from pcbench.observers.parts import linear_filter, stochastic_cloning
@@ -19,5 +20,5 @@ OBSERVER = stochastic_cloning.observer(lambda h, s, near: h / s)._replace(innova
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, with room for the copies."""
+    """Return the assumptions, with room for the copies."""
     return linear_filter.design(setting, options, "kf-cloning", own=stochastic_cloning.room(setting, "kf-cloning"))

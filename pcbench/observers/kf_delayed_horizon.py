@@ -1,17 +1,17 @@
-"""kf-delayed-horizon: a Kalman filter that runs a fixed time behind, and a prediction of its estimate to now.
+"""kf-delayed-horizon: Kalman filter at a fixed lag L behind the present, with a prediction of its estimate to the present.
 
-Samples wait until they are as old as the horizon L, and are used then, in the order in which they were taken:
+Samples are buffered until their age is L, and then used in the order in which they were taken:
 
-    at every tick k: update with what was taken at k - L;   xhat(k) = e^{A (k - t_m)} xhat_m + I(t_m, k)
+    at every tick k: update with the samples taken at k - L;   xhat(k) = e^{A (k - t_m)} xhat_m + I(t_m, k)
 
-so nothing is ever filtered twice, and what arrives later than L is lost.
+No sample is filtered twice. A sample that arrives with an age above L is lost.
 
-Source: Khosravian, Trumpf, Mahony, Hamel 2015, the form of PX4's EKF2, whose predictor follows the delayed filter by a
-slow correction; here it is the exact prediction. Keeps one mean and covariance and the samples that wait; costs one
-update at every tick.
-Found: it is `kf` on the schedule on which every sample arrives at age L, not on its own: what comes sooner waits, and
-that wait is all it loses where nothing is later than L. Where all ages are L it is `kf` to rounding.
-Time index: the estimate is of now, after the jump.
+Source: Khosravian, Trumpf, Mahony, Hamel 2015. PX4's EKF2 has this form, with a predictor that follows the delayed filter by
+a slow correction; here the prediction is exact.
+Memory: one mean and covariance, and the buffered samples. Cost: one update per tick.
+It equals `kf` on the schedule on which every sample arrives at age L. On other schedules, with no sample older than L, its
+only disadvantage is the additional waiting time. If all ages are L, it equals `kf` up to rounding.
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from typing import NamedTuple
@@ -33,24 +33,24 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class HorizonParams(NamedTuple):
-    """What it has besides a filter."""
+    """Parameters in addition to those of the Kalman filter."""
 
     lag: Int[Leaf, ""]  # ticks
-    waiting: Room  # for samples that are younger than the horizon
+    waiting: Room  # for samples that are younger than the lag
 
 
 class Memory(NamedTuple):
-    """The estimate of now, what it came from, and the samples that wait."""
+    """The present estimate, the posterior that it was predicted from, and the buffered samples."""
 
     g: Float[Array, " n"]
     xhat: Float[Array, " n"]
     posterior: Posterior  # at the newest sample used
-    waiting: Measurement  # in no order; a place that is empty, or used, is not fresh
+    waiting: Measurement  # unordered; `mask` is False in an empty place
     tick: Int[Array, ""]
 
 
 class Options(linear_filter.Options):
-    """How far behind the filter runs."""
+    """Lag of the filter."""
 
     lag: float | None = Field(
         None,
@@ -60,14 +60,14 @@ class Options(linear_filter.Options):
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
-    """Start from the prior, with nothing that waits."""
+    """Return the memory at the prior, with an empty buffer."""
     first = linear_filter.prior(gains, xhat0)
     waiting = reorder_buffer.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
     return Memory(jnp.zeros_like(first.mean), first.mean, first, waiting, jnp.asarray(0))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Let what is younger than the horizon wait, use what is as old, lose what is older."""
+    """Buffer samples younger than the lag, use samples of that age, and drop older ones."""
     sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
     due = now.tick - gains.own.lag
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
@@ -81,14 +81,14 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
-    """The memory after a sample was used, at a tick."""
+    """Return the memory after an update by a sample, predicted to `tick`."""
     posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
     there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
     return memory._replace(posterior=posterior, xhat=memory.g + there)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Advance by one tick, and use what is as old as the horizon then; channels that were sampled together, together."""
+    """Advance by one tick, and use the samples whose age is then the lag; channels sampled together form one update."""
     memory = prediction.flow(gains, memory, now)
     every, due = memory.waiting, memory.tick - gains.own.lag
     which = every.mask & (every.taken == due)[:, None]
@@ -106,7 +106,7 @@ OBSERVER = Observer(
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, the lag in ticks, and room for all that can wait."""
+    """Return the assumptions, the lag in ticks, and room for the buffered samples."""
     latest = max(setting.latest, *setting.delay)
     lag = latest if options.lag is None else round(options.lag / setting.dt)
     if lag > setting.ticks:

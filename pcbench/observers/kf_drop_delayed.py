@@ -1,9 +1,9 @@
-"""kf-drop-delayed: the Kalman filter that uses what is young enough, at its own time, and drops what is older than a limit.
+"""kf-drop-delayed: Kalman filter that uses samples up to a maximum age at their sampling time, and drops older ones.
 
-Source: Kalman 1960, and a line in most trackers' configuration. Keeps and costs what `kf` does for the samples it uses.
-Found: where nothing is older than the limit it is `kf`; between the samples it keeps its covariance is that of the model
-alone, and it is honest about it: what it drops costs it error, not truth (`test_late_samples`).
-Time index: the estimate is of now, after the jump.
+Source: Kalman 1960; many trackers have such an option. Memory and cost per used sample are those of `kf`.
+If no sample is older than the limit, it equals `kf`. The covariance accounts for dropped samples, so it stays consistent:
+dropping increases the error, and P with it (`test_late_samples`).
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(linear_filter.Options):
-    """How old a sample may be."""
+    """Maximum age of a sample."""
 
     max_age: float | None = Field(
         None,
@@ -27,13 +27,13 @@ class Options(linear_filter.Options):
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Use what is no older than the limit [ticks]."""
+    """Use samples whose age is at most the limit [ticks]."""
     mask = arrival.mask & (arrival.age <= gains.own)
     return select_memory(mask, linear_filter.jump(gains, memory, now, arrival._replace(mask=mask)), memory)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what is used is from what was expected of it."""
+    """Return the innovation statistics of the samples that are used."""
     young = arrival._replace(mask=arrival.mask & (arrival.age <= gains.own))
     return linear_filter.innovation(gains, memory, now, young)
 
@@ -42,7 +42,7 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, and the limit in ticks."""
+    """Return the assumptions, and the limit in ticks."""
     limit = min(setting.period) if options.max_age is None else round(options.max_age / setting.dt)
     why = "" if limit >= max(setting.delay) else "it drops what is late"
     return linear_filter.design(

@@ -8,8 +8,8 @@ uniform, so y_s replaces the missing sample, with a larger variance:
 
 d is the scenario's `send_threshold`. The filter stores the last value received of each output. Before the first value, and with
 try_once_discard, an output may have changed by more than d, so silence is not used. If every sample is sent, it is `kf`.
-Time index: the estimate is of now, after the jump.
-A lost or late sample looks like silence, so a threshold is refused with loss, an outage, or random or varying times.
+Time index: xhat is the estimate of the present, after the jump.
+A lost or delayed sample looks like silence, so a threshold is refused with loss, an outage, or random or varying times.
 Not claimed: that P is correct. The difference is neither uniform nor independent from sample to sample.
 Source: Nguyen, Suh 2008, who describe the method; the paper on the filter that they refer to was not obtained. The variance is
 that of a uniform difference.
@@ -30,14 +30,14 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Memory(NamedTuple):
-    """That of the Kalman filter, and the last value received; q outputs."""
+    """Memory of the Kalman filter, and the last value received; q outputs."""
 
     kf: prediction.Memory
     received: Float[PyTree, " q"]  # NaN: none yet
 
 
 class Options(linear_filter.Options):
-    """What the filter assumes."""
+    """Assumptions of the filter."""
 
     threshold: float | list[float] | None = Field(
         None, description="d, of all outputs or of each; default: the scenario's send_threshold"
@@ -52,7 +52,7 @@ def init(gains: Gains, xhat0: Float[PyTree, " n"]) -> Memory:
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Use the samples that arrive, and silence of the other outputs."""
+    """Use the arriving samples, and the last value received of silent outputs."""
     ratio = jnp.ones_like(arrival.value)
     received = jnp.where(arrival.mask, arrival.value, memory.received)
     if arrival.silent is not None:
@@ -61,7 +61,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         value = jnp.where(silent, memory.received, arrival.value)
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
     after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
-    some = jnp.any(arrival.mask)  # silence may not be used
+    some = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
     return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), received)
 
 
@@ -84,7 +84,7 @@ OBSERVER = Observer(
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Return the gains and assumptions of the filter; raise UserError for thresholds that do not fit the outputs."""
+    """Return the assumptions; raise UserError for thresholds that do not fit the outputs."""
     where, q = f"kf-event in {setting.scenario}", len(setting.noise_std)
     if options.threshold is not None and not setting.send_threshold:
         raise UserError(

@@ -1,15 +1,14 @@
-"""kf-ignore-delay: the Kalman filter that takes a late sample for one of now.
+"""kf-ignore-delay: Kalman filter that uses a delayed sample as if it had been taken at its arrival.
 
     P- = E P E' + Q,   xhat <- xhat + K (y - C xhat(now)),   K = P- c (c'P- c + r)^-1
 
-carried from the last arrival to this one, whatever the sample's age. What most filters do until somebody looks at the
-stamps.
+Mean and covariance are predicted from one arrival to the next, whatever the age of the sample. This is what a filter computes
+if its timestamps are not used.
 
-Source: Kalman 1960, on data that are not what it was made for. Keeps one mean and one covariance; costs one update a
-sample.
-Found: at delay 0 it is `kf`. With samples of age d its error on a steady motion is what the output moves over d, from
-which no number of samples helps; and it is optimistic, for P knows nothing of it (`test_late_samples`).
-Time index: the estimate is of now, after the jump. Not claimed: perfect start.
+Source: Kalman 1960. Memory: one mean and covariance. Cost: one update per sample.
+Without delay it is `kf`. If samples have age d, the error on a steady motion is the change of the output over d, however many
+samples there are. The covariance does not contain this error, so it is optimistic (`test_late_samples`).
+Time index: xhat is the estimate of the present, after the jump. Not claimed: perfect start.
 """
 
 import jax.numpy as jnp
@@ -24,17 +23,17 @@ Options = linear_filter.Options
 
 
 def of_now(memory: Memory, arrival: Arrival) -> Arrival:
-    """Return what arrives as if it were of now."""
+    """Return an arrival with age 0 and the present snapshot."""
     return arrival._replace(age=jnp.zeros_like(arrival.age), snapshot=memory.g)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Use what arrives as if it were of now."""
+    """Use the arriving sample as if it had been taken now."""
     return linear_filter.jump(gains, memory, now, of_now(memory, arrival))
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what is expected of now."""
+    """Return the innovation statistics of the arriving sample, relative to the present prediction."""
     return linear_filter.innovation(gains, memory, now, of_now(memory, arrival))
 
 
@@ -42,5 +41,5 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; it needs no room, as to it no sample is older than another."""
+    """Return the assumptions; no room is needed, because every sample counts as the newest."""
     return linear_filter.design(setting, options, "kf-ignore-delay", np.zeros(0), unproven="it ignores delays")

@@ -1,18 +1,18 @@
-"""kf-larsen: the late measurement extrapolated to now, with the gain that is right for it.
+"""kf-larsen: Kalman filter that extrapolates a delayed measurement to the present, with the optimal gain for this innovation.
 
     xhat <- xhat + K (y - C xhat(t_m)),   K = M P_m C' (C P_m C' + r)^-1,   P <- P - K C P_m M'
 
-xhat(t_m) and P_m are what was estimated when the sample was taken, and M P_m the covariance of the error then and now; M
-is the product of all that has happened to the error between. Here M P_m is carried as the covariance with a copy that its
-own sample alone corrects (`parts/stochastic_cloning`), which is exact for any number of samples on their way; printed is one at
-a time.
+xhat(t_m) and P_m are estimate and covariance at the sampling time, and M P_m is the covariance between the error then and
+now. M is the product of all propagations and updates of the error since. Here M P_m is the covariance with a copy that only
+its own sample corrects (`parts/stochastic_cloning`). This is exact for any number of samples in transit; the source treats
+one at a time.
 
-Source: Larsen, Andersen, Ravn, Poulsen 1998. Keeps a copy for each sample on its way; costs `kf-cloning`'s memory here,
-of print n x n each.
-Found: the gain is the best there is for this innovation, so P is true. It is `kf` where nothing arrives between a
-sample's taking and its arrival. What does arrive there tells of the past too, and the innovation does not know it: it
-lies above `kf` from two samples on their way on, by how much says `test_late_samples`.
-Time index: the estimate is of now, after the jump.
+Source: Larsen, Andersen, Ravn, Poulsen 1998. Memory: as `kf-cloning`, a copy per sample in transit; in the source, n x n
+numbers per sample.
+The gain is optimal for this innovation, so P is consistent. If no sample arrives between the sampling and the arrival of
+another, the filter equals `kf`. Otherwise the innovation misses the information of the samples in between: from two samples
+in transit on, the error is larger than that of `kf` (`test_late_samples`).
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ Options = linear_filter.Options
 
 
 def local(h: Array, s: Array, near: Array) -> Array:
-    """Return the gain of the present and of the sample's own copy: channels taken together are one measurement."""
+    """Return the gain of the present state and of the sample's own copy; channels sampled together are one measurement."""
     return jnp.where(near, h / s, 0.0)
 
 
@@ -33,7 +33,7 @@ OBSERVER = stochastic_cloning.observer(local)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, with room for the copies."""
+    """Return the assumptions, with room for the copies; there is no certificate."""
     own, why = (
         stochastic_cloning.room(setting, "kf-larsen"),
         "its innovation ignores measurements that arrive in between",

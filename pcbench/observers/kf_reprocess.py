@@ -1,14 +1,13 @@
-"""kf-reprocess: the Kalman filter that keeps its newest samples with the state before them, goes back, and filters again.
+"""kf-reprocess: Kalman filter that stores its newest samples with the state before them, and filters them again if necessary.
 
-A sample that comes after newer ones is put in its place among the `keep` newest; the filter runs again from the state
-before the oldest of them. One that is older than all those kept is lost.
+An out-of-sequence sample is inserted among the `keep` newest, and the filter runs again from the state before the oldest of
+them. A sample older than that state is lost.
 
-Source: Moore, Stouch 2014 (robot_localization's smoothing of a lagged filter). Keeps `keep` samples and one mean and
-covariance before them; here a sample costs `keep` + 1 updates whatever its place, which is what the worst of them costs.
-Found: it is `kf` to rounding while no sample is overtaken by more than `keep` others; `kf` is the same rule with just
-as many places as the schedule can need. Its design says how many those are, and is no certificate where they are more
-than `keep`.
-Time index: the estimate is of now, after the jump.
+Source: Moore, Stouch 2014 (robot_localization's smoothing of a delayed filter). Memory: `keep` samples, one mean and one
+covariance. Cost: `keep` + 1 updates per sample, whether or not it is out of sequence.
+It equals `kf` up to rounding as long as at most `keep` newer samples arrive before a sample; `kf` stores as many as the
+schedule can need. The design reports this number as `needed`, and gives no certificate if it is above `keep`.
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 import numpy as np
@@ -22,13 +21,13 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(linear_filter.Options):
-    """How far it can go back."""
+    """Number of stored samples."""
 
     keep: int = Field(8, ge=1, le=256, description="number of past measurements that are stored and filtered again")
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Use what is no older than the state before the samples kept."""
+    """Use a sample unless it is older than the state before the stored samples."""
     sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
     used = linear_filter.use(gains, memory, now, sample)
     return select_memory(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
@@ -38,7 +37,7 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; say where it keeps too few."""
+    """Return the assumptions, without a certificate if the schedule needs more stored samples than `keep`."""
     short = f"it keeps {options.keep} samples, and {setting.overtaking} may arrive before one: older ones are lost"
     why = short if setting.overtaking > options.keep else ""
     found = linear_filter.design(setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why, restarts=False)

@@ -1,19 +1,17 @@
-"""kf-shifted-innovation: the innovation of a delayed measurement, added to the present estimate.
-
-Between the two is the integral of the input.
+"""kf-shifted-innovation: Kalman filter that adds the innovation of a delayed sample to the present estimate.
 
     P- = E P E' + Q,   xhat(now) <- xhat(now) + K (y - C (xhat(now) - (g(now) - g(t_m)))),   K = P- c (c'P- c + r)^-1
 
-g is the response to the input from zero state, as odometry is to a pose: the estimate of the sample's time is taken to be
-that of now less what g has moved since, and the correction is added to now. So pose estimators take in a camera's fix
-(WPILib).
+g is the response to the input from zero state (for a robot's pose: its odometry). The estimate at the sampling time is
+approximated by the present estimate minus the change of g since. WPILib's pose estimators use delayed camera poses in this
+way.
 
-Source: WPILib, pose estimators, which have a constant K where here it is the filter's. Keeps one mean and one covariance;
-costs one update a sample. Found: it knows the input and takes the plant for an integrator, so what was wrong then is as
-wrong now. Of x' = B u without process noise that is so, and it is `kf`, late, lost and overtaking samples included. With
-other modes the late sample is compared with an estimate that has moved on, and even a perfect start goes wrong
-(`test_late_samples`).
-Time index: the estimate is of now, after the jump.
+Source: WPILib, pose estimators, which have a constant K; here K is the filter's. Memory: one mean and covariance. Cost: one
+update per sample.
+The method assumes that the plant is an integrator, x' = B u, so that an error stays constant over the delay. For such a plant
+without process noise it equals `kf`, with delayed, lost and out-of-sequence samples. For other plants the approximation is
+wrong, and even a perfect start leads to an error (`test_late_samples`).
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 import numpy as np
@@ -28,17 +26,17 @@ Options = linear_filter.Options
 
 
 def shift_to_now(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
-    """Return what arrives as a sample of now with the note of its own time."""
+    """Return the arrival as a sample taken now, with the snapshot of its sampling time."""
     return reorder_buffer.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Compare with the response to the input of the sample's own time, and correct now."""
+    """Compare the sample with the present estimate, shifted by the response to the input, and correct the present estimate."""
     return linear_filter.use(gains, memory, now, shift_to_now(gains, now, arrival))
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what is expected of it by the estimate of now."""
+    """Return the innovation statistics of the arriving sample, relative to the shifted present estimate."""
     return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shift_to_now(gains, now, arrival))
 
 
@@ -46,7 +44,7 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes; it needs no room, as every correction is one of now."""
+    """Return the assumptions; no room is needed, because every update is at the present."""
     return linear_filter.design(
         setting,
         options,

@@ -1,18 +1,20 @@
-"""KFBO: the Kalman-filter-based observer of delayed measurements, which takes the held sample for a continuous signal.
+"""KFBO: Kalman-filter-based observer, which uses the held, delayed sample as a continuous measurement.
 
-    z'(t) = (A - K C) z + B u(t - d) + K Y(t),  t >= d;   z frozen at xhat(0) before         (25)
+    z'(t) = (A - K C) z + B u(t - d) + K Y(t),  t >= d;   z = xhat(0) before                 (25)
     g' = A g + B u,  g(0) = 0                                                                (28)
     xhat(t) = g(t) + e^{A min(t, d)} [z(t) - g(t - d)]                                       (29)
 
-z estimates the state d ago; Y is the sample that arrived last, held (0 until the first). Here s(t) = g(t) - e^{A d} g(t-d),
-the input's response over the last d, is one state: s' = A s + B u - e^{A d} B u(t - d), so no history of g is kept.
+z estimates the state d ago. Y is the newest sample that has arrived, held (0 before the first). The code stores s(t) = g(t) -
+e^{A d} g(t - d), the response to the input of the last d, as one state: s' = A s + B u - e^{A d} B u(t - d). So it stores no
+history of g.
 
 Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from print: K = P C' R^-1 and Q = 0.002 B B' (see
-`synthesis.riccati`). It does not know that Y is held: at constant velocity it lags by velocity x te/2, so perfect
-start is not claimed. It takes one constant delay, the same for all channels: it cannot use the age of a sample, so schedules
-on which the age varies are refused. After a lost sample the last one is still held.
-Options: `lag_aware` uses d + te/2 in place of d (te must be even in ticks); `sampled_innovation` holds the innovation
-Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
+`synthesis.riccati`).
+Schedule: one constant delay of all channels. The observer does not use the age of a sample, so schedules with varying ages
+are refused. After a lost sample it holds the previous one.
+Not claimed: perfect start. The design ignores that Y is held, so at constant velocity the estimate lags by velocity x te / 2.
+Options: `lag_aware` uses d + te / 2 instead of d (te must be an even number of ticks). `sampled_innovation` holds the
+innovation Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
 
 from typing import Literal, NamedTuple
@@ -39,27 +41,27 @@ class Gains(NamedTuple):
 
     Phi: Float[Leaf, "n n"]  # of A
     Gamma: Float[Leaf, "n m"]  # of A, B
-    Phi_z: Float[Leaf, "n n"]  # of the filter, A - K C (or A, where the innovation is sampled)
+    Phi_z: Float[Leaf, "n n"]  # of the filter, A - K C (A with `sampled_innovation`)
     Gamma_z: Float[Leaf, "n m"]  # of the filter, B
     Gain_z: Float[Leaf, "n q"]  # of the filter, K
     E: Float[Leaf, "n n"]  # e^{A d}
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     lag: Int[Leaf, ""]  # [ticks] d
-    sampled: Float[Leaf, ""]  # 1 where the innovation is sampled and held, 0 where the measurement is
+    sampled: Float[Leaf, ""]  # 1: the innovation is held; 0: the measurement is held
 
 
 class Memory(NamedTuple):
-    """What stands between ticks."""
+    """Memory between ticks."""
 
     z: Float[Array, " n"]  # estimate of the state d ago
     s: Float[Array, " n"]  # response to the input of the last d
     xhat: Float[Array, " n"]
-    Y: Float[Array, " q"]  # what drives the filter: the arrived sample (or innovation), held
+    Y: Float[Array, " q"]  # input of the filter: the newest sample (or innovation), held
 
 
 class Options(StrictOptions):
-    """Weights of the Riccati equation and the two variants."""
+    """Noise intensities of the Riccati equation, and the two variants."""
 
     R: Variances | Literal["noise"] = tunable(
         1.0,
@@ -81,18 +83,18 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), nothing measured."""
+    """Return the memory at xhat(0), before the first sample."""
     return Memory(xhat0, jnp.zeros_like(xhat0), xhat0, jnp.zeros(gains.C.shape[0]))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Hold what arrived."""
+    """Hold the arriving sample, or its innovation."""
     Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
     return memory._replace(Y=jnp.where(arrival.mask, Y, memory.Y))
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move the filter and the prediction by one tick, exactly under held input and held Y."""
+    """Propagate filter and prediction by one tick, exactly for held input and held Y."""
     u, started = now.u, now.tick >= gains.lag
     u_then = now.past_u(gains.lag)
     z = jnp.where(started, gains.Phi_z @ memory.z + gains.Gamma_z @ u_then + gains.Gain_z @ memory.Y, memory.z)

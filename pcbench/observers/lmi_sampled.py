@@ -1,15 +1,17 @@
-"""lmi-sampled: an observer that holds its innovations between aperiodic, asynchronous samples, with a gain found by an LMI.
+"""lmi-sampled: observer that holds its innovations between aperiodic, asynchronous samples, with a gain by LMI.
 
     xhat' = f(xhat, u) + L g,    g_j(t) = y_j(t_j) - C_j xhat(t_j),    t_j the time of the newest sample of output j
 
 The innovation of a sample acts from its arrival on (`parts/held_innovation`).
-The gain and its certificate are in `synthesis/held_lmi`: the error decays at the rate `decay` for all intervals up to
-`max_interval`, constant or not. Outputs with clocks of their own may be sampled in any order. With `parameter_range` the
-certificate holds for models anywhere in the range, also if they vary with time. So it covers the slopes of a nonlinear plant if
-the range contains them all.
-Source: functional of Fridman, Automatica 2010. Etienne, Hetel, Efimov, Petreczky 2017 treat such observers for
-Lipschitz plants; their inequalities were not obtained. Several clocks and the hull of models are ours.
-Not claimed: that the gain filters noise well, that the range contains the slopes of the plant, nor a certificate with delay.
+
+- `synthesis/held_lmi` computes the gain and its certificate. The error decays at the rate `decay` for all constant or varying
+  intervals up to `max_interval`. Outputs with their own clocks may be sampled in any order.
+- With `parameter_range`, the certificate holds for all models in the range, including time-varying ones. So it covers a
+  nonlinear plant whose Jacobians are all in the range.
+
+Source: functional of Fridman, Automatica 2010. Etienne, Hetel, Efimov, Petreczky 2017 treat such observers for Lipschitz
+plants; their inequalities were not obtained. Several clocks and the hull of models are this project's.
+Not claimed: noise filtering, that the range contains the plant's Jacobians, or a certificate with delay.
 """
 
 import itertools
@@ -28,11 +30,11 @@ from pcbench.synthesis.held_lmi import HeldTask
 from pcbench.synthesis.parameter_ranges import Range
 
 MOST = 64  # corners of the LMI
-SAME = 1e-9  # relative, of a model that is affine in its parameters
+SAME = 1e-9  # relative tolerance for a model that is affine in its parameters
 
 
 class Options(StrictOptions):
-    """The gain, and what its certificate must cover."""
+    """The gain, and the models and intervals that its certificate covers."""
 
     L: list[list[float]] | None = tunable(None, description="[n, q] gain [1/s], instead of a computed one")
     max_interval: float | None = Field(
@@ -50,7 +52,7 @@ OBSERVER = held_innovation.OBSERVER
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Find L and certify it; raise DesignError if there is none that is certified."""
+    """Return L with its certificate; raise DesignError if no L is certified."""
     model, where = setting.model, f"lmi-sampled in {setting.scenario}"
     held_innovation.require_continuous(setting, where)
     require_detectable(model, where)
@@ -72,9 +74,9 @@ def design(setting: DesignContext, options: Options) -> Design:
 
 
 def task_of(setting: DesignContext, options: Options, where: str) -> HeldTask:
-    """Return what the LMI must cover: the corners of the models, the clocks, and their longest intervals.
+    """Return the problem of the LMI: the corner models, the clocks, and their longest intervals.
 
-    A held innovation of a delayed sample is in use until it is older by the delay, so that is added to an interval.
+    The held innovation of a delayed sample stays in use for the delay longer, so the delay is added to the interval.
     """
     q = len(setting.model.C)
     clocks = (0,) * q if setting.sensors == 1 else tuple(range(q))
@@ -94,7 +96,7 @@ def task_of(setting: DesignContext, options: Options, where: str) -> HeldTask:
 
 
 def corner_models(setting: DesignContext, parameters: dict[str, list[float]], where: str) -> Matrix:
-    """Return A [k, n, n] at all lowest and highest values of the parameters; raise UserError unless A is affine in them."""
+    """Return A [k, n, n] at all corners of the parameter ranges; raise UserError unless A is affine in the parameters."""
     if not parameters:
         return setting.model.A[None]
 

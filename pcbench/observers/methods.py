@@ -1,4 +1,4 @@
-"""The methods of the observers in words: names, sources, and facts that no type shows. Tests compare the facts with runs."""
+"""Descriptions of the observers' methods: names, sources, and properties. Tests compare the properties with runs."""
 
 from typing import NamedTuple
 
@@ -7,10 +7,10 @@ class Method(NamedTuple):
     """An observer's method, as the reference pages and `pcbench list` describe it."""
 
     method: str  # full name
-    update: str  # how a measurement is used, in a sentence or two
-    needs: str  # what its design uses
-    source: str = ""  # paper with sections or equations; by its words `citing` finds the entry of references.bib
-    exact_moments: bool = True  # on a linear plant its estimate is affine in the noise, so that exact moments exist
+    update: str  # use of a measurement, in one or two sentences
+    needs: str  # information that the design uses
+    source: str = ""  # paper with sections or equations; `citing` searches references.bib for these words
+    exact_moments: bool = True  # whether exact moments exist: its estimate on a linear plant is affine in the noise
     c_export: bool = True
 
 
@@ -38,7 +38,7 @@ METHODS = {
     ),
     "pco": Method(
         "Piecewise continuous observer of reduced order",
-        "Takes the measured part of the state as measured, corrects the rest with a constant gain, and predicts to the "
+        "Uses the measurement as the measured part of the state, corrects the rest with a constant gain, and predicts to the "
         "present. Sampling intervals may vary.",
         AGES,
         f"{PCO}, equations (2), (12), (18) and (19) without the integral",
@@ -100,15 +100,15 @@ METHODS = {
     ),
     "cascade-predictor": Method(
         "Cascade predictors",
-        "A chain of observers, each a part of the delay ahead of the one before. The first uses the delayed output, predicted "
+        "A chain of observers, each of which predicts over a part of the delay. The first uses the delayed output, predicted "
         "between measurements, and the last estimates the present.",
         "the model and one constant delay",
         "Germani, Manes, Pepe 2002, doi 10.1109/9.981726",
     ),
     "cdob": Method(
         "Communication disturbance observer (CDOB)",
-        "Reads the delay of a measurement as a disturbance of the input, estimates it with one bandwidth, and adds the motion "
-        "that it causes to the output. It tends to a Smith predictor as the bandwidth grows.",
+        "Estimates the effect of the delay as a disturbance of the input, with one bandwidth, and adds the response to it to "
+        "the output. It tends to a Smith predictor as the bandwidth grows.",
         "the model; ages are not used. The plant must be a chain of integrators with one input and one output, not unstable",
         "Natori, Oboe, Ohnishi 2008, doi 10.1109/TII.2008.2002705 (not obtained)",
     ),

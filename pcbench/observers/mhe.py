@@ -1,19 +1,20 @@
-"""mhe: moving horizon estimation: the likeliest states at the newest samples, within bounds.
+"""mhe: moving-horizon estimation: the most likely states at the newest samples, within bounds.
 
     min  |z_0 - m|^2_(P^-1) + sum_i |z_i - f_i(z_(i-1))|^2_(Q_i^-1) + sum_i |y_i - h(z_i)|^2_(R^-1),   lower <= z_i <= upper
 
-over z_0 .. z_M at the times of the M newest samples and of the one before them. m is what this estimator made of that one when
-it was the newest, P what an extended filter believes of that (the arrival cost). f_i goes from sample to sample tick by tick,
-Q_i is its process noise, carried by the slopes. Gauss-Newton: a fixed number of times f_i and h are replaced by their slopes,
-and what is left is a quadratic program along a chain (`parts/structured_qp`). The estimate is z_M; from there mean and
-covariance go on to now as those of `ekf-iterated`, so a sample of any age is used at its own time (`parts/repropagation`).
+The minimum is over z_0 .. z_M at the times of the M newest samples and of the one before them. m is the estimate of z_0 when
+its sample was the newest, and P its covariance in an extended Kalman filter (the arrival cost). f_i propagates from sample to
+sample tick by tick, and Q_i is the process noise on the way, propagated by Jacobians.
+Each of a fixed number of Gauss-Newton steps linearises f_i and h, and solves the resulting quadratic program along the chain
+(`parts/structured_qp`). From z_M, mean and covariance are propagated to the present as in `ekf-iterated`. A sample of any age
+is used at its sampling time (`parts/repropagation`).
 
-`lower`, `upper` are of the states; what is unknown beside them keeps to the plant's range.
+`lower` and `upper` bound the plant's states. Unknown inputs and parameters have the plant's range.
 Source: Rao, Rawlings, Mayne 2003, with an arrival cost that is filtered.
-Found: without bounds it is `kf` on a linear plant, to rounding, whatever M; the window then is for nothing. On a nonlinear one
-it is worth what looking again at earlier samples and keeping to the bounds are worth.
-Time index: the estimate is of now, after the jump. Not claimed: that Gauss-Newton converges, or that the covariance knows of
-bounds.
+Without bounds on a linear plant it equals `kf` up to rounding, for every M. On a nonlinear plant its advantage is that it
+linearises again at earlier samples and respects the bounds.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: convergence of the Gauss-Newton steps, or that the covariance includes the effect of the bounds.
 """
 
 from typing import NamedTuple
@@ -41,11 +42,11 @@ from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 
-USUAL = 10  # samples of a window
+USUAL = 10  # samples of a window, by default
 
 
 class Horizon(NamedTuple):
-    """What it has besides a filter."""
+    """Parameters in addition to those of the filter."""
 
     window: Room  # M
     iterations: Room
@@ -53,23 +54,23 @@ class Horizon(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The newest M samples, oldest first, and what is known at each; a place not yet filled is not fresh, at tick 0."""
+    """The newest M samples, oldest first, with the estimates at each; in an empty place `mask` is False and the tick is 0."""
 
-    mean: Float[Array, " N"]  # of the newest, carried on
+    mean: Float[Array, " N"]  # of the newest sample, propagated to tick `taken`
     P: Float[Array, "N N"]
     taken: Int[Array, ""]
     samples: Measurement  # [M]
-    path: Float[Array, "M N"]  # the likeliest states, as last found
-    means: Float[Array, "M N"]  # those of each sample when it was the newest
+    path: Float[Array, "M N"]  # z_1 .. z_M, from the last solution
+    means: Float[Array, "M N"]  # estimate at each sample when it was the newest
     spreads: Float[Array, "M N N"]
     before: Float[Array, " N"]  # m
     known: Float[Array, "N N"]  # P
     since: Int[Array, ""]  # tick of m
-    start: Float[Array, " N"]  # z_0, as last found
+    start: Float[Array, " N"]  # z_0, from the last solution
 
 
 class Options(nonlinear_model.Options):
-    """What it assumes, how far it looks back, and within which bounds."""
+    """Assumptions, length of the window, iterations and bounds."""
 
     window: int | None = Field(
         None, ge=1, le=1000, description="number of measurements in the window; default: 10, or all if a run has fewer"
@@ -84,7 +85,7 @@ class Options(nonlinear_model.Options):
 
 
 def first(gains: Gains, xhat0: Array) -> Window:
-    """Return an empty window after the prior."""
+    """Return an empty window at the prior."""
     z, M = initial_augmented(gains, xhat0), gains.own.window.shape[0]
     none = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
@@ -104,7 +105,7 @@ def first(gains: Gains, xhat0: Array) -> Window:
 
 
 def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple[Array, Array, Array]:
-    """Return f(z) from tick to tick, its slope, and the process noise that it gathers."""
+    """Return f(z) from tick `since` to tick `until`, its Jacobian, and the accumulated process noise."""
 
     def tick(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         z, F, Q = carry
@@ -115,7 +116,7 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 
 
 def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
-    """Return the chain of slopes along a path."""
+    """Return the chain linearised along a path of states."""
     N, q = path.shape[1], gains.C.shape[0]
     since = jnp.append(w.since, w.samples.taken[:-1])
 
@@ -131,7 +132,7 @@ def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"
 
 
 def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window:
-    """Take a sample of the state's tick into the window, the oldest out, and look at all of them again."""
+    """Insert a sample of the state's tick into the window, drop the oldest, and solve for all states again."""
     z, P, _ = ekf_iterated.update_about(gains, now, state, sample, state.mean)
 
     def shifted(rows: Array, new: Array) -> Array:
@@ -146,11 +147,11 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     )
     path = jnp.concatenate([state.path, clip_parameters(gains, z)[None]])
 
-    def again(_: Array, path: Array) -> Array:
+    def gauss_newton_step(_: Array, path: Array) -> Array:
         chain, bounds = linearize_path(gains, now, w, path), gains.own.bounds
         return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
-    path = lax.fori_loop(0, gains.own.iterations.shape[0], again, path)
+    path = lax.fori_loop(0, gains.own.iterations.shape[0], gauss_newton_step, path)
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
 
 
@@ -158,7 +159,7 @@ OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, e
 
 
 def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
-    """Return the bounds of states and unknowns; (): none. Raises UserError where they do not fit, or leave out the start."""
+    """Return the bounds of states and unknowns, () without bounds; raise UserError if they do not fit or exclude xhat0."""
     n = len(setting.model.A)
     ends = []
     for name, none in (("lower", -np.inf), ("upper", np.inf)):
@@ -186,7 +187,7 @@ def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | 
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what it assumes; raise UserError for a window that no run fills, and bounds that leave out the start."""
+    """Return the assumptions; raise UserError for a window longer than a run, or for bounds that exclude xhat0."""
     where = f"mhe in {setting.scenario}"
     most = sum(setting.ticks // period + 1 for period in setting.period)
     window = min(USUAL, most) if options.window is None else options.window

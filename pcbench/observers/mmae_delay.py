@@ -11,8 +11,9 @@ and the assumed noise is true, this is the posterior mean: no causal estimator h
 Not claimed: anything for a delay between two of them, where the weights converge to one neighbour and the covariance is too
 small; nor for delays that vary without timestamps. The step between delays should be smaller than the standard deviation that
 the samples allow (`statistics.distributions`). The computing time is proportional to the number of delays.
-Time index: the estimate is of now, after the jump. An out-of-sequence sample is put in order (`parts/reorder_buffer`), with the
-weight that it would have in order. A sample whose assumed sampling tick is in the future counts as taken at its arrival.
+Time index: xhat is the estimate of the present, after the jump. An out-of-sequence sample is inserted at its sampling time
+(`parts/reorder_buffer`), and changes the weights as if it had arrived in order. A sample whose assumed sampling tick is in
+the future counts as taken at its arrival.
 Source: Magill, IEEE Trans. Automatic Control 10 (1965), 434.
 """
 
@@ -33,12 +34,12 @@ from pcbench.observers.parts.unknown_delay import Gains, read, spread
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
-FILTERS = 21  # by default, evenly from 0 to the longest delay
-MOST = 200
+FILTERS = 21  # default number of delays, evenly spaced from 0 to the longest
+MOST = 200  # delays
 
 
 class Filters(NamedTuple):
-    """M filters, each at the time that it believes the newest sample to be of."""
+    """M Kalman filters, each at the sampling tick that it assumes for the newest sample."""
 
     x: Float[Array, "M n"]
     P: Float[Array, "M n n"]
@@ -47,7 +48,7 @@ class Filters(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The samples that may be overtaken with the filters before them; and the estimate of now."""
+    """The buffered samples with the filters before them, and the present estimate."""
 
     buffer: Buffer
     delay: Float[Array, ""]  # s
@@ -55,7 +56,7 @@ class Memory(NamedTuple):
 
 
 class Options(unknown_delay.Options):
-    """What the filters assume."""
+    """Assumptions of the filters."""
 
     delays: list[float] | None = Field(
         None, min_length=1, description="candidate delays [s]; default: 21 values from 0 to `longest`"
@@ -63,10 +64,10 @@ class Options(unknown_delay.Options):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start every filter from the prior, its weight the prior's of its delay."""
+    """Return the memory with every filter at the prior, weighted by the prior density of its delay."""
     many = gains.own.shape[0]
-    apart = (gains.own * gains.dt - gains.delay) / gains.delay_std
-    weight = jax.nn.log_softmax(-0.5 * jnp.square(apart))
+    deviation = (gains.own * gains.dt - gains.delay) / gains.delay_std
+    weight = jax.nn.log_softmax(-0.5 * jnp.square(deviation))
     first = Filters(
         x=jnp.broadcast_to(xhat0, (many, *xhat0.shape)),
         P=jnp.broadcast_to(gains.P0, (many, *gains.P0.shape)),
@@ -77,12 +78,12 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
-    """Leave a place for the tick at which the sample will arrive; the inputs are stored."""
+    """Reserve a place for the tick of the arrival, which `jump` fills in."""
     return jnp.zeros(1)
 
 
 def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
-    """Return means [M, n] and covariances of ticks `stop` [M] from those of ticks `start`, under the stored inputs."""
+    """Return means [M, n] and covariances at ticks `stop` [M] from those at ticks `start`, under the stored inputs."""
 
     def tick(i: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
         x, P = xP
@@ -96,7 +97,7 @@ def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, sto
 
 
 def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple[Array, Array, Array]:
-    """Return mean and covariance of one filter after a sample of its tick, and the logarithm of what that was likely."""
+    """Return mean, covariance and log-likelihood of one filter after a sample of its tick."""
     likelihood = jnp.zeros(())
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], gains.R[channel], sample.mask[channel]
@@ -108,7 +109,7 @@ def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple
 
 
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
-    """Update every filter at the time that it believes a sample to be of, and weigh it by what it expected."""
+    """Update every filter at its assumed sampling tick, and its weight by the likelihood of the sample."""
     came = sample.snapshot[0].astype(int)
     taken = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
     x, P = predict_models(gains, now, before.x, before.P, before.at, taken)
@@ -117,7 +118,7 @@ def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filter
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Put what arrived in its place, and mix what the filters make of now."""
+    """Insert the arriving sample in order of sampling, and mix the filters' predictions of the present."""
 
     def jumped(memory: Memory, arrival: Arrival) -> Memory:
         came = jnp.asarray(now.tick, float)[None]
@@ -130,7 +131,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move the estimate of now by one tick."""
+    """Propagate the present estimate by one tick."""
     return memory._replace(xhat=gains.Phi @ memory.xhat + gains.Gamma @ now.u)
 
 
@@ -140,44 +141,44 @@ def mean(gains: Gains, weight: Float[Array, " M"]) -> Float[Array, ""]:
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
-    """Return xhat of now, and the delay where the plant has one that is unknown."""
+    """Return the present xhat, and the delay if it is the plant's unknown."""
     return read(gains, memory.xhat, memory.delay)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
+    """Return the covariance of the mixture: within the filters, and of their means and delays."""
 
     def mixed(memory: Memory) -> Array:
         at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
         x, P = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
         share, n = jnp.exp(at.weight), gains.C.shape[1]
         z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
-        apart = z - (share @ z)[None]
-        whole = (share[:, None] * apart).T @ apart
-        return spread(gains, whole.at[:n, :n].add(jnp.tensordot(share, P, 1)))
+        deviation = z - (share @ z)[None]
+        joint = (share[:, None] * deviation).T @ deviation
+        return spread(gains, joint.at[:n, :n].add(jnp.tensordot(share, P, 1)))
 
     return vmap_as_unit(mixed)(memory)
 
 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
-    """Return the mean delay and its standard deviation [s], by the weights of the filters."""
+    """Return mean and standard deviation of the delay [s] by the weights of the filters."""
     weight = jnp.exp(reorder_buffer.newest(partial(step, gains, now), memory.buffer).weight)
-    apart = gains.own * gains.dt - memory.delay
-    return jnp.stack([memory.delay, jnp.sqrt(jnp.sum(weight * jnp.square(apart)))])
+    deviation = gains.own * gains.dt - memory.delay
+    return jnp.stack([memory.delay, jnp.sqrt(jnp.sum(weight * jnp.square(deviation)))])
 
 
 OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance, delay=delay)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filters assume; raise UserError for delays that are none, or too many."""
+    """Return the assumptions of the filters; raise UserError for delays out of range, or for too many."""
     where, dt = f"mmae-delay in {setting.scenario}", setting.dt
-    asked = options.delays
-    if asked and options.longest is None:
-        options = options.model_copy(update={"longest": max(*asked, dt)})
+    delays = options.delays
+    if delays and options.longest is None:
+        options = options.model_copy(update={"longest": max(*delays, dt)})
     gains = unknown_delay.design(setting, options, "mmae-delay")
     longest = int(gains.longest)
-    ticks = np.unique(np.round(np.asarray(asked) / dt if asked else np.linspace(0, longest, FILTERS)).astype(int))
+    ticks = np.unique(np.round(np.asarray(delays) / dt if delays else np.linspace(0, longest, FILTERS)).astype(int))
     if ticks[0] < 0 or ticks[-1] > longest:
         raise UserError(
             f"{where}: delays: got {ticks[0] * dt:g} to {ticks[-1] * dt:g} s, expected 0 to the longest, {longest * dt:g} s."

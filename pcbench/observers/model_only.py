@@ -1,4 +1,4 @@
-"""The model alone, never corrected: the floor that every observer must beat.
+"""model-only: simulation of the model from xhat0 without measurements; every observer should have a smaller error.
 
 xhat(0) = xhat0,   xhat' = A xhat + B u
 """
@@ -36,7 +36,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def snapshot(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, "0"]:
-    """Note nothing when a sample is taken."""
+    """Return nothing: no sample is used."""
     return jnp.zeros(0)
 
 

@@ -1,14 +1,16 @@
-"""The classical observer, designed as if nothing were late (Method 3 of the paper).
+"""no-delay: classical observer, designed as if measurements had no delay (Method 3 of the paper).
 
     xhat(k+1) = A xhat(k) + B u(k) + K e(k),   A - K C = pole I (or by pole placement)
 
-`plain`: e_j(k) = r_j(k) - C_j xhat(k): late data taken for the present. It cannot diverge on a bounded plant.
-`aligned` (default): e_j(k) = r_j(k) - C_j xhat(k - tau_j): each sample against the estimate of its own time, corrected now. It
-knows the delays, not what they do to its stability: the error of channel j comes back tau_j + 1 samples late, and with the
-gain above it diverges on the tank. The radius with the true delays is reported; it need not be below 1.
+- `plain`: e_j(k) = r_j(k) - C_j xhat(k), as if r_j had been taken at k. It cannot diverge on a bounded plant.
+- `aligned` (default): e_j(k) = r_j(k) - C_j xhat(k - tau_j), where tau_j is the age of r_j. The present estimate is
+  corrected. The design ignores the effect of the delays on stability: the feedback of channel j has a delay of tau_j + 1
+  samples. With the gain above, the observer diverges on the tank.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5, which does not say which of the two it ran. Perfect start is
-exact for `aligned` until rounding has grown by its radius.
+The certificate's numbers contain the spectral radius with the true delays, which need not be below 1.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5, which does not state the variant that it uses. From a perfect
+start, `aligned` has no error except for rounding errors, which grow with its spectral radius.
 """
 
 from typing import Literal
@@ -29,7 +31,7 @@ OBSERVER = assumed_age.OBSERVER
 
 
 class Options(StrictOptions):
-    """Which of the two, and its pole."""
+    """The variant, and its pole."""
 
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="compare a sample with the estimate of its own time, or with the present estimate"
@@ -38,7 +40,7 @@ class Options(StrictOptions):
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Design without delays; certified where the radius with the delays is below 1 as well."""
+    """Design without delays; the gain is certified if the spectral radius with the delays is below 1 too."""
     where, plant = f"no-delay in {setting.scenario}", sample_plant(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)

@@ -1,15 +1,21 @@
-"""oosm-a1: an out-of-sequence sample by exact retrodiction of one step.
+"""oosm-a1: Kalman filter with an exact update by an out-of-sequence sample, at most one step old.
 
-The filter stands at its newest sample and predicts to now as `kf` does. A sample that is older goes back by the last
-update (`parts/retrodiction`), the noise between being estimated by that update's innovation, v = Q u.
+The filter is at its newest sample and predicts to the present as `kf` does. To use an older sample, the estimate is
+retrodicted across the last update (`parts/retrodiction`). The process noise in between is estimated from the innovation of
+that update, v = Q u.
 
-Source: Bar-Shalom 2002, algorithm A. Keeps mean, covariance, the one before the last update and its innovation; costs one
-update in order, and out of order one of 2 n states with a map back in time.
-Found: for one sample that is late by less than one step it is `kf` to rounding, as said. For a second one in the same
-step the last update is no more all that has been learnt, and it lies above; one older than a step is lost. It needs e^{-A
-t}: on a plant with a mode that dies within the lag its digits are lost; `kf` and `kf-cloning` never go back
-(`test_late_samples`).
-Time index: the estimate is of now, after the jump.
+Source: Bar-Shalom 2002, algorithm A. Memory: mean, covariance, the prediction before the last update, and its innovation.
+Cost: one update for a sample in order; otherwise one update of 2 n states and a map back in time.
+
+Properties (`test_late_samples`):
+
+- If at most one sample per step is out of sequence, by less than one step, it equals `kf` up to rounding.
+- For a second such sample in the same step, it neglects the first one's information, and the error is larger than that of
+  `kf`. A sample older than one step is lost.
+- It needs e^{-A t}. If a mode of the plant decays within the lag, this loses all digits; `kf` and `kf-cloning` do not need
+  it.
+
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from jax import Array
@@ -23,7 +29,7 @@ Options = linear_filter.Options
 
 
 def last(gains: Gains, memory: Memory, taken: Array) -> Last:
-    """Return the last update, whatever came before it."""
+    """Return the last update of the memory."""
     return memory.last
 
 
@@ -31,5 +37,5 @@ OBSERVER = retrodiction.observer(last, zero=False)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, and the maps back in time."""
-    return retrodiction.design(setting, options, "oosm-a1", 1, "one step back, whatever the lag")
+    """Return the assumptions, and the maps back in time."""
+    return retrodiction.design(setting, options, "oosm-a1", 1, "it goes back by one update only")

@@ -1,17 +1,18 @@
-"""oosm-lag: an out-of-sequence sample of several steps' lag by one retrodiction.
+"""oosm-lag: Kalman filter with an update by an out-of-sequence sample over several steps, by one retrodiction.
 
-All updates after the sample's time are taken for one equivalent update now. With x*, P* what the last posterior before
-the sample predicts for t_k without any of them,
+All updates after the sampling time are replaced by one equivalent update at t_k. Let x*, P* be the prediction for t_k from
+the last posterior before the sample:
 
     u = P*^-1 (x - x*),   U = P*^-1 (P* - P) P*^-1
 
-and then as `oosm-a1`. A sample older than the posteriors kept is lost.
+Then the update is that of `oosm-a1`. A sample older than the stored posteriors is lost.
 
-Source: Bar-Shalom, Chen, Mallick 2004, the first of its two algorithms. Keeps `keep` past means and covariances; costs
-what `oosm-a1` does, and a solution of n equations. Found: with one step it is `oosm-a1`; with more it lies above `kf`,
-for the noise between two of the updates is not seen by the earlier ones, by 0.1 % in rms on the tests' plant
-(`test_late_excess`). Past posteriors are not mended when a late sample comes. P* must be regular (`test_late_samples`).
-Time index: the estimate is of now, after the jump.
+Source: Bar-Shalom, Chen, Mallick 2004, the first of its two algorithms. Memory: `keep` past means and covariances. Cost: as
+`oosm-a1`, and the inverse of an n x n matrix.
+With one step it equals `oosm-a1`. With more, it neglects that the process noise between two updates does not affect the
+earlier one, and its error is larger than that of `kf`, by 0.1 % in rms on the plant of the tests (`test_late_excess`). An
+out-of-sequence sample does not change the stored posteriors. P* must be regular (`test_late_samples`).
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 import jax.numpy as jnp
@@ -26,15 +27,15 @@ from pcbench.synthesis.certificate import Design, DesignContext
 
 
 class Options(linear_filter.Options):
-    """How far it can go back."""
+    """Number of stored posteriors."""
 
     keep: int = Field(4, ge=1, le=64, description="number of past estimates that are stored with their covariance")
 
 
 def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:
-    """Return the update that all after `taken` amount to."""
+    """Return one update that is equivalent to all updates after tick `taken`."""
     known = memory.past.taken <= taken
-    newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last that holds: several may be of one tick
+    newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last one: several may have the same tick
     before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
     there = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
     x, P, _ = memory.posterior
@@ -46,5 +47,5 @@ OBSERVER = retrodiction.observer(equivalent, zero=False)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what the filter assumes, and the maps back in time."""
-    return retrodiction.design(setting, options, "oosm-lag", options.keep, "several updates are taken for one")
+    """Return the assumptions, and the maps back in time."""
+    return retrodiction.design(setting, options, "oosm-lag", options.keep, "it replaces several updates by one")

@@ -1,16 +1,18 @@
-"""particle: the bootstrap particle filter.
+"""particle: bootstrap particle filter with systematic resampling.
 
-    x_i <- f(x_i) + w_i,  w_i ~ N(0, Q) drawn, tick by tick;   at a sample  W_i <- W_i exp(-|y - h(x_i)|^2 / 2 by R)
+    x_i <- f(x_i) + w_i,  w_i ~ N(0, Q) drawn, tick by tick;   at a sample  W_i <- W_i exp(-|y - h(x_i)|^2_(R^-1) / 2)
 
-and where 1 / sum W_i^2, the effective number of particles, falls below a share of them: systematic resampling, particle i taken
-from where (i + U) / N falls in the sum of the weights, U one uniform number. The estimate is the weighted mean, P the weighted
-covariance. Particles go on to now tick by tick, and a sample of any age is used at its own time (`parts/repropagation`): one
-that comes after a newer one moves the same particles by the same draws again (`parts/rng`). What a sample was expected to
-say is judged by the particles' mean and covariance. p is clipped to the plant's range after every tick.
+If the effective number of particles, 1 / sum W_i^2, falls below a fraction of all, they are resampled: particle i becomes a
+copy of the one at (i + U) / N in the cumulative sum of the weights, with one uniform number U. The estimate is the weighted
+mean, and P the weighted covariance.
+Particles are propagated to the present tick by tick, and a sample of any age is used at its sampling time
+(`parts/repropagation`). If a sample is out of sequence, the same particles are propagated again with the same random numbers
+(`parts/options`). The innovation statistics use mean and covariance of the particles. p is clipped to the plant's range after
+every tick.
 Source: Gordon, Salmond, Smith 1993; systematic resampling: Kitagawa 1996.
-Found: on a linear plant its difference from `kf` falls as 1/N in mean square. Where Q is 0 resampling leaves copies of few
-particles that never part again, and P does not know.
-Time index: the estimate is of now, after the jump. Not claimed: perfect start, which nothing that is drawn has.
+On a linear plant the mean square of the difference from `kf` decreases as 1/N. If Q is 0, resampling leaves copies of a few
+particles, which stay equal. P is then too small.
+Time index: xhat is the estimate of the present, after the jump. Not claimed: perfect start, because the particles are random.
 """
 
 from typing import NamedTuple
@@ -33,16 +35,16 @@ from pcbench.runtime import memory as machine
 from pcbench.synthesis.certificate import Design, DesignContext
 
 START, PROCESS, RESAMPLING = 0, 1, 2  # kinds of draws; resampling has one for each channel
-LANES = 64  # runs a call, always: sums over particles are rounded as the compiler vectorises over runs
+LANES = 64  # fixed number of runs per call, because it affects the rounding of sums over particles
 
 
 class Swarm(NamedTuple):
-    """What it has besides a filter; S particles."""
+    """Parameters in addition to those of the filter; S particles."""
 
     room: Float[Room, " S"]
     start: Float[Leaf, "N N"]  # a root of P0
     process: Float[Leaf, "N N"]  # a root of Q
-    share: Float[Leaf, ""]  # of effective particles, below which they are resampled
+    share: Float[Leaf, ""]  # fraction of effective particles below which they are resampled
 
 
 class Cloud(NamedTuple):
@@ -50,12 +52,12 @@ class Cloud(NamedTuple):
 
     x: Float[Array, "S N"]
     weight: Float[Array, " S"]  # logarithms; their exponentials sum to 1
-    words: UInt32[Array, "2"]  # the run's, by which it draws
+    words: UInt32[Array, "2"]  # random words of the run, from which it draws
     taken: Int[Array, ""]
 
 
 class Options(nonlinear_model.Options):
-    """What it assumes, and how many particles it has."""
+    """Assumptions, number of particles, and threshold of resampling."""
 
     particles: int = Field(300, ge=2, description="number of particles")
     resample: float = tunable(
@@ -72,23 +74,23 @@ def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"
 
 
 def first(gains: Gains, xhat0: Array) -> Cloud:
-    """Return the particles of a run that has not said who it is."""
+    """Return the particles of a run before `init_random` sets its words."""
     return draw_particles(gains, initial_augmented(gains, xhat0), jnp.zeros(2, jnp.uint32))
 
 
 def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"]) -> Memory:
-    """Return the memory at the start of the run of these words."""
+    """Return the memory at the start of a run, with particles drawn from the run's words."""
 
-    def begun(words: Array, xhat0: Array) -> tuple[Cloud, Array]:
+    def draw(words: Array, xhat0: Array) -> tuple[Cloud, Array]:
         now = draw_particles(gains, initial_augmented(gains, xhat0), words)
         return now, mean(gains, now)
 
-    now, z = vmap_as_unit(begun)(words, xhat0)
+    now, z = vmap_as_unit(draw)(words, xhat0)
     return Memory(memory.buffer._replace(before=now), now, z)
 
 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
-    """Move every particle by a tick, and by a draw of process noise; one that overflows stays, with weight 0."""
+    """Propagate every particle by one tick with process noise; a particle that overflows stays, with weight 0."""
     moved = jax.vmap(lambda z: gains.motion(now, z))(state.x)
     moved = moved + normals(state.words, PROCESS, now.tick, moved.shape) @ gains.own.process.T
     moved = jax.vmap(lambda z: clip_parameters(gains, z))(moved)
@@ -99,7 +101,7 @@ def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
 
 
 def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
-    """Return what every particle would have measured."""
+    """Return the output of every particle."""
     n = gains.C.shape[1]
     if gains.sensor is None:
         return x[:, :n] @ gains.C.T
@@ -107,23 +109,23 @@ def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Arr
 
 
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
-    """Weigh the particles by a sample of their tick, and resample where too few are left."""
+    """Weight the particles by a sample of their tick, and resample if too few are effective."""
     y = predict_outputs(gains, now, state.x)
     off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y))
     off = off / sample.variances(gains.R)[None]
-    off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
+    off = jnp.where(jnp.isnan(off), jnp.inf, off)  # a particle without a finite output has weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     share, S = jnp.exp(weight), weight.shape[0]
     few = 1.0 / jnp.sum(share * share) < gains.own.share * S
     U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.taken, ())
-    from_ = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
-    x = jnp.where(few, jnp.take(state.x, from_, axis=0, mode="clip"), state.x)
+    parents = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
+    x = jnp.where(few, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)
     return state._replace(x=x, weight=jnp.where(few, -jnp.log(float(S)), weight))
 
 
 def weighted_moments(weight: Float[Array, " S"], points: Float[Array, "S k"]) -> tuple[Array, Array]:
-    """Return mean and covariance of points."""
+    """Return mean and covariance of points, by logarithms of weights."""
     m = jnp.sum(jnp.exp(weight)[:, None] * points, axis=0)
     d = points - m[None]
     return m, (jnp.exp(weight)[:, None] * d).T @ d
@@ -140,11 +142,11 @@ def spread(gains: Gains, state: Cloud) -> Float[Array, "N N"]:
 
 
 def innovation_of_cloud(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> InnovationStats:
-    """Return how far a sample is from what the particles' mean and covariance expect of it."""
+    """Return the innovation statistics of a sample, by mean and covariance of the particles."""
     y = predict_outputs(gains, now, state.x)
-    lost = jnp.any(~jnp.isfinite(y) & sample.mask[None], axis=1)  # as in `update`: weight 0
-    left = jnp.where(lost, -jnp.inf, state.weight)
-    weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
+    invalid = jnp.any(~jnp.isfinite(y) & sample.mask[None], axis=1)  # as in `update`: weight 0
+    left = jnp.where(invalid, -jnp.inf, state.weight)
+    weight = jnp.where(jnp.any(invalid), left - jax.nn.logsumexp(left), state.weight)
     both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
     return kalman.by_points(gains, *weighted_moments(weight, both), sample)[2]
 
@@ -161,7 +163,7 @@ def symmetric_root(M: np.ndarray) -> np.ndarray:
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Gather what it assumes; raise UserError where so many particles do not fit the memory."""
+    """Return the assumptions; raise UserError if the particles do not fit into memory."""
     N = len(setting.model.A) + len(setting.unknown_std)
     each = 8 * (N + 1) * (setting.overtaking + 3) * LANES
     if options.particles * each > machine.usable():

@@ -1,21 +1,23 @@
-"""PCCEBO: the piecewise continuous, current-estimator-based observer.
+"""PCCEBO: piecewise continuous, current-estimator-based observer.
 
     xbar_m = Phi xhat_(m-1) + I(t_(m-1), t_m),   xbar_0 = xhat(0)                            (8a), with the exact integral
     xhat_m = xbar_m + L (y_m - C xbar_m)                                                     (8b), when sample m arrives
     xhat(t_i) = e^{A d} xhat_m + I(t_m, t_i)                                                 (11), for any age d of the sample
     xhat(t) = e^{A (t - t_i)} xhat(t_i) + I(t_i, t)                                          (12)
 
-As piecewise continuous systems: one integrates the input, the other is the estimate, re-initialised at each arrival.
-Without noise and with a true model the error is e(t) = e^{A (t - t_m)} e_m, e_m = (I - L C) Phi e_(m-1), whatever u is.
+The source writes it as two piecewise continuous systems: one integrates the input, and the other is the estimate,
+re-initialised at each arrival. Without noise and with a true model, the error does not depend on u: e(t) = e^{A (t - t_m)}
+e_m with e_m = (I - L C) Phi e_(m-1).
 
-(11) and (12) are in `parts/prediction`. A sample that comes after a newer one is put in its place (`parts/reorder_buffer`); one
-that is lost lengthens the interval of (8a).
+(11) and (12) are in `parts/prediction`. An out-of-sequence sample is inserted at its sampling time (`parts/reorder_buffer`).
+A lost sample lengthens the interval of (8a).
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
-Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is
-printed for d = te only. Time index: the estimate is of now, read after the jump. All channels share one clock.
-Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that the
-certificate, which is for the mean period, covers intervals that vary; with `period_range` it does.
+Different from print: (7) and (8a) hold the input over a whole sampling period, while the integral here is exact. (11) is
+printed for d = te only.
+Time index: xhat is the estimate of the present, after the jump. All channels share one clock.
+Not claimed: noise filtering; with the paper's L = [1, 0] the position estimate at a sample is the measurement. The
+certificate is for the mean period. It covers varying intervals only with `period_range`.
 """
 
 from typing import Literal, NamedTuple
@@ -44,11 +46,11 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     L: Float[Leaf, "n q"]
-    room: Room  # for samples that may be overtaken
+    room: Room  # for samples that may arrive after newer ones
 
 
 class Options(StrictOptions):
-    """How the gain is found, and what is to be promised of it."""
+    """Design method of the gain, and requirements on its certificate."""
 
     gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = way(
         "lmi",
@@ -71,12 +73,12 @@ class Options(StrictOptions):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0)."""
+    """Return the memory at xhat(0)."""
     return prediction.start(xhat0, prediction.origin(xhat0), gains.room, gains.C.shape[0])
 
 
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
-    """Correct at the sample's own time, (8a) and (8b)."""
+    """Correct at the sampling time, (8a) and (8b)."""
     free = prediction.at(gains.motion, before, sample.taken)
     xbar = sample.snapshot + free
     innovation = jnp.where(sample.mask, sample.value - gains.C @ xbar, 0.0)
@@ -88,7 +90,7 @@ OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Find L at the (mean) sampling period, or over a range, and certify it; raise DesignError where it cannot be."""
+    """Return L for the (mean) sampling period or a range, with its certificate; raise DesignError without one."""
     one_clock(setting, "pccebo")
     where = f"pccebo in {setting.scenario}"
     require_detectable(setting.model, where)

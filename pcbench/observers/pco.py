@@ -1,7 +1,8 @@
 """PCO and PI-PCO: piecewise continuous observers with a reduced-order (PI) observer at the samples.
 
-In coordinates z = T x = [y; w] in which C = [I 0], with A_d(T) = e^{A T} partitioned after y and w, four systems, each
-re-initialised at every arrival t_i, where sample i-1 comes to hand:
+In coordinates z = T x = [y; w] with C = [I 0], A_d(T) = e^{A T} is partitioned into y and w. Four systems are re-initialised
+at every arrival t_i, at which sample i-1 becomes available:
+
  I, II  a clock, reset at each sample, measures the interval T_(i-1) between the last two samples (here: their ticks);
  III    z' = A z + B u from 0 gives M = [m1; m2], the input's response over that interval (2);
         then the reduced-order PI observer of the unmeasured part, in causal order (it uses sample i-1, not y_i):
@@ -10,15 +11,17 @@ re-initialised at every arrival t_i, where sample i-1 comes to hand:
             L_(i-1) = L_(i-2) + Ki nu                                                        (14)
  IV     xhat(t_i) = A_d [y_(i-1); w_(i-1)] + M (18), then xhat' = A xhat + B u               (19)
 
-PCO is Ki = 0. w_0 is the unmeasured part of the estimate at the first sample (at tick 0: of xhat(0)), L_0 = 0.
-Here the age of a sample need not be the interval: samples may be late by any age, jittered, lost (the interval is that between
-samples that came) or out of order (`parts/reorder_buffer`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a
-current estimator: PCO is PCCEBO with the gain inv(T) [I; Kp], except at the first sample.
+PCO has Ki = 0. w_0 is the unmeasured part of the estimate at the first sample (at tick 0: of xhat(0)), and L_0 = 0.
+Here the age of a sample may differ from the interval. Samples may be delayed by any age, jittered, lost (the interval is that
+between received samples) or out of sequence (`parts/reorder_buffer`).
+Because y is used as measured, xbar + inv(T) [nu; Kp nu + L] is a current estimator. So PCO is PCCEBO with the gain inv(T) [I;
+Kp], except at the first sample.
 
-Source: Li, Wang, Tian, PI Piecewise Continuous Observer Design. Different from print: y_i has not arrived at t_i, so (12) is
-shifted by one sample; L_(t-1) is L_(i-1). Sign: on the cart a Kp < 0 smooths, a Kp > 0 amplifies noise. All channels share
-one clock. Not claimed: that F(T) stable (as printed) makes PI-PCO stable; the certificate is one Lyapunov matrix over all
-intervals of the schedule, lost samples left aside.
+Source: Li, Wang, Tian, PI Piecewise Continuous Observer Design.
+Different from print: y_i has not arrived at t_i, so (12) is shifted by one sample; L_(t-1) is L_(i-1).
+Sign: on the cart Kp < 0 smooths, and Kp > 0 amplifies noise. All channels share one clock.
+Not claimed: that a stable F(T) (as printed) makes PI-PCO stable. The certificate is one Lyapunov matrix for all intervals of
+the schedule without lost samples.
 """
 
 from typing import Literal, NamedTuple
@@ -52,7 +55,7 @@ class Gains(NamedTuple):
     D: Float[Leaf, "l m"]
     Kp: Float[Leaf, "w l"]
     Ki: Float[Leaf, "w l"]
-    room: Room  # for samples that may be overtaken
+    room: Room  # for samples that may arrive after newer ones
 
 
 class ReducedState(NamedTuple):
@@ -64,7 +67,7 @@ class ReducedState(NamedTuple):
 
 
 class Proportional(StrictOptions):
-    """PCO's gain, in the coordinates [y; w]."""
+    """Gain of PCO, in the coordinates [y; w]."""
 
     Kp: Given = tunable(None, description="[n - q, q] gain, a number if it is 1 x 1; default: by LMI")
     decay: float = Field(0.0, ge=0, description="decay rate of the error that the certificate must contain [1/s]")
@@ -78,13 +81,13 @@ class Proportional(StrictOptions):
 
 
 class ProportionalIntegral(Proportional):
-    """PI-PCO's gains, in the coordinates [y; w]."""
+    """Gains of PI-PCO, in the coordinates [y; w]."""
 
     Ki: Given = tunable(None, description="[n - q, q] gain of the integral, a number if it is 1 x 1; default: by LMI")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), nothing measured."""
+    """Return the memory at xhat(0), before the first sample."""
     state = ReducedState(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
     return prediction.start(xhat0, state, gains.room, gains.D.shape[0])
 
@@ -105,7 +108,7 @@ OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
 def design(setting: DesignContext, options: Proportional) -> Design:
-    """Take or find Kp (and Ki) and certify them over the schedule's intervals; raise DesignError where that fails."""
+    """Return Kp (and Ki), given or by LMI, certified for the schedule's intervals; raise DesignError without certificate."""
     integral = isinstance(options, ProportionalIntegral)
     name = "pi-pco" if integral else "pco"
     where = f"{name} in {setting.scenario}"
@@ -114,11 +117,11 @@ def design(setting: DesignContext, options: Proportional) -> Design:
     plant = reduced_order.partition(setting.model, riccati.prior_size(setting), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
-    asked = {name: given for name, given in named.items() if given is not None and given != "lmi"}
-    if 0 < len(asked) < len(named):
+    chosen = {name: given for name, given in named.items() if given is not None and given != "lmi"}
+    if 0 < len(chosen) < len(named):
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
     what = "unmeasured states x outputs"
-    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in asked.items()]
+    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in chosen.items()]
     Kp, Ki, proof = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = require_certified(proof, where)
     moves = prediction.motion_of(setting.model, setting)

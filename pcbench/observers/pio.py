@@ -1,14 +1,14 @@
-"""PIO: the nonlinear integral type observer, an integral and a sign in place of the sliding mode.
+"""PIO: nonlinear integral-type observer, with an integral and a sign function instead of the sliding mode.
 
     v = KP s + w,   w' = KI s + xi sgn(s) elementwise,   w(0) = 0,   s = Tp (y - C xhat)     (35), (37)
 
-injected as in `unknown_input` with A22s = 0; sgn(0) = 0, sgn is evaluated at every Runge-Kutta stage, so s chatters at a size
-that shrinks with the tick. The unmeasured part of the error decays as that of `smo` does, with the same L1.
+v is injected as in `parts/unknown_input`, with A22s = 0 and sgn(0) = 0. Every Runge-Kutta stage evaluates sgn, so s chatters
+with an amplitude that decreases with the tick. The unmeasured part of the error decays as that of `smo`, with the same L1.
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, sections 4 and 5; minus signs restored. The printed gains are for the arm.
-Not claimed: that errors vanish where the unknown input changes faster than xi, or that nothing moves from a perfect start: the
-sign of a rounding error moves w by xi a tick, so the input errs by about that, the states by its square. The certificate
-proves a decay rate without the unknown input, the sign and sampling.
+Not claimed: an error of zero if the unknown input changes faster than xi, or after a perfect start. The sign of a rounding
+error changes w by xi per tick. So the error of the input is about that, and the error of the states about its square. The
+certificate proves a decay rate without the unknown input, the sign function and sampling.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class IntegralLaw(NamedTuple):
 
 
 class Options(unknown_input.Options):
-    """How the gains are found, and the injection."""
+    """Design of the gains, and the injection."""
 
     alpha: float = Field(1.0, gt=0, description="design: decay rate of the unmeasured part of the error [1/s]")
     beta: float = tunable(1.0, gt=0, description="design: decay rate of the error [1/s]")
@@ -68,7 +68,7 @@ OBSERVER = unknown_input.observer(inject)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Take the printed gains or find them by LMI (38), (52), and certify their decay rate."""
+    """Return the printed gains or those by LMI (38), (52), with a certified decay rate."""
     where = f"pio in {setting.scenario}"
     parts = split(setting.model, where)
     unknown_input.one_delay(setting, where)

@@ -1,14 +1,15 @@
-"""SMO: the sliding-mode observer with unknown-input reconstruction.
+"""SMO: sliding-mode observer with reconstruction of the unknown input.
 
     v = rho P2 s / (||P2 s|| + eps),   s = Tp (y - C xhat)                                   (21), smoothed as in section 5
 
-injected as in `unknown_input`; v becomes [0; E222 f] (on the arm E222 = 1), so rho bounds |E222 f|, and s keeps an error of
-about eps |E222 f| / rho. With the gains of LMI (23), (24) the unmeasured part of the error decays by itself, whatever f does:
+v is injected as in `parts/unknown_input`, and tends to [0; E222 f] (on the arm E222 = 1). So rho bounds |E222 f|, and an
+error of s of about eps |E222 f| / rho remains. With the gains of LMI (23), (24), the unmeasured part of the error decays for
+every f:
 
     ebar1 = e1 - L1 s1,   ebar1' = (A11 - L1 A211) ebar1
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, sections 3 and 5; minus signs restored. The printed gains are for the arm.
-Not claimed: that errors vanish. The certificate proves a decay rate without the unknown input and without sampling.
+Not claimed: an error of zero. The certificate proves a decay rate without the unknown input and without sampling.
 """
 
 from typing import NamedTuple
@@ -41,12 +42,12 @@ class SlidingLaw(NamedTuple):
     """p outputs."""
 
     P2: Float[Leaf, "p p"]
-    rho: Float[Leaf, ""]  # the largest |E222 f| that can be found
-    eps: Float[Leaf, ""]  # of s: where v bends
+    rho: Float[Leaf, ""]  # the largest |E222 f| that can be reconstructed
+    eps: Float[Leaf, ""]  # width of the boundary layer
 
 
 class Options(unknown_input.Options):
-    """How the gains are found, and the injection."""
+    """Design of the gains, and the injection."""
 
     alpha: float = tunable(1.0, gt=0, description="design: decay rate of the error [1/s]")
     rho: float = tunable(1.0, gt=0, description="bound of the unknown input, scaled by E222")
@@ -65,7 +66,7 @@ OBSERVER = unknown_input.observer(inject)
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Take the printed gains or find them by LMI (23), (24), and certify their decay rate."""
+    """Return the printed gains or those by LMI (23), (24), with a certified decay rate."""
     where = f"smo in {setting.scenario}"
     parts = split(setting.model, where)
     unknown_input.one_delay(setting, where)

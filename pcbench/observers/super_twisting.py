@@ -14,11 +14,10 @@ so that it does not chatter: without noise the position has no error at the samp
 
 Source: Davila, Fridman, Levant, IEEE TAC, 2005, for continuous measurement. The implicit step is a common one; its use
 at the time of a delayed sample and the prediction over the delay (`parts/repropagation`) are this project's.
-Schedule: samples of any age and order. h is the interval between samples as they were taken, but the mean period for a sample
-at tick 0.
+Schedule: samples of any age and order. h is the interval between sampling times. For a sample at tick 0 it is the mean period.
 Plants: two states, one output without feedthrough, relative degree 2; a nonlinear plant must have the states (y, y').
-Time index: the estimate is of the present, after the jump. Not claimed: that it filters noise, or a bound of the error for a
-model error above f. There is no certificate.
+Time index: xhat is the estimate of the present, after the jump.
+Not claimed: noise filtering, or a bound of the error if the model error exceeds f. There is no certificate.
 """
 
 from typing import Literal, NamedTuple
@@ -42,7 +41,7 @@ WHY = "the observer is nonlinear, and its theorem is for continuous measurement"
 
 
 class Law(NamedTuple):
-    """The correction."""
+    """Parameters of the correction."""
 
     back: Float[Leaf, "2 2"]  # x of (y, y')
     k1: Float[Leaf, ""]
@@ -71,7 +70,7 @@ class Options(StrictOptions):
 
 
 def correction(law: Law, b: Float[Array, ""], h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return what is added to position and rate for an innovation b after h seconds."""
+    """Return the corrections of position and rate for an innovation b after h seconds."""
     size, sign, reach = jnp.abs(b), jnp.sign(b), h**2 * law.k2
     root = (jnp.sqrt((h * law.k1) ** 2 + 4 * jnp.maximum(size - reach, 0.0)) - h * law.k1) / 2
     inside = size <= reach
@@ -81,17 +80,17 @@ def correction(law: Law, b: Float[Array, ""], h: Float[Array, ""]) -> tuple[Floa
 
 
 def first(gains: Gains, xhat0: Float[Array, "2"]) -> State:
-    """Start from xhat(0)."""
+    """Return the state at xhat(0)."""
     return State(xhat0, jnp.asarray(0), jnp.asarray(0))
 
 
 def tick(gains: Gains, now: Now, state: State) -> State:
-    """Move by one tick of the model."""
+    """Propagate the model by one tick."""
     return state._replace(x=gains.motion(now, state.x))
 
 
 def update(gains: Gains, there: Now, state: State, sample: Measurement) -> State:
-    """Correct at the sample's own time."""
+    """Correct at the sampling time."""
     law: Law = gains.own
     none = jnp.zeros(0)
     y = gains.C @ state.x if gains.sensor is None else gains.sensor(there, state.x, none)
@@ -103,7 +102,7 @@ def update(gains: Gains, there: Now, state: State, sample: Measurement) -> State
 
 
 def expected(gains: Gains, there: Now, state: State, sample: Measurement) -> InnovationStats:
-    """Judge nothing: the observer has no covariance."""
+    """Return empty statistics, because the observer has no covariance."""
     return InnovationStats(jnp.zeros(()), jnp.zeros(()))
 
 
@@ -112,7 +111,7 @@ OBSERVER = repropagation.observer(WAY)._replace(covariance=None, innovation=None
 
 
 def coordinates(setting: DesignContext, where: str) -> np.ndarray:
-    """Return the map [2, 2] from (y, y') to x; raise UserError where the plant has no such coordinates."""
+    """Return the map [2, 2] from (y, y') to x; raise UserError for a plant without such coordinates."""
     wrong = "a plant that is given by its step" if setting.successor is not None else ""
     wrong = wrong or (f"{len(setting.unknown_std)} unknown inputs or parameters" if setting.unknown_std else "")
     if not wrong and setting.field is None:
@@ -128,7 +127,7 @@ def coordinates(setting: DesignContext, where: str) -> np.ndarray:
 
 
 def _is_position_and_rate(setting: DesignContext) -> bool:
-    """Whether x = (y, y'), at a few states and inputs."""
+    """Return whether x = (y, y'), tested at a few states and inputs."""
     n, m = setting.model.B.shape
     if n != 2 or len(setting.model.C) != 1:
         return False
@@ -143,7 +142,7 @@ def _is_position_and_rate(setting: DesignContext) -> bool:
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Take the gains of the source for the bound f; there is no certificate."""
+    """Return the gains of the source for the bound f; there is no certificate."""
     back = coordinates(setting, f"super-twisting in {setting.scenario}")
     law = Law(
         back=back,
