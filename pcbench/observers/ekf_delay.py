@@ -12,8 +12,8 @@ of variance `delay_walk`. Then x_b is predicted to the present. Before tick L, b
 
 Properties on cart/unknown-delay (see the guide, unknown_delay):
 
-- From an accurate initial delay, the error is as small as the bound allows, and the covariance is consistent. Literature says
-  that such a filter is always biased and optimistic (arXiv:2106.00391, arXiv:2605.13266); that is not so here.
+- From an accurate initial delay, the error is as small as the bound allows, and the covariance is consistent. The literature
+  describes such filters as always biased and optimistic (arXiv:2106.00391, arXiv:2605.13266); that is not so here.
 - From an initial delay two standard deviations off, it is biased and optimistic: the first updates use Jacobians of the wrong
   time, and their error persists. `mmae-delay` does not have this problem.
 

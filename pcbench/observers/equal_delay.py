@@ -1,5 +1,4 @@
-"""equal-delay: observer that assumes the same delay d for all channels (Method 2 of the paper, compared there with the
-chain).
+"""equal-delay: observer that assumes the same delay d for all channels (Method 2 of the paper).
 
 `variant = "theorem1"` is a single link of the chain. It treats whatever has arrived as d samples old:
 

@@ -115,6 +115,6 @@ def design(setting: DesignContext, options: Options) -> Design:
             f"{setting.ticks * setting.dt:g} s; write a shorter one."
         )
     room = setting.flight * max(1, -(-lag // max(latest, 1)))
-    why = "" if lag == latest else "samples are used later than they could be, or not at all"
+    why = "" if lag == latest else "samples are used later than necessary, or not at all"
     own = HorizonParams(np.asarray(lag), np.zeros(room))
     return linear_filter.design(setting, options, "kf-delayed-horizon", np.zeros(0), own, unproven=why, restarts=False)

@@ -100,5 +100,5 @@ def design(setting: DesignContext, options: Options) -> Design:
     if setting.noise_correlation and d.any():
         raise UserError(f"{where}: got correlated measurement noise, expected independent outputs; use kf.")
     return linear_filter.design(
-        setting, options, "kf-event", own=d, unproven="the error that is left by silence is not Gaussian"
+        setting, options, "kf-event", own=d, unproven="the error during silence is not Gaussian"
     )

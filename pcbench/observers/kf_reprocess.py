@@ -38,8 +38,10 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 def design(setting: DesignContext, options: Options) -> Design:
     """Return the assumptions, without a certificate if the schedule needs more stored samples than `keep`."""
-    short = f"it keeps {options.keep} samples, and {setting.overtaking} may arrive before one: older ones are lost"
-    why = short if setting.overtaking > options.keep else ""
-    found = linear_filter.design(setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why, restarts=False)
-    numbers = {**found.certificate.numbers, "kept": float(options.keep), "needed": float(setting.overtaking)}
-    return found._replace(certificate=found.certificate._replace(numbers=numbers))
+    reason = f"it stores {options.keep} samples, but {setting.overtaking} newer ones may arrive before a sample"
+    why = reason if setting.overtaking > options.keep else ""
+    designed = linear_filter.design(
+        setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why, restarts=False
+    )
+    numbers = {**designed.certificate.numbers, "kept": float(options.keep), "needed": float(setting.overtaking)}
+    return designed._replace(certificate=designed.certificate._replace(numbers=numbers))

@@ -51,7 +51,7 @@ def flow(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, " n
 
 
 def estimate(gains: Gains, memory: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Return xhat of now."""
+    """Return the present xhat."""
     return memory
 
 

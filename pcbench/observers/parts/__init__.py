@@ -1,1 +1,1 @@
-"""What several observers are made of."""
+"""Shared parts of observers."""

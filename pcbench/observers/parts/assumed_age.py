@@ -1,12 +1,12 @@
-"""Observers that compare what arrives with their own estimate of an age `a` ago, right or wrong: what two rivals share.
+"""Shared parts of `equal-delay` and `no-delay`, which compare a sample with their own estimate of an assumed age a ago.
 
-With z = xhat - xbar (`sample_rate`), e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) where channel j brings a sample
-r_j at k, else 0:
+With z = xhat - xbar (`sample_rate`), the innovation is e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) if channel j has a
+sample r_j at k, else 0:
 
     z(k) = step z(k - every) + here e(k),   z(k+1) = ... + next e(k)
 
-`every` samples back is where the recursion starts from; before sample 0 xhat is xhat(0) and u is 0. Time index: the estimate
-is of now, after the jump.
+The recursion starts `every` samples back. Before sample 0, xhat is xhat(0) and u is 0.
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from typing import NamedTuple
@@ -30,44 +30,44 @@ class Gains(NamedTuple):
     model: SampledModel
     step: Float[Leaf, "n n"]
     every: Int[Leaf, ""]  # samples
-    ages: Int[Leaf, " q"]  # samples, as believed
-    here: Float[Leaf, "n q"]  # corrects the estimate at the sample that brings the error
-    next: Float[Leaf, "n q"]  # corrects the estimate one sample later
-    first: Int[Leaf, ""]  # the first sample that corrects
-    room: Room  # for as many samples as it must look back
+    ages: Int[Leaf, " q"]  # [samples] assumed
+    here: Float[Leaf, "n q"]  # gain of the estimate at the sample of the innovation
+    next: Float[Leaf, "n q"]  # gain of the estimate one sample later
+    first: Int[Leaf, ""]  # index of the first sample that is used
+    room: Room  # for the past samples that are needed
 
 
 class Memory(NamedTuple):
-    """What stands between ticks."""
+    """Memory between ticks."""
 
     run: ModelRun
-    alone: Float[Array, "ring n"]  # the model alone at past samples
+    alone: Float[Array, "ring n"]  # xbar at past samples
     past: Float[Array, "ring n"]  # z at past samples
     z: Float[Array, " n"]  # at the last sample
-    push: Float[Array, " n"]  # what the next one is corrected by
+    push: Float[Array, " n"]  # correction of the estimate at the next sample
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0)."""
+    """Return the memory at xhat(0)."""
     none = jnp.zeros_like(xhat0)
     return Memory(sample_rate.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Correct by what arrives, each channel against its believed age."""
+    """Correct by the arriving channels, each with its assumed age."""
     ages, C, k = gains.ages, gains.model.C, memory.run.sample
     known = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
         expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + known[j])
-    counts = arrival.mask & (k >= gains.first)
-    e = jnp.where(counts, arrival.value - jnp.stack(expected), 0.0)
+    used = arrival.mask & (k >= gains.first)
+    e = jnp.where(used, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Advance by one tick; where a sample is due, advance the recursion by one sample."""
+    """Advance by one tick; at a sampling tick, advance the recursion by one sample."""
     run, due = sample_rate.flow(gains.model, memory.run, now)
     k = memory.run.sample
     past = write(memory.past, k, memory.z, due)
@@ -82,7 +82,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
-    """Return xhat of now."""
+    """Return the present xhat."""
     return memory.run.xbar + memory.run.carried @ memory.z
 
 
@@ -92,7 +92,7 @@ OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 def gains_of(setting: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, ...], back: int | None = None) -> Gains:
     """Return the gains of xhat(k+1) = step xhat(k) + B u(k) + K e(k).
 
-    With `back` those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
+    With `back`, return those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
     """
     none = np.zeros_like(K)
     return Gains(

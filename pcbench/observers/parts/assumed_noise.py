@@ -1,7 +1,7 @@
-"""What a filter assumes of noise: one variance for all, one for each, or a full covariance.
+"""Assumed noise of a filter: one variance for all signals, one for each, or a full covariance.
 
-Noise that is correlated between outputs is made independent before a filter uses it, channel by channel: with
-R = L diag(r) L', L unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the variances r.
+Correlated measurement noise is decorrelated before a filter uses the outputs one after the other. With R = L diag(r) L', L
+unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the variances r.
 """
 
 from typing import Annotated, Any
@@ -18,11 +18,11 @@ Variance = Annotated[float, Field(gt=0)]
 Size = Annotated[float, Field(ge=0)]
 Variances = Variance | list[Variance] | list[list[float]]  # one for all outputs, one for each, or in full
 Sizes = list[Size] | list[list[float]]  # one for each state, or in full
-ROUNDING = 1e-12  # part of the largest entry by which a matrix may fall short of a covariance
+ROUNDING = 1e-12  # tolerance of symmetry and semidefiniteness, relative to the largest entry
 
 
 class Options(StrictOptions):
-    """What a filter assumes of noise, where that is not what the scenario has."""
+    """Assumed noise, if it differs from the scenario's."""
 
     R: Variances | None = tunable(
         None,
@@ -38,27 +38,27 @@ class Options(StrictOptions):
 
 
 def covariance(given: Variances | Sizes | None, many: int, where: str, each: str) -> Matrix:
-    """Return a number, `many` numbers or rows as a matrix; raise UserError where that is no covariance of so many."""
-    found = np.asarray(given, float) if _regular(given) else np.zeros(0)
-    if found.shape not in ((), (many,), (many, many)):
+    """Return a number, `many` numbers or rows as a matrix [many, many]; raise UserError if it is not a covariance."""
+    entries = np.asarray(given, float) if _regular(given) else np.zeros(0)
+    if entries.shape not in ((), (many,), (many, many)):
         raise UserError(
             f"{where}: got {brief_repr(given)}, expected {many} number{'s' if many > 1 else ''}, one for each "
             f"{each}, or a matrix "
             f"of {many} x {many}."
         )
-    if found.ndim < 2:
-        return np.asarray(found * np.eye(many))
-    size = max(float(np.abs(found).max()), 1e-300)
-    if np.abs(found - found.T).max() > ROUNDING * size or np.linalg.eigvalsh(found)[0] < -ROUNDING * size:
+    if entries.ndim < 2:
+        return np.asarray(entries * np.eye(many))
+    size = max(float(np.abs(entries).max()), 1e-300)
+    if np.abs(entries - entries.T).max() > ROUNDING * size or np.linalg.eigvalsh(entries)[0] < -ROUNDING * size:
         raise UserError(
             f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; "
             "correct its entries."
         )
-    return found
+    return entries
 
 
 def _regular(given: Variances | Sizes | None) -> bool:
-    """Whether rows are of one length."""
+    """Return whether all rows have the same length."""
     rows = [len(row) if isinstance(row, list) else 0 for row in given] if isinstance(given, list) else []
     return len(set(rows)) < 2
 
@@ -66,11 +66,11 @@ def _regular(given: Variances | Sizes | None) -> bool:
 def independent(
     setting: DesignContext, given: Variances | Sizes | None, C: Matrix, where: str
 ) -> tuple[Matrix | None, Matrix, Matrix]:
-    """Return outputs with independent noise, for a filter that assumes `given` of it, None: what the setting says.
+    """Return outputs with independent noise, for the assumed noise `given` (None: the scenario's).
 
-    [q, q] what makes of the outputs those (None: they are), their C [q, n], their variances [q].
+    The results are the matrix [q, q] from outputs to such outputs (None: identity), their C [q, n], and their variances [q].
 
-    Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
+    Raises UserError if `given` does not fit, is singular, or correlates outputs that are not sampled together.
     """
     if given is None and setting.noise_correlation:
         given = setting.noise_covariance.tolist()
@@ -96,7 +96,7 @@ def independent(
 
 
 def process(setting: DesignContext, given: Variances | Sizes | None, where: str) -> Matrix:
-    """Return the covariance [n, n] that a tick's process noise adds, as given, or as the setting says where nothing is."""
+    """Return the covariance [n, n] of the process noise of a tick: `given`, or the scenario's if None."""
     n = len(setting.model.A)
     return setting.process_noise if given is None else covariance(given, n, f"{where}: Q", "state")
 
@@ -111,7 +111,7 @@ def through(given: Variances | Sizes | None, inputs: int, default: float, where:
 
 
 def option(name: str, Q: Matrix) -> dict[str, Any]:
-    """Return a covariance by name as an option holds it, its diagonal where that is all; nothing where it is 0."""
+    """Return a dict of a covariance as an option has it: its diagonal if it is diagonal, {} if it is 0."""
     if not np.any(Q):
         return {}
     return {name: Q if np.any(Q - np.diag(np.diag(Q))) else np.diag(Q)}

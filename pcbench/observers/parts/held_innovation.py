@@ -1,11 +1,12 @@
-"""Observers that act on the innovation of the newest sample until the next one arrives: held, or with the output predicted.
+"""Shared parts of observers that use an innovation until the next one arrives, held or with a predictor.
 
     xhat' = f(xhat, u) + L g,    g = c - al,    al' = W g,    c = y_k - (C xhat(t_k) - al(t_k))
 
-t_k is the time of the newest sample of each output. With W = 0, al stays 0 and g is the innovation, held. With W = C L, g is
-w - C xhat with an output predictor w' = C f(xhat, u), w(t_k) = y_k, because (C xhat - al)' = C f.
-A linear model moves by its exact map under held u and c; a field by one Runge-Kutta step a tick. A sample older than the one in
-use is left out. Time index: the estimate is of now, after the jump.
+t_k is the time of the newest sample of each output. With W = 0, al stays 0 and g is the held innovation. With W = C L, g is w
+- C xhat with an output predictor w' = C f(xhat, u), w(t_k) = y_k, because (C xhat - al)' = C f.
+A tick of a linear model is its exact map for held u and c, and of a nonlinear field one Runge-Kutta step. A sample older than
+the one in use is dropped.
+Time index: xhat is the estimate of the present, after the jump.
 """
 
 from typing import Any, NamedTuple
@@ -47,25 +48,25 @@ class Memory(NamedTuple):
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-    """Start from xhat(0), without an innovation."""
+    """Return the memory at xhat(0), with innovation 0."""
     q = gains.C.shape[0]
     return Memory(xhat0, jnp.zeros(q), jnp.zeros(q), jnp.full(q, -1, int))
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
-    """Store C xhat - al."""
+    """Return C xhat - al."""
     return gains.C @ memory.xhat - memory.al
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Take c of each output that arrived, unless a newer sample of it is in use."""
+    """Compute c of each arriving output, unless a newer sample of it is in use."""
     newer = arrival.mask & (arrival.index > memory.newest)
     c = arrival.value - known_input(gains.D, now, arrival.age) - arrival.snapshot
     return memory._replace(c=jnp.where(newer, c, memory.c), newest=jnp.where(newer, arrival.index, memory.newest))
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move by one tick, u and c held."""
+    """Advance by one tick, with u and c held."""
     n = memory.xhat.shape[0]
     if gains.field is None:
         both = jnp.concatenate([memory.xhat, memory.al])

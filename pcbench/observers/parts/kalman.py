@@ -1,19 +1,21 @@
-"""The Kalman filter's update by one channel, y = c'x + v with v ~ N(0, r); P of x in Joseph's form, which keeps it >= 0.
+"""Kalman update by one channel after the other, for Kalman filters and for filters of nonlinear models, and its certificate.
+
+For y = c'x + v with v ~ N(0, r), the update of P is in Joseph form, which keeps P >= 0:
 
     K = P c (c'P c + r)^-1,   x <- x + K (y - c'x),   P <- (I - K c') P (I - K c')' + K r K'
 
-With independent noise one channel after the other is the joint update, and the sum of nu^2 / s over them nu' S^-1 nu.
+If the noise of the channels is independent, this equals the joint update, and the sum of nu^2 / s over the channels is nu'
+S^-1 nu.
 
-What z ~ N(m, P) is once a sample is known, channel by channel, and how far the sample was from what was expected of it.
+Update of z ~ N(m, P) by a nonlinear sensor:
 
-By a slope: y ~ yhat + H (z - about), in Joseph's form (`parts/kalman`), which keeps P >= 0 where R is far smaller than H P H'.
-By points: the joint covariance J of z and y is what points say, and c is the row that picks y_j:
+- `by_slope`: y ~ yhat + H (z - about), in Joseph form also if R is far smaller than H P H'.
+- `by_points`: J is the joint covariance of z and y from weighted points, and c selects y_j: K = J c (c'J c + r)^-1, m <- m +
+  K (y_j - c'm), and J as P above.
 
-    K = J c (c'J c + r)^-1,   m <- m + K (y_j - c'm),   J likewise
+If y = H z, both are the Kalman update.
 
-Where y = H z, both are Kalman's update.
-
-The certificate of a Kalman filter: its covariance recursion over the horizon, at the (mean) periods.
+The certificate of a Kalman filter is its covariance recursion over the horizon, at the (mean) periods.
 """
 
 from typing import NamedTuple
@@ -32,60 +34,60 @@ from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 class Posterior(NamedTuple):
-    """Mean and covariance at the time of a sample, after it was used."""
+    """Mean and covariance at the time of a sample, after its use."""
 
-    mean: Float[Array, " joint"]  # of the states, of unknowns that are estimated beside them, of a copy of both
+    mean: Float[Array, " joint"]  # states and estimated unknowns, and possibly a copy of both
     P: Float[Array, "joint joint"]
     taken: Int[Array, ""]  # tick
 
 
 def gain(Pc: Float[Array, " n"], variance: Float[Array, ""], mask: Bool[Array, ""]) -> Float[Array, " n"]:
-    """Return K of a channel whose innovation has this variance; 0 where the channel did not arrive."""
+    """Return K of a channel whose innovation has this variance; 0 if the channel did not arrive."""
     return jnp.where(mask, Pc / variance, 0.0)
 
 
 def covariance(
     P: Float[Array, "n n"], K: Float[Array, " n"], c: Float[Array, " n"], r: Float[Array, ""]
 ) -> Float[Array, "n n"]:
-    """Return P after a channel was used with the gain K."""
+    """Return P after the use of a channel with the gain K."""
     keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
     return keep @ P @ keep.T + r * jnp.outer(K, K)
 
 
 def with_copy(P: Float[Array, "m m"], n: int) -> Float[Array, "joint joint"]:
-    """Return the covariance of the first n of some numbers and of a copy of them."""
+    """Return the joint covariance of the first n entries and a copy of them."""
     return jnp.tile(P[:n, :n], (2, 2))
 
 
 def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
-    """Return the rows of outputs, or of what is read of a state, where the state has a copy or more beside it."""
+    """Return C with columns of zeros, for a state of `size` entries, the last of which are copies."""
     return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
 def empty_stats() -> InnovationStats:
-    """Return the square of a sample of which nothing has been looked at."""
+    """Return innovation statistics without a component."""
     zero, none = jnp.zeros(()), jnp.zeros(0)
     return InnovationStats(zero, zero, zero, zero, each=none, sigma=none)
 
 
 def add_innovation(
-    so_far: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
+    stats: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
 ) -> InnovationStats:
-    """Return the square with the next channel, whose innovation nu has the variance s; of one that is fresh."""
+    """Return the statistics with one more component: an innovation nu of variance s, if `mask` is True."""
     sigma = jnp.sqrt(s)
     z = nu / sigma
     return InnovationStats(
-        nis_sum=so_far.nis_sum + jnp.where(mask, nu * nu / s, 0.0),
-        dof=so_far.dof + jnp.where(mask, 1.0, 0.0),
-        log_det=so_far.log_det + jnp.where(mask, jnp.log(s), 0.0),
-        normalized_sum=so_far.normalized_sum + jnp.where(mask, z, 0.0),
-        each=jnp.append(so_far.each, jnp.where(mask, z, jnp.nan)),
-        sigma=jnp.append(so_far.sigma, jnp.where(mask, sigma, jnp.nan)),
+        nis_sum=stats.nis_sum + jnp.where(mask, nu * nu / s, 0.0),
+        dof=stats.dof + jnp.where(mask, 1.0, 0.0),
+        log_det=stats.log_det + jnp.where(mask, jnp.log(s), 0.0),
+        normalized_sum=stats.normalized_sum + jnp.where(mask, z, 0.0),
+        each=jnp.append(stats.each, jnp.where(mask, z, jnp.nan)),
+        sigma=jnp.append(stats.sigma, jnp.where(mask, sigma, jnp.nan)),
     )
 
 
 class Linear(NamedTuple):
-    """What a sensor says near a point."""
+    """A sensor linearised at `about`."""
 
     y: Float[Array, " q"]
     H: Float[Array, "q N"]
@@ -95,7 +97,7 @@ class Linear(NamedTuple):
 def by_slope(
     gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
-    """Return mean and covariance of z once a sample is known, by a sensor's slope."""
+    """Return mean, covariance and innovation statistics of z after a sample, by a linearised sensor."""
     value, total, R = nearest(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
@@ -109,7 +111,7 @@ def by_slope(
 def by_points(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
-    """Return mean [N] and covariance [N, N] of z once a sample is known, by the joint moments of z and y."""
+    """Return mean [N], covariance [N, N] and innovation statistics of z after a sample, by the joint moments of z and y."""
     N, total, R = gains.P0.shape[0], empty_stats(), sample.variances(gains.R)
     value = nearest(gains, sample.value, mean[N:])
     for channel in range(gains.C.shape[0]):
@@ -122,7 +124,7 @@ def by_points(
 
 
 def certificate(gains: PyTree, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
-    """Return it; its margin is the least innovation variance over the horizon, relative to R, where P stays >= 0."""
+    """Return the certificate; its margin is the least innovation variance over the horizon relative to R, NaN unless P >= 0."""
     bits = linear.bits_for(setting.ticks)
     doubled = linear.doublings(model, setting.dt, bits)
     noise = linear.noise_doublings(model, Q, setting.dt, bits)

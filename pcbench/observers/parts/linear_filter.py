@@ -1,11 +1,10 @@
-"""The Kalman filter of a linear model, at the times of samples: what `kf` and the shortcuts for late samples share.
+"""Kalman filter of a linear model at the sampling times, shared by `kf` and its variants for delayed samples.
 
     P-_m = E P_(m-1) E' + Q,   K = P- c (c'P- c + r)^-1,   P_m = (I - K c') P- (I - K c')' + K r K'
 
-Means are less the response to the input, g (`parts/prediction`): they move without input, and a late sample needs g of
-its own time alone, which it brings as its note. R is the variance of one sample, the prior is N(xhat(0), P0). With
-`bias_variance` a constant input bias is estimated beside the state, and where a plant has an unknown input, that as a
-random walk.
+Means exclude g, the response to the input (`parts/prediction`). So they propagate without input, and a delayed sample needs
+only g at its sampling time, which is its snapshot. R is the variance of one sample, and the prior is N(xhat(0), P0).
+`bias_variance` adds a constant input bias to the state. An unknown input of the plant is added as a random walk.
 """
 
 from collections.abc import Callable
@@ -32,25 +31,25 @@ from pcbench.synthesis.certificate import Design, DesignContext, no_certificate,
 
 
 class Gains(NamedTuple):
-    """n states (the plant's, and what is estimated beside them), m inputs, q outputs."""
+    """n states (the plant's and the added ones), m inputs, q outputs."""
 
     motion: Motion
-    noise: Float[Leaf, "2 R n n"]  # process noise covariance over as many ticks as each of motion.powers
+    noise: Float[Leaf, "2 R n n"]  # process noise covariance over the ticks of each of motion.powers
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Float[Leaf, "q q"] | None  # of the outputs, so that their noise is independent; None: it is
+    mix: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
     P0: Float[Leaf, "n n"]
-    room: Room  # for samples that may be overtaken
-    states: Float[Room, " plant"]  # what the estimate has of the filter's
+    room: Room  # for samples that may arrive after newer ones
+    states: Float[Room, " plant"]  # number of the plant's states
     inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
     known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
-    own: PyTree = ()  # what one observer of the family has besides
-    guard: PyTree = ()  # guard.Guard, of a filter that does not take every sample for what it says
+    own: PyTree = ()  # parameters of one observer of the family
+    guard: PyTree = ()  # robust_update.Guard, of a filter that rejects outliers or reduces their weight
 
 
 class Options(assumed_noise.Options):
-    """What the filter assumes, where it is not what the scenario has."""
+    """Assumptions of the filter, if they differ from the scenario's."""
 
     bias_variance: float | None = Field(
         None,
@@ -65,24 +64,24 @@ class Options(assumed_noise.Options):
 
 
 def prior(gains: Gains, xhat0: Float[Array, " plant"]) -> Posterior:
-    """Return the prior N(xhat(0), P0), what is beside the state from 0."""
-    whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
-    return Posterior(whole, gains.P0, jnp.asarray(0))
+    """Return the prior N(xhat(0), P0), with mean 0 for the added states."""
+    mean = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
+    return Posterior(mean, gains.P0, jnp.asarray(0))
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
-    """Start from the prior."""
+    """Return the memory at the prior."""
     first, q = prior(gains, xhat0), gains.C.shape[0]
     return prediction.start(first.mean, robust_update.initial_posterior(first, gains.guard, q), gains.room, q)
 
 
 def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
-    """Return what a sample says of outputs whose noise is independent."""
+    """Return a sample's values of the outputs with independent noise [q]."""
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
 
 def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
-    """Return mean and covariance carried on to a tick; a copy beside the state stays as it is."""
+    """Return mean and covariance propagated to a tick; a copy in the state stays constant."""
     n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
     free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
     P = covariance_after(powers, gains.noise, age, before.P[:n, :n])
@@ -94,7 +93,7 @@ def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
 
 
 def update(gains: Gains, before: Known, sample: Measurement) -> Known:
-    """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
+    """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
     free, P, _ = predict_posterior(gains, before, sample.taken)
     value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
@@ -111,13 +110,13 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
 
 
 def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
-    """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged."""
+    """Return the innovation statistics of a sample, relative to the newest state `before`; empty for an older sample."""
     there = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
     return against(gains, there, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
 
 
 def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
-    """Return how far a sample is from what the state at its own time expects of it, channel by channel."""
+    """Return the innovation statistics of a sample, relative to the state at its sampling time, channel by channel."""
     free, P, mask = there.mean, there.P, sample.mask
     value, total, R = value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
@@ -129,23 +128,23 @@ def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
     return total
 
 
-def read(gains: Gains, whole: Float[Array, " n"]) -> Float[Array, " plant+r"]:
-    """Return what is estimated of the filter's states: the plant's, and the unknown inputs."""
+def read(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
+    """Return the estimated signals of the filter's states: the plant's states, and the unknown inputs."""
     n, r = gains.states.shape[0], gains.inputs.shape[0]
-    xhat = whole[:n]
+    xhat = z[:n]
     if not r:
         return xhat
-    f = whole[-r:]
+    f = z[-r:]
     return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
 def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
-    """Return xhat of now, and the unknown inputs."""
+    """Return the present xhat, and the unknown inputs."""
     return read(gains, memory.xhat)
 
 
 def point(after: Known) -> Point:
-    """Return the estimate alone."""
+    """Return the mean of a posterior as a `Point`."""
     return Point(after.mean, after.taken)
 
 
@@ -154,8 +153,8 @@ jump = prediction.jumping(update, point)
 
 
 def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
-    """Return the covariance of the error of what `read` gives, where that of the filter's states is P."""
-    T = jax.jacfwd(lambda whole: read(gains, whole))(memory.xhat)
+    """Return the covariance of the signals that `read` returns, from the covariance P of the filter's states."""
+    T = jax.jacfwd(lambda z: read(gains, z))(memory.xhat)
     return T @ P @ T.T
 
 
@@ -165,7 +164,7 @@ def newest(gains: Gains, memory: Memory) -> Known:
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
+    """Return the present covariance: that at the newest sample used, propagated."""
     before = memory.buffer.before
     none = Measurement(before.taken, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
     memory, _ = prediction.restart(gains.motion, memory, now, none, before.taken)
@@ -173,14 +172,14 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 
 def covariance_of_posterior(gains: Gains, memory: PyTree, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance at the newest sample used, carried on to now; of a memory that has this posterior."""
+    """Return the present covariance, propagated from `memory.posterior`."""
     return spread(gains, memory, predict_posterior(gains, memory.posterior, memory.tick).P)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since.
+    """Return the innovation statistics of a sample, predicted from all samples that arrived before, newer ones included.
 
-    A sample that is older than all samples kept is not judged.
+    A sample older than all stored samples has empty statistics.
     """
     sample, before = reorder_buffer.sample_of(now, arrival, gains.D), memory.buffer.before
     memory, sample = prediction.restart(gains.motion, memory, now, sample, before.taken)
@@ -215,9 +214,10 @@ def design(
     guarded: PyTree = (),
     restarts: bool = True,
 ) -> Design:
-    """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods.
+    """Return the assumptions, certified by the covariance recursion over the horizon at the (mean) periods.
 
-    `unproven` says why that recursion proves nothing of this observer; `restarts` is that of `prediction.motion_of`.
+    `unproven` is the reason why that recursion is not a certificate of this observer. `restarts` is that of
+    `prediction.motion_of`.
     """
     where = f"{name} in {setting.scenario}"
     require_detectable(setting.model, where)
@@ -246,9 +246,7 @@ def design(
         P0=P0,
         room=setting.room if room is None else room,
         states=np.zeros(n),
-        inputs=np.zeros(
-            len(inputs) if len(inputs) == len(setting.unknown_std) else 0
-        ),  # all that is unknown, or nothing
+        inputs=np.zeros(len(inputs) if len(inputs) == len(setting.unknown_std) else 0),  # all unknown inputs, or none
         known=setting.model.known if len(inputs) else None,
         own=own(model) if callable(own) else own,
         guard=guarded,

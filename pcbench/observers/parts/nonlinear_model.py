@@ -1,14 +1,16 @@
-"""Assumptions of filters of a nonlinear model, and how it moves and measures: shared by `ekf`, `ekf-iterated`, `ukf`.
+"""Assumptions, motion and output of filters of a nonlinear model, such as `ekf`, `ukf`, `mhe` and `particle`.
 
-State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. p is
-clipped to the plant's range. Between samples mean and covariance go by slopes, tick by tick:
+The state is z = (x, p): the plant's state x, and unknown parameters and inputs p, modelled as random walks and clipped to the
+plant's range. Filters with Jacobians propagate mean and covariance between samples tick by tick:
 
-    P <- F P F' + Q,  F the slope of a tick at z,    z <- one tick under its input
+    P <- F P F' + Q,  F the Jacobian of a tick at z,    z <- one tick under its input
 
-A linear model moves by its exact map; a field by one Runge-Kutta step, whose slope is taken as I + h J; a plant that is given
-by its step moves by that, and its slope is the Jacobian (jax). The unknowns p stand still.
-R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
-and walk unknown_std^2 h for p.
+- A tick of a linear model is its exact map.
+- A tick of a field is one Runge-Kutta step, with F approximated by I + h J.
+- A plant that is defined by its step uses that step, and its Jacobian (jax).
+
+p is constant over a tick. R is the variance of one sample, and P0 = diag(prior_std^2, unknown_std^2). Q is the scenario's
+assumed process noise of x, and walk unknown_std^2 h of p.
 """
 
 from collections.abc import Callable
@@ -40,20 +42,20 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Float[Leaf, "q q"] | None  # of the outputs, so that their noise is independent; None: it is
-    Q: Float[Leaf, "N N"]  # a tick
+    mix: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
+    Q: Float[Leaf, "N N"]  # process noise of a tick
     P0: Float[Leaf, "N N"]
     start: Float[Leaf, " s"]  # p at t = 0
     low: Float[Leaf, " s"]
     high: Float[Leaf, " s"]
-    room: Room  # for samples that may be overtaken
-    guard: PyTree = ()  # guard.Guard, of a filter that does not take every sample for what it says
-    own: PyTree = ()  # what one observer has besides
-    residual: Any = None  # (y[q], yhat[q]) -> y less yhat, of outputs such as angles that wrap; None: their difference
+    room: Room  # for samples that may arrive after newer ones
+    guard: PyTree = ()  # robust_update.Guard, of a filter that rejects outliers or reduces their weight
+    own: PyTree = ()  # parameters of one observer of the family
+    residual: Any = None  # (y[q], yhat[q]) -> residual of outputs that wrap, such as angles; None: y - yhat
 
 
 class Options(assumed_noise.Options):
-    """What a filter assumes."""
+    """Assumptions of a filter."""
 
     walk: float = tunable(
         1.0,
@@ -63,58 +65,58 @@ class Options(assumed_noise.Options):
 
 
 def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
-    """Move a linear model by one tick."""
+    """Return z one tick later, by a linear model."""
     return Phi @ z + Gamma @ now.u
 
 
 def constant(Phi: Array, now: Now, z: Array) -> Array:
-    """Return the slope of a linear model."""
+    """Return the Jacobian of a tick of a linear model."""
     return Phi
 
 
 def rate(model: Model, room: Room, now: Now, z: Array) -> Array:
-    """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
+    """Return dz/dt: the model's field for x, and 0 for the unknowns p, of which `room` has the number."""
     n = z.shape[0] - room.shape[0]
     return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
 
 
 def step(model: Model, room: Room, now: Now, z: Array) -> Array:
-    """Move a model by one Runge-Kutta step."""
+    """Return z one tick later, by one Runge-Kutta step of a model."""
     return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
 
 
 def slope(model: Model, room: Room, now: Now, z: Array) -> Array:
-    """Return I + h J."""
+    """Return the approximate Jacobian of a tick, I + h J."""
     return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
 def step_augmented(successor: Model, room: Room, now: Now, z: Array) -> Array:
-    """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
+    """Return z one tick later, for a plant that is defined by its step; p stays constant."""
     n = z.shape[0] - room.shape[0]
     return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
 
 
 def moved_slope(successor: Model, room: Room, now: Now, z: Array) -> Array:
-    """Return the Jacobian of that."""
+    """Return the Jacobian of `step_augmented`."""
     return jax.jacfwd(lambda z: step_augmented(successor, room, now, z))(z)
 
 
 def disturbed_derivative(
     A: Array, B: Array, E: Array, known: Callable[[Array], Array], now: Now, x: Array, p: Array
 ) -> Array:
-    """Return dx/dt of a linear model pushed by f = known(x) + p."""
+    """Return dx/dt of a linear model with the unknown input f = known(x) + p."""
     return A @ x + B @ now.u + E @ (known(x) + p)
 
 
 def motion_of(setting: DesignContext) -> tuple[Partial, Partial]:
-    """Return how a tick moves z, and its slope: exactly where the model is linear."""
+    """Return two functions of (now, z): z one tick later, and the Jacobian of the tick."""
     model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.successor is not None:
         after = setting.successor
         return Partial(step_augmented, after, room), Partial(moved_slope, after, room)
     if setting.field is None and (model.E is None or model.known is None):
-        whole = linear.with_unknown_input(model) if model.E is not None else model
-        Phi, Gamma = linear.one_tick(whole, setting.dt)
+        augmented = linear.with_unknown_input(model) if model.E is not None else model
+        Phi, Gamma = linear.one_tick(augmented, setting.dt)
         return Partial(affine, Phi, Gamma), Partial(constant, Phi)
     field = setting.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.known)
     return Partial(step, field, room), Partial(slope, field, room)
@@ -126,27 +128,27 @@ def initial_augmented(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, "
 
 
 def clip_parameters(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " joint"]:
-    """Return z with p clipped to its range; z may have a copy beside it."""
+    """Return z with p clipped to its range; z may contain a copy after its N entries."""
     s, N = gains.start.shape[0], gains.P0.shape[0]
-    beside = [z[N:]] if z.shape[0] > N else []
-    return jnp.concatenate([z[: N - s], jnp.clip(z[N - s : N], gains.low, gains.high), *beside]) if s else z
+    copy = [z[N:]] if z.shape[0] > N else []
+    return jnp.concatenate([z[: N - s], jnp.clip(z[N - s : N], gains.low, gains.high), *copy]) if s else z
 
 
 def at(now: Now, tick: Int[Array, ""]) -> Now:
-    """Return the present as it was at an earlier tick, with the input held from there."""
+    """Return `now` as it was at an earlier tick, with the input held from there on."""
     since = now.tick - tick
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
 
 
 def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tuple[Array, Array]:
-    """Return mean and covariance carried on to a tick, one by one; a copy beside the state stays as it is."""
-    N, beside = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
+    """Return mean and covariance propagated to a tick; a copy in the state stays constant."""
+    N, copies = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        (z, P), there = carry, at(now, k)
-        F, moved, Q = gains.slope(there, z[:N]), clip_parameters(gains, gains.motion(there, z[:N])), gains.Q
-        if beside:
-            F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(beside)), jnp.pad(Q, (0, beside))
+        (z, P), past = carry, at(now, k)
+        F, moved, Q = gains.slope(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
+        if copies:
+            F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(copies)), jnp.pad(Q, (0, copies))
             moved = jnp.concatenate([moved, z[N:]])
         return moved, F @ P @ F.T + Q
 
@@ -154,7 +156,7 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
 
 
 def linearize_sensor(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
-    """Return what a sensor that is not linear gives at z, [q], and its Jacobian, [q, N]."""
+    """Return output [q] and Jacobian [q, N] of a nonlinear sensor at z."""
     n = gains.C.shape[1]
 
     def output(z: Array) -> Array:
@@ -165,7 +167,7 @@ def linearize_sensor(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[A
 
 
 def linearize_output(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
-    """Return what is expected of a sample at z, [q], and its slope, [q, N]."""
+    """Return the predicted output [q] at z, and its Jacobian [q, N]."""
     if gains.sensor is not None:
         return linearize_sensor(gains, there, z)
     C = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
@@ -173,12 +175,12 @@ def linearize_output(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[A
 
 
 def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
-    """Return what a sample says of outputs whose noise is independent."""
+    """Return a sample's values of the outputs with independent noise [q]."""
     return value if gains.mix is None else gains.mix @ value
 
 
 def nearest(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
-    """Return `value_of` a sample with y + residual(value, y) in its place, y what is expected: of an angle the nearest turn."""
+    """Return `value_of` a sample, or y + residual(value, y) for outputs such as angles, with the prediction y."""
     if gains.residual is None:
         return value_of(gains, value)
     expected = y if gains.mix is None else jax.scipy.linalg.solve_triangular(gains.mix, y, lower=True)
@@ -186,7 +188,7 @@ def nearest(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> F
 
 
 def at_points(gains: Gains, there: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
-    """Return what is expected of a sample at several z by a sensor; outputs that wrap on the turn of the first."""
+    """Return a sensor's output at several z; outputs that wrap are within half a turn of the first one's."""
     n = gains.C.shape[1]
     y = jax.vmap(lambda z: gains.sensor(there, z[:n], z[n:]))(points)
     return jax.vmap(lambda each: nearest(gains, each, value_of(gains, y[0])))(y)
@@ -199,7 +201,7 @@ def design(
     own: Callable[[Gains], PyTree] = lambda gains: (),
     guard: PyTree = (),
 ) -> Design:
-    """Gather what a filter assumes, and by `own` what it has besides; there is no certificate for a nonlinear model."""
+    """Return a filter's assumptions, and by `own` the parameters of one observer; there is no certificate."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
     motion, tangent = motion_of(setting)
     size = np.square(setting.unknown_std)
@@ -216,7 +218,8 @@ def design(
         slope=tangent,
         sensor=setting.sensor,
         C=C,
-        D=setting.model.feedthrough * (setting.sensor is None),  # a sensor's output has the input's part in it
+        D=setting.model.feedthrough
+        * (setting.sensor is None),  # the output of a sensor function includes the input's part
         R=R,
         mix=mix,
         Q=Q,

@@ -1,9 +1,8 @@
-"""What an option of an observer says of itself besides its type and bounds.
+"""Fields of observers' options, and random numbers for observers that draw them.
 
-Numbers that an observer draws itself: Threefry-2x32 in counter form, from two words that are a run's own.
-
-A draw has the address (words, kind, tick, number), and nothing else: what is filtered again draws the same, and a run has the
-same draws alone or among thousands. Normal numbers come by the inverse error function, from 52 of 64 bits, as a run's own do.
+The random numbers are Threefry-2x32 in counter form, from two words per run. The address of a number is (words, kind, tick,
+index) and nothing else. So a sample that is filtered again has the same numbers, and a run has the same numbers alone and in
+a batch. Normal numbers use the inverse error function on 52 of 64 bits, as the simulation does.
 Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
@@ -45,24 +44,24 @@ def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any
 
 
 def way(default: Any, **how: Any) -> Any:
-    """Return a field of an option that says in which way gains are found: what `pcbench design --gain` sets."""
+    """Return a field for the design method of the gains, which `pcbench design --gain` sets."""
     return Field(default, json_schema_extra={WAY: True}, **how)
 
 
 def extra(field: FieldInfo) -> dict[str, Any]:
-    """Return what an option says of itself besides its type."""
+    """Return the metadata of an option."""
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
 def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str, what: str) -> Matrix:
-    """Return a gain that was given as a matrix; raise UserError where it is of another shape than `shape`, of `what`."""
+    """Return a gain as a matrix; raise UserError unless it has the shape `shape`, described by `what`."""
     try:
-        found = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
+        entries = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
     except ValueError:
-        found = np.zeros(0)
-    if found.shape != shape:
+        entries = np.zeros(0)
+    if entries.shape != shape:
         raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: {what}.")
-    return found
+    return entries
 
 
 TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -70,7 +69,7 @@ PARITY = 0x1BD11BDA
 
 
 def threefry(key: tuple[Array, Array], counter: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return two words for each of two words, under a key of two, all uint32."""
+    """Return two uint32 words for each counter of two words, under a key of two words."""
     keys = (*key, key[0] ^ key[1] ^ jnp.uint32(PARITY))
     a, b = counter[0] + keys[0], counter[1] + keys[1]
     for block in range(5):
@@ -82,17 +81,17 @@ def threefry(key: tuple[Array, Array], counter: tuple[Array, Array]) -> tuple[Ar
 
 
 def uniforms(words: UInt32[Array, "2"], kind: Array | int, tick: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
-    """Draw numbers in [0, 1) of a kind for a tick."""
+    """Return uniform numbers in [0, 1) of a kind for a tick."""
     key, zero = (words[0], words[1]), jnp.uint32(0)
     for number in (kind, tick):
         key = threefry(key, (zero, jnp.asarray(number).astype(jnp.uint32)))
     many = math.prod(shape)
     high, low = threefry(key, (jnp.zeros(many, jnp.uint32), jnp.arange(many, dtype=jnp.uint32)))
-    whole = (high.astype(jnp.uint64) << jnp.uint64(32)) | low.astype(jnp.uint64)
-    return ((whole >> jnp.uint64(12)).astype(float) * 2.0**-52).reshape(shape)
+    bits = (high.astype(jnp.uint64) << jnp.uint64(32)) | low.astype(jnp.uint64)
+    return ((bits >> jnp.uint64(12)).astype(float) * 2.0**-52).reshape(shape)
 
 
 def normals(words: UInt32[Array, "2"], kind: Array | int, tick: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
-    """Draw numbers N(0, 1) of a kind for a tick."""
+    """Return standard normal numbers of a kind for a tick."""
     least = float(np.nextafter(-1.0, 0.0))
     return math.sqrt(2.0) * erfinv(uniforms(words, kind, tick, shape) * (1.0 - least) + least)

@@ -1,12 +1,12 @@
-"""From an estimate at a sample's time to an estimate of now, whatever the age of the sample.
+"""Prediction of the present from an estimate at a sampling time, for any age of the sample.
 
-Between samples a linear model moves as xhat(t) = g(t) + e^{A (t - t_m)} free_m, where g is the response to the input from
-zero state at t = 0 (one integral, never reset) and free_m = xhat_m - g(t_m). So the integral of the input over any past
-interval is I(a, b) = g(b) - e^{A (b - a)} g(a), exact for the held input, and no e^{-As} is ever formed. The observer notes
-g(t_m) when sample m is taken; nothing else of the past is kept.
-g follows the plant's own modes. In a loop around an unstable plant the state stays small and g grows, until the difference has
-no digits left. There g starts from zero at the oldest sample that may be used again (`restarts`): at each arrival it is
-computed from the inputs that the loop stores.
+Between samples the estimate of a linear model is xhat(t) = g(t) + e^{A (t - t_m)} free_m. g is the response to the input from
+zero state at t = 0 (one integral, never reset), and free_m = xhat_m - g(t_m). The integral of the input over a past interval
+is I(a, b) = g(b) - e^{A (b - a)} g(a), exact for a held input, without any e^{-As}. The snapshot of sample m is g(t_m);
+nothing else of the past is stored.
+g contains the modes of the plant. In a loop around an unstable plant, the state stays small while g grows until the
+difference has no correct digits. For such a loop, g starts from zero at the oldest sample that may be used again
+(`restarts`), and each arrival computes it from the stored inputs.
 """
 
 from collections.abc import Callable
@@ -26,70 +26,70 @@ from pcbench.protocols import Arrival, Gains, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
 Update = Callable[[Gains, PyTree, Measurement], PyTree]
-LARGEST_GROWTH = 10.0  # of an unstable model over the horizon, up to which g starts at t = 0 in a loop
+LARGEST_GROWTH = 10.0  # growth of an unstable model over the horizon from which on g restarts in a loop
 
 
 class Motion(NamedTuple):
-    """A model's motion over a tick under a held input, and over any number of ticks without one."""
+    """Propagation of a model over a tick under a held input, and over several ticks without input."""
 
     Phi: Float[Leaf, "n n"]
     Gamma: Float[Leaf, "n m"]
     powers: Float[Leaf, "2 R n n"]  # e^{A h i R^level}
-    restarts: tuple[()] | None = None  # (): in a loop around an unstable plant, where g does not start at t = 0
+    restarts: tuple[()] | None = None  # (): g restarts, in a loop around an unstable plant; None: g starts at t = 0
 
 
 class Point(NamedTuple):
     """An estimate at the time of a sample."""
 
-    free: Float[Array, " n"]  # xhat - g there
+    free: Float[Array, " n"]  # xhat - g at tick `taken`
     taken: Int[Array, ""]  # tick
 
 
 class Memory(NamedTuple):
-    """The estimate of now and what it came from: every observer of this family keeps these."""
+    """The present estimate, and the buffer that it is predicted from; shared by the observers of this family."""
 
-    g: Float[Array, " n"]  # input response from zero state; 0 if it restarts
-    xhat: Float[Array, " n"]  # estimate of now
+    g: Float[Array, " n"]  # response to the input from zero state; 0 between arrivals if it restarts
+    xhat: Float[Array, " n"]  # present estimate
     buffer: Buffer  # the recursion's state at the newest samples used
-    tick: Int[Array, ""]  # now
+    tick: Int[Array, ""]  # present tick
 
 
 def start(xhat0: Float[Array, " n"], state: PyTree, room: Room, outputs: int) -> Memory:
-    """Start from xhat(0), as if a sample had been used at tick 0."""
+    """Return the memory at xhat(0), as if a sample had been used at tick 0."""
     buffer = reorder_buffer.start(state, room, outputs, xhat0.shape[0])
     return Memory(jnp.zeros_like(xhat0), xhat0, buffer, jnp.asarray(0))
 
 
 def origin(xhat0: Float[Array, " n"]) -> Point:
-    """Return xhat(0) as an estimate at the time of a sample."""
+    """Return xhat(0) as an estimate at tick 0."""
     return Point(xhat0, jnp.asarray(0))
 
 
 def snapshot(gains: Gains, memory: PyTree, now: Now) -> Float[Array, " n"]:
-    """Note the input response at the sample's time; of any memory that has g."""
+    """Return g at the sampling time."""
     return memory.g
 
 
 def flow(gains: Gains, memory: PyTree, now: Now) -> PyTree:
-    """Advance by one tick under the held input, pccebo's (12); of any memory that has g, xhat and tick."""
+    """Advance a memory with g, xhat and tick by one tick under the held input, as pccebo's (12)."""
     motion: Motion = gains.motion
     g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + motion.Gamma @ now.u
     return flow_of_estimate(gains, memory._replace(g=g), now)
 
 
 def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
-    """Advance the estimate alone by one tick; of any memory that has xhat and tick."""
+    """Advance xhat and tick of a memory by one tick."""
     motion: Motion = gains.motion
     return memory._replace(xhat=motion.Phi @ memory.xhat + motion.Gamma @ now.u, tick=memory.tick + 1)
 
 
 def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
-    """Return `free` carried on to a tick: the estimate there is g + this."""
+    """Return `free` propagated to a tick; the estimate there is g plus this."""
     return after(motion.powers, tick - point.taken, point.free)
 
 
 def responses(motion: Motion, now: Now, since: Int[Array, ""], ticks: Int[Array, " k"]) -> Float[Array, "k n"]:
-    """Return the response to the input from zero state at tick `since`, at each of `ticks`; 0 at a tick before `since`."""
+    """Return the response to the input from zero state at tick `since`, at each of `ticks`; 0 at ticks before `since`."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         g = motion.Phi @ carry[0] + motion.Gamma @ now.past_u(now.tick - k)
@@ -113,7 +113,7 @@ def restart(
 
 
 def moved(state: PyTree, by: Float[Array, " n"]) -> PyTree:
-    """Return a recursion's state with its estimates of one tick moved by `by`."""
+    """Return a state with `by` added to its estimates of one tick."""
     if hasattr(state, "point"):
         return state._replace(point=moved(state.point, by))
     estimates = {name: getattr(state, name) for name in ("free", "mean", "z") if hasattr(state, name)}
@@ -122,21 +122,21 @@ def moved(state: PyTree, by: Float[Array, " n"]) -> PyTree:
 
 
 def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Measurement], Memory]:
-    """Return what uses a sample, of an observer whose state at a sample's time follows `update` (gains, state, sample).
+    """Return a function that uses a sample, for an observer with the recursion `update` (gains, state, sample).
 
-    It brings the state up to the sample, in the order in which samples were taken, and carries the estimate there to now.
+    It propagates the state to the sample, in the order of sampling, and the newest estimate to the present.
     """
 
     def use(gains: Gains, memory: Memory, now: Now, arrived: Measurement) -> Memory:
         since = point_of(memory.buffer.before).taken
         memory, arrived = restart(gains.motion, memory, now, arrived, since)
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, arrived)
-        there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
-        after = memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
+        free = at(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
+        after = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
         return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, arrived)
 
     def stop(memory: Memory, kept: Measurement, arrived: Measurement) -> Memory:
-        """Keep the state before the samples without g, which starts again there."""
+        """Return the memory with g removed from the state before the samples; g starts again there."""
         before = memory.buffer.before
         ticks = jnp.append(kept.taken, arrived.taken)
         same = ticks == point_of(before).taken
@@ -148,7 +148,7 @@ def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gain
 
 
 def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Arrival], Memory]:
-    """Return the jump of such an observer, which uses what arrives as a sample of its own time."""
+    """Return the jump of such an observer, which uses a sample at its sampling time."""
     use = using(update, point_of)
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -158,9 +158,9 @@ def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Ga
 
 
 def motion_of(model: linear.Model, setting: DesignContext, restarts: bool = True) -> Motion:
-    """Return a model's motion in NumPy, for every age up to the horizon; `restarts`: whether g may start again."""
+    """Return a model's motion in NumPy, for every age up to the horizon; `restarts`: whether g may restart in a loop."""
     Phi, Gamma = linear.one_tick(model, setting.dt)
     with np.errstate(over="ignore"):
         grows = np.max(np.abs(np.linalg.eigvals(Phi))) ** setting.ticks > LARGEST_GROWTH
-    again = () if restarts and setting.in_loop and grows else None
-    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks), again)
+    restart_g = () if restarts and setting.in_loop and grows else None
+    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks), restart_g)

@@ -1,10 +1,11 @@
-"""Filters whose whole state goes tick by tick, from a sample's own time to now: what `ukf`, `ekf-iterated` and others share.
+"""Filters that propagate their whole state tick by tick, shared by `ukf`, `ekf-iterated` and others.
 
     at the arrival of a sample taken at t_m:   state <- tick(state) until t_m,   state <- update(state, sample)
 
-from the state after the sample before it, under the inputs of those ticks; a copy goes on to now in the same way, and is what
-is estimated of now. So a sample of any age is used at its own time. One that comes after a newer one is put in its place, and
-the newer ones are used again (`parts/reorder_buffer`). A state is a NamedTuple with `taken`, the tick that it is of.
+The propagation starts from the state after the preceding sample, and uses the inputs of those ticks. A copy is propagated to
+the present in the same way; it is the present estimate. So a sample of any age is used at its sampling time. An
+out-of-sequence sample is inserted, and newer ones are used again (`parts/reorder_buffer`). A state is a NamedTuple with its
+tick `taken`.
 """
 
 from collections.abc import Callable
@@ -25,85 +26,87 @@ State = Any
 
 
 class Memory(NamedTuple):
-    """The samples that may be overtaken with the state before them, and the state of now with what it says."""
+    """The buffered samples with the state before them, the present state, and its mean."""
 
     buffer: Buffer
     now: State
-    z: Float[Array, " N"]  # the states and unknowns of now
+    z: Float[Array, " N"]  # present states and unknowns
 
 
 def prior(gains: Gains, xhat0: Float[Array, " n"]) -> Posterior:
-    """Return the prior: xhat(0), p at its start, P0."""
+    """Return the prior: xhat(0), the initial p, and P0."""
     return Posterior(initial_augmented(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
 class Way(NamedTuple):
-    """How a filter's state begins, moves and is corrected, and what it says."""
+    """The functions of a filter."""
 
-    tick: Callable[[Gains, Now, State], State]  # one tick on, under now.u
-    update: Callable[[Gains, Now, State, Measurement], State]  # by a sample of its own tick
-    expected: Callable[[Gains, Now, State, Measurement], InnovationStats]  # of such a sample, before it is used
+    tick: Callable[[Gains, Now, State], State]  # -> the state one tick later, under now.u
+    update: Callable[[Gains, Now, State, Measurement], State]  # -> the state after a sample of its tick
+    expected: Callable[[Gains, Now, State, Measurement], InnovationStats]  # -> innovation statistics of such a sample
     first: Callable[[Gains, Array], State] = prior  # (gains, xhat0[n]) -> the state at tick 0
     mean: Callable[[Gains, State], Array] = lambda gains, state: state.mean  # -> z[N]
     spread: Callable[[Gains, State], Array] = lambda gains, state: state.P  # -> P[N, N]
 
 
 def observer(way: Way) -> Observer:
-    """Return the observer that keeps to a way."""
+    """Return the observer with these functions."""
 
-    def carried(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
+    def propagate(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
         moved = lax.fori_loop(state.taken, until, lambda k, s: way.tick(gains, at(now, k), s), state)
         return moved._replace(taken=until)
 
     def use(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
-            ready = carried(gains, now, before, sample.taken)
-            return way.update(gains, at(now, sample.taken), ready, sample)
+            predicted = propagate(gains, now, before, sample.taken)
+            return way.update(gains, at(now, sample.taken), predicted, sample)
 
         return update
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-        """Start from the prior: xhat(0), p at its start, P0."""
+        """Return the memory at the prior."""
         first = way.first(gains, xhat0)
         return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 0), first, way.mean(gains, first))
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        """Put what arrived in its place, and go on to now."""
+        """Insert the arriving sample in order of sampling, and propagate the newest state to the present."""
 
         def moved(memory: Memory, arrival: Arrival) -> Memory:
             sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
             buffer, newest = reorder_buffer.replay(use(gains, now), memory.buffer, sample)
-            here = carried(gains, now, newest, now.tick)
-            return Memory(buffer, here, way.mean(gains, here))
+            present = propagate(gains, now, newest, now.tick)
+            return Memory(buffer, present, way.mean(gains, present))
 
         return vmap_as_unit(moved)(memory, arrival)
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-        """Move by one tick."""
+        """Propagate the present state by one tick."""
 
         def moved(state: State) -> tuple[State, Array]:
-            here = way.tick(gains, now, state)
-            return here, way.mean(gains, here)
+            later = way.tick(gains, now, state)
+            return later, way.mean(gains, later)
 
-        here, z = vmap_as_unit(moved)(memory.now)
-        return memory._replace(now=here._replace(taken=now.tick + 1), z=z)
+        later, z = vmap_as_unit(moved)(memory.now)
+        return memory._replace(now=later._replace(taken=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
-        """Return xhat of now, and the unknowns."""
+        """Return the present xhat, and the unknowns."""
         return memory.z
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
-        """Return what the filter believes of its error now."""
+        """Return the present covariance."""
         return vmap_as_unit(lambda state: way.spread(gains, state))(memory.now)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-        """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
+        """Return the innovation statistics of a sample; empty if it is older than the newest sample."""
 
         def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
             before = reorder_buffer.newest(use(gains, now), memory.buffer)
             sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
-            looked = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
-            return way.expected(gains, at(now, sample.taken), carried(gains, now, before, sample.taken), looked)
+            judged_sample = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
+            return way.expected(
+                gains, at(now, sample.taken), propagate(gains, now, before, sample.taken), judged_sample
+            )
 
         return vmap_as_unit(judged)(memory, arrival)
 

@@ -1,13 +1,13 @@
-"""Out-of-sequence updates by retrodiction: the estimate goes back to the late sample's time, the filter does not.
+"""Out-of-sequence updates by retrodiction: the estimate is predicted back to the sampling time of an older sample.
 
-The filter stands at t_k, the time of the newest sample used. For one taken before, at tau, with F = e^{-A (t_k - tau)}, Q
-the process noise between, P- the covariance before the update at t_k, u = H'S^-1 nu and U = H'S^-1 H of that update:
+The filter is at t_k, the time of the newest sample used. An older sample was taken at tau. F = e^{-A (t_k - tau)}, Q is the
+process noise from tau to t_k, P- is the covariance before the update at t_k, and that update has u = H'S^-1 nu, U = H'S^-1 H:
 
     v = Q u (or 0),   P_vv = Q - Q U Q (or Q),   P_xv = Q - P- U Q
     x(tau) = F (x - v),   P(tau) = F (P + P_vv - P_xv - P_xv') F',   P(t_k, tau) = (P - P_xv) F'
 
-and the sample updates x through x(tau). It is the update of one copy (`kalman`), made when it is needed. No state is ever
-filtered twice. Means are less the response to the input (`prediction`).
+The sample updates x through x(tau). This is the update of a state with one copy (`kalman`), where the copy is made at the
+arrival. No sample is filtered twice. Means exclude the response to the input (`prediction`).
 """
 
 from collections.abc import Callable
@@ -29,11 +29,11 @@ from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 
-SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
+SINGULAR = 1e12  # condition number of a discrete model's A from which on it counts as singular
 
 
 class RetrodictionParams(NamedTuple):
-    """What it has besides a filter."""
+    """Parameters in addition to those of the Kalman filter."""
 
     back: Float[Leaf, "2 R n n"]  # e^{-A h i R^level}
     past: Room  # for posteriors of past samples
@@ -56,7 +56,7 @@ class Past(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The estimate of now, the filter at its newest sample, how it got there, and where it stood before."""
+    """The present estimate, the filter at its newest sample, its last update, and past posteriors."""
 
     g: Float[Array, " n"]
     xhat: Float[Array, " n"]
@@ -66,11 +66,13 @@ class Memory(NamedTuple):
     tick: Int[Array, ""]
 
 
-Retrodict = Callable[[Gains, Memory, Array], Last]  # (gains, memory, tau) -> what stands for all updates after tau
+Retrodict = Callable[
+    [Gains, Memory, Array], Last
+]  # (gains, memory, tau) -> an update equivalent to all updates after tau
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
-    """Start from the prior; the past is the prior too."""
+    """Return the memory at the prior, with the prior as past posteriors."""
     first, N = linear_filter.prior(gains, xhat0), gains.own.past.shape[0]
     n = first.mean.shape[0]
     none = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
@@ -79,11 +81,11 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 
 def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
-    """Update at a sample that is as new as the newest, or newer; channels of one tick count as one update."""
-    before, again = memory.posterior, sample.taken == memory.posterior.taken
+    """Update by a sample that is at least as new as the newest; channels of one tick count as one update."""
+    before, same_tick = memory.posterior, sample.taken == memory.posterior.taken
     there = linear_filter.predict_posterior(gains, before, sample.taken)
-    P = jnp.where(again, memory.last.P, there.P)
-    u, U = jnp.where(again, memory.last.u, 0.0), jnp.where(again, memory.last.U, 0.0)
+    P = jnp.where(same_tick, memory.last.P, there.P)
+    u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
     value, known, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
@@ -95,7 +97,7 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     new = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
     def shifted(past: Array, one: Array) -> Array:
-        return jnp.where(again, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
+        return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
 
     past = Past(*(shifted(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
@@ -104,9 +106,9 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
 def backward(
     gains: Gains, memory: Memory, sample: Measurement, last: Last, zero: bool
 ) -> tuple[Memory, InnovationStats]:
-    """Update the newest state by an older sample, and say how far it was from what is expected of it.
+    """Return the memory after an update by an older sample, and the innovation statistics of that sample.
 
-    With `zero` the noise between is taken for 0.
+    With `zero`, the estimated process noise in between is 0.
     """
     (x, P, k), (prior, u, U) = memory.posterior, last
     n, age = x.shape[0], k - sample.taken
@@ -131,22 +133,22 @@ def backward(
 
 
 def observer(retrodict: Retrodict, zero: bool) -> Observer:
-    """Return the observer that goes back by `retrodict`; with `zero` the noise between is taken for 0."""
+    """Return the observer with this retrodiction; with `zero`, the estimated process noise in between is 0."""
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
-        late = sample.taken < memory.posterior.taken
+        is_older = sample.taken < memory.posterior.taken
         old = select_memory(
-            late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
+            is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
         )
         reached = sample.taken >= memory.past.taken[0]
         new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
-        memory = select_memory(late, select_memory(reached, old, memory), new)
+        memory = select_memory(is_older, select_memory(reached, old, memory), new)
         there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + there)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-        """Return it of all that is used: what is older than the posteriors kept is not judged."""
+        """Return the innovation statistics of a sample that is used; empty if it is older than the stored posteriors."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
         late = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
@@ -166,9 +168,10 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
 
 
 def design(setting: DesignContext, options: linear_filter.Options, name: str, past: int, why: str) -> Design:
-    """Gather what the filter assumes, and the maps back in time; raise UserError where there is no way back.
+    """Return the assumptions, and the maps back in time; raise UserError for a model that is not invertible.
 
-    `past` posteriors are kept; `why` nothing proves the filter where samples overtake each other.
+    `past` is the number of stored posteriors. `why` is the reason for no certificate on a schedule with out-of-sequence
+    samples.
     """
 
     def own(model: linear.Model) -> RetrodictionParams:

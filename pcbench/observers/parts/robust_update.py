@@ -1,12 +1,13 @@
-"""What a filter does with a sample that is far from what it expects: leave it out, or weigh it less.
+"""Treatment of outliers in a filter: reject a sample with a large innovation, or reduce its weight.
 
-With nu the innovation of a channel and s the variance that it is believed to have, z = |nu| / sqrt(s):
+With nu the innovation of a channel, s its assumed variance and z = |nu| / sqrt(s):
 
-    gate:   z > gate: the channel is not used, unless `opens` of it were left out in a row: then it is, and counting begins anew
-    huber:  z > k: s <- s z / k, so that the correction grows no more; its variance follows
+    gate:   z > gate: the channel is rejected, unless `opens` of its samples were rejected in a row; then it is used
+    huber:  z > k: s <- s z / k, so that the correction does not grow any more; the variance r of the noise follows
 
-A gate that never opens locks up: a filter that is wrong leaves out all that could mend it. The second is one step of Huber's
-M-estimator. Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4; Huber 1964, 'Robust estimation of a location parameter'.
+A gate that never opens may lock up: a filter with a large error rejects all samples that could correct it. `huber` is one
+step of Huber's M-estimator.
+Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4; Huber 1964, 'Robust estimation of a location parameter'.
 """
 
 from typing import Any, NamedTuple
@@ -34,7 +35,7 @@ HUBER: Any = Field(
 
 
 class Guard(NamedTuple):
-    """In standard deviations of an innovation; inf: nothing is far."""
+    """Thresholds in standard deviations of an innovation; inf: no threshold."""
 
     gate: Float[Leaf, ""]
     opens: Int[Leaf, ""]
@@ -42,7 +43,7 @@ class Guard(NamedTuple):
 
 
 class GuardedPosterior(NamedTuple):
-    """A filter's posterior, and how many samples of each channel were left out in a row."""
+    """A filter's posterior, and the number of samples of each channel that were rejected in a row."""
 
     mean: Float[Array, " joint"]
     P: Float[Array, "joint joint"]
@@ -50,11 +51,11 @@ class GuardedPosterior(NamedTuple):
     left_out: Int[Array, " q"]
 
 
-Known = Posterior | GuardedPosterior  # what a filter knows after a sample
+Known = Posterior | GuardedPosterior  # a filter's state after a sample
 
 
 def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
-    """Return what a filter is to do; (): nothing is far."""
+    """Return the thresholds, or () without any."""
     if gate is None and huber is None:
         return ()
     return Guard(*(np.asarray(np.inf if each is None else each) for each in (gate, opens, huber)))
@@ -66,7 +67,7 @@ def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> Known:
 
 
 def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Array]) -> Known:
-    """Return the state after a sample, of the kind of the one before."""
+    """Return the state after a sample, of the same type as `before`."""
     return (
         GuardedPosterior(mean, P, taken, jnp.stack(left_out))
         if isinstance(before, GuardedPosterior)
@@ -77,7 +78,7 @@ def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Arr
 def weigh(
     guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array
 ) -> tuple[Array, Array, Array]:
-    """Return whether a channel is used, the variance of its noise that it is used with, how many were left out in a row."""
+    """Return whether a channel is used, the variance of its noise for the update, and how many were rejected in a row."""
     if not isinstance(before, GuardedPosterior):
         return mask, r, jnp.asarray(0)
     count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)

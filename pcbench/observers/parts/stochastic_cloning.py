@@ -1,15 +1,14 @@
-"""Clones: copies of the estimate at the ticks at which samples were taken, with the covariance of them and of the present.
+"""Stochastic cloning: copies (clones) of the estimate at the sampling times, with their joint covariance with the present.
 
-    z = (x, x_1, ..., x_J),   moves by x alone: x <- E x, P_xx <- E P_xx E' + Q, P_xi <- E P_xi
+    z = (x, x_1, ..., x_J); only x is propagated: x <- E x, P_xx <- E P_xx E' + Q, P_xi <- E P_xi
 
-A clone is made when a sample is taken (`Observer.sampled`), over the oldest of J; the sample updates through it when it
-arrives: with h = P c_i, c_i being c in the place of clone i, s = c_i'h + r and any gain K of the whole z,
+When a sample is taken (`Observer.on_sample`), a clone replaces the oldest of J. When the sample arrives, it updates z through
+its clone, with h = P c_i, where c_i contains c at the place of clone i, s = c_i'h + r, and any gain K of z:
 
     z <- z + K (y - c'x_i),   P <- P - K h' - h K' + s K K'
 
-which is the true covariance whatever the gain. `Gain` chooses it.
-Covariances stand at the last event and are carried to the next. J is the most samples that can be on their way at once; a
-sample that has no clone any more is lost.
+This is the true covariance for every gain. `Gain` computes K. P is that of the last event, and is propagated to the next one.
+J is the largest number of samples in transit. A sample whose clone has been replaced is lost.
 """
 
 from collections.abc import Callable
@@ -28,26 +27,26 @@ from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
+MOST = 16  # clones; the joint covariance has (17 n)^2 entries
 Gain = Callable[
     [Array, Array, Array], Array
-]  # (h [joint], s, which rows are of now or of the sample's time) -> K [joint]
+]  # (h [joint], s, mask of the rows of the present and of the sample's clone) -> K [joint]
 
 
 class Memory(NamedTuple):
-    """The estimate of now, and where it stood when samples were taken; joint = (J + 1) n."""
+    """The present estimate, and those at sampling times; joint = (J + 1) n."""
 
     xhat: Float[Array, " n"]
     clones: Float[Array, "J n"]
     P: Float[Array, "joint joint"]
     at: Int[Array, ""]  # the tick of P
     taken: Int[Array, " J"]  # ticks; -1: none
-    made: Int[Array, ""]  # how many clones there were
+    made: Int[Array, ""]  # number of clones made so far
     tick: Int[Array, ""]
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
-    """Start from the prior, without clones."""
+    """Return the memory at the prior, without clones."""
     first, J = linear_filter.prior(gains, xhat0), gains.own.shape[0]
     n = first.mean.shape[0]
     P = jnp.zeros(((J + 1) * n, (J + 1) * n)).at[:n, :n].set(first.P)
@@ -64,7 +63,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 
 def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Return the memory with the covariance of now."""
+    """Return the memory with the present covariance."""
     n, age = memory.xhat.shape[0], now.tick - memory.at
     powers = gains.motion.powers
     own = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
@@ -74,7 +73,7 @@ def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
-    """Make a clone of the present, in place of the oldest."""
+    """Replace the oldest clone by the present estimate."""
 
     def cloned(memory: Memory, mask: Array) -> Memory:
         memory = predict_clone(gains, memory, now)
@@ -130,7 +129,7 @@ def observer(gain: Gain) -> Observer:
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
-    """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
+    """Return the innovation statistics of a sample, in any order of arrival, because every sample corrects all clones."""
 
     def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
@@ -152,14 +151,14 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
-    """Return the covariance of the present, carried to now."""
+    """Return the present covariance."""
     n = memory.xhat.shape[0]
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P[:n, :n])
     return linear_filter.spread(gains, memory, P)
 
 
 def room(setting: DesignContext, name: str) -> Room:
-    """Return room for a clone of every sample on its way; raise UserError where it is not told when samples are taken."""
+    """Return room for a clone of every sample in transit; raise UserError for a delay error, or for too many samples."""
     if setting.error:
         raise UserError(
             f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
@@ -167,7 +166,7 @@ def room(setting: DesignContext, name: str) -> Room:
         )
     if setting.flight > MOST:
         raise UserError(
-            f"{name} in {setting.scenario}: got up to {setting.flight} samples on their way at once, expected at most {MOST}: "
+            f"{name} in {setting.scenario}: got up to {setting.flight} samples in transit at once, expected at most {MOST}: "
             "each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
         )
     return np.zeros(setting.flight)

@@ -1,13 +1,15 @@
-"""A quadratic program along a chain of states, with bounds: an interior point, each of whose steps is a smoother.
+"""Quadratic program along a chain of states, with bounds, by an interior-point method; each step is a smoother.
 
     min  |z_0 - m|^2_(P^-1) + sum_i |z_i - F_i z_(i-1) - b_i|^2_(Q_i^-1) + sum_ij w_ij (y_ij - h_ij' z_i)^2,  low <= z_i <= high
 
-Without bounds it is solved by one pass of Kalman's filter forward and of Bryson and Frazier's recursion back, which divides by
-no covariance: P and Q_i may be 0. With l, u the multipliers of the bounds and s, t their distances, a step adds to each entry
-of each state a measurement of weight d = l / s + u / t at z + tau (1 / s - 1 / t) / d, tau a tenth of the mean of l s and u t:
-Newton's step on the optimality conditions, shortened so that nothing leaves its bounds. STEPS of them, always.
+Without bounds, the solution is one forward pass of the Kalman filter and one backward pass of Bryson and Frazier's recursion.
+It does not invert covariances, so P and Q_i may be 0.
+With bounds, l, u are their multipliers and s, t the distances from them. A step adds to each entry of each state a
+measurement of weight d = l / s + u / t at z + tau (1 / s - 1 / t) / d, with tau a tenth of the mean of l s and u t. This is
+Newton's step on the optimality conditions, shortened so that all states stay within their bounds. The number of steps, STEPS,
+is fixed.
 Source: Bryson, Frazier 1963; Wright, Primal-Dual Interior-Point Methods, 1997, chapter 5.
-Not claimed: that a bound which holds by less than 1e-8 of the prior's size is told from one that does not.
+Not claimed: a distinction between an active bound and one that is closer than 1e-8 of the prior's size.
 """
 
 from typing import NamedTuple
@@ -19,16 +21,13 @@ from jaxtyping import Float, PyTree
 from pcbench.observers.parts import kalman
 from pcbench.protocols import Leaf
 
-STEPS, SHARE, NEAR = (
-    25,
-    0.1,
-    0.99,
-)  # of the interior point: how many, the aim for l s in each, how far to the bound at most
-FIRST, LEAST = 1.0, 1e-14  # l s before the first; the least that is aimed at
+STEPS = 25  # steps of the interior-point method
+SHARE, NEAR = 0.1, 0.99  # target of l s relative to its mean; largest part of the distance to a bound in a step
+FIRST, LEAST = 1.0, 1e-14  # initial l s; least target of l s
 
 
 class Chain(NamedTuple):
-    """S states of N numbers, the first among them, whose F and b are of no state before it; k measurements of each."""
+    """S states of N numbers with k measurements each; F and b of the first state are not used."""
 
     F: Float[Array, "S N N"]
     b: Float[Array, "S N"]
@@ -39,15 +38,15 @@ class Chain(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Of every state; infinite: none."""
+    """Bounds of every state; infinite: no bound."""
 
     low: Float[Leaf, " N"]
     high: Float[Leaf, " N"]
-    size: Float[Leaf, " N"]  # what is near a bound is so by this
+    size: Float[Leaf, " N"]  # initial distance from a bound, unless the bounds are closer
 
 
 def smooth_chain(chain: Chain) -> Float[Array, "S N"]:
-    """Return the likeliest states, without bounds."""
+    """Return the most likely states, without bounds."""
 
     def forward(carry: tuple[Array, Array], stage: PyTree) -> tuple[tuple[Array, Array], PyTree]:
         F, b, Q, *measured = stage
@@ -73,7 +72,7 @@ def smooth_chain(chain: Chain) -> Float[Array, "S N"]:
 
 
 class Point(NamedTuple):
-    """Where the interior point stands, [S, N] each: states, and of the bounds below and above distances and multipliers."""
+    """An interior point, [S, N] each: states, distances from lower and upper bounds, and their multipliers."""
 
     z: Array
     s: Array
@@ -83,19 +82,22 @@ class Point(NamedTuple):
 
 
 def solve_bounded(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> Float[Array, "S N"]:
-    """Return the likeliest states within bounds, from a guess."""
+    """Return the most likely states within bounds, from a guess."""
     width = bounds.high - bounds.low
     inside = jnp.where(jnp.isfinite(width), jnp.minimum(0.1 * width, bounds.size), bounds.size)
     z = jnp.clip(guess, (bounds.low + inside)[None], (bounds.high - inside)[None])
-    there = [jnp.broadcast_to(jnp.isfinite(each), z.shape) for each in (bounds.low, bounds.high)]
-    away = [jnp.where(*each, 1.0) for each in zip(there, (z - bounds.low[None], bounds.high[None] - z), strict=True)]
-    first = Point(z, *away, *(jnp.where(has, FIRST / far, 0.0) for has, far in zip(there, away, strict=True)))
-    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, there, at), first).z
+    bounded = [jnp.broadcast_to(jnp.isfinite(each), z.shape) for each in (bounds.low, bounds.high)]
+    distances = [
+        jnp.where(*each, 1.0) for each in zip(bounded, (z - bounds.low[None], bounds.high[None] - z), strict=True)
+    ]
+    multipliers = (jnp.where(has, FIRST / far, 0.0) for has, far in zip(bounded, distances, strict=True))
+    first = Point(z, *distances, *multipliers)
+    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, bounded, at), first).z
 
 
-def newton_step(chain: Chain, there: list[Array], at: Point) -> Point:
-    """Return where a step of Newton's leads, as far as nothing leaves its bounds."""
-    (low, high), (z, s, t, l, u) = there, at
+def newton_step(chain: Chain, bounded: list[Array], at: Point) -> Point:
+    """Return the point after one Newton step, shortened to stay within the bounds."""
+    (low, high), (z, s, t, l, u) = bounded, at
     tau = jnp.maximum(SHARE * (jnp.sum(l * s) + jnp.sum(u * t)) / (jnp.sum(low) + jnp.sum(high)), LEAST)
     d, push = l / s + u / t, jnp.where(low, tau / s, 0.0) - jnp.where(high, tau / t, 0.0)
     each = jnp.broadcast_to(jnp.eye(z.shape[1]), (*z.shape, z.shape[1]))

@@ -26,11 +26,11 @@ from pcbench.observers.parts import assumed_noise
 from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 2000  # ticks that are gone through again at every arrival
+MOST = 2000  # ticks of the longest delay; every arrival propagates over it
 
 
 class Gains(NamedTuple):
-    """n states, m inputs, q outputs; what one of them has besides stands in `own`."""
+    """n states, m inputs, q outputs; `own` contains the parameters of one observer of the family."""
 
     Phi: Float[Leaf, "n n"]
     Gamma: Float[Leaf, "n m"]
@@ -38,20 +38,20 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     R: Float[Leaf, " q"]
     P0: Float[Leaf, "n n"]
-    delay: Leaf  # s, the prior's mean, and
-    delay_std: Leaf  # s, its standard deviation
-    dt: Leaf  # s
-    longest: Leaf  # ticks, beyond which no delay is looked for
-    mean: Leaf  # ticks, the believed age of the first channel's samples, and
-    later: Leaf  # by how much a sample may be older than that
-    stamps: Leaf  # 1: by how much ages differ is told; 0: it is not
-    room: Room  # for samples that may be overtaken
-    told: Room  # [1] the delay is part of the estimate; [0]: it is not
+    delay: Leaf  # [s] prior mean
+    delay_std: Leaf  # [s] prior standard deviation
+    dt: Leaf  # [s]
+    longest: Leaf  # [ticks] longest possible delay
+    mean: Leaf  # [ticks] assumed mean age of the first channel's samples
+    later: Leaf  # [ticks] largest excess of an age over `mean`
+    stamps: Leaf  # 1: differences between timestamps are used; 0: they are not
+    room: Room  # for samples that may arrive after newer ones
+    estimated: Room  # [1] the delay is one of the estimated signals; [0]: it is not
     own: PyTree = ()
 
 
 class Options(assumed_noise.Options):
-    """What the filter assumes of noise, and of the delay."""
+    """Assumed noise, and the prior of the delay."""
 
     delay: float | None = Field(None, ge=0, description="prior mean of the delay [s]; default: that of the scenario")
     delay_std: float | None = Field(
@@ -64,9 +64,10 @@ class Options(assumed_noise.Options):
 
 
 def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
-    """Return the tick at which what arrives now would have come, had it been as late as samples are in the mean.
+    """Return the tick at which a sample that arrives now would have arrived with the assumed mean delay.
 
-    No stamp says a time before 0. One that says 0 may be of earlier: such a sample is late as the mean, if that is no later.
+    No timestamp is below 0, so a sample with timestamp 0 may have been taken earlier. It counts as delayed by the mean, but
+    as arriving at the present tick at the latest.
     """
     age = jnp.max(jnp.where(arrival.mask, arrival.age, 0))  # channels that arrive together were sampled together
     stamped = jnp.where(age < now.tick, now.tick - age + gains.mean, jnp.minimum(now.tick, gains.mean))
@@ -76,7 +77,7 @@ def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
 def predict_linear(
     Phi: Array, Gamma: Array, Q: Array, now: Now, x: Array, P: Array, start: Array, stop: Array
 ) -> tuple[Array, Array]:
-    """Return mean and covariance of tick `stop` from those of tick `start`, by a linear model and the stored inputs."""
+    """Return mean and covariance at tick `stop` from those at tick `start`, by a linear model and the stored inputs."""
 
     def tick(k: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
         x, P = xP
@@ -86,21 +87,22 @@ def predict_linear(
 
 
 def design(setting: DesignContext, options: Options, name: str) -> Gains:
-    """Gather what is assumed; raise UserError for a plant with feedthrough or an unknown input, or a delay that is too long.
+    """Return the assumptions.
 
-    And where channels are late by different delays and no stamp says which is which.
+    Raises UserError for a plant with feedthrough or an unknown input, for a delay that is too long, and for channels with
+    different delays if the timestamps are not used.
     """
     where, model, dt = f"{name} in {setting.scenario}", setting.model, setting.dt
     if model.E is not None or np.any(model.feedthrough):
         raise UserError(
             f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
-            "x' = A x + B u, y = C x: a sample's time is what it looks for; leave it out, or take kf."
+            f"x' = A x + B u, y = C x, in which only the delay is unknown; leave {name} out, or take kf."
         )
     if not options.stamps and len(set(setting.delay)) > 1:
         each = ", ".join(f"{d * dt:g}" for d in setting.delay)
         raise UserError(
-            f"{where}: got stamps = false with delays of {each} s, expected one for all channels: it would take them for "
-            "equal; leave stamps out, or give one delay."
+            f"{where}: got stamps = false with delays of {each} s, expected one for all channels, "
+            "because it then assumes equal delays; leave stamps out, or give one delay."
         )
     known = len(setting.unknown_std) == 1
     mean = setting.unknown0[0] if known else setting.delay[0] * dt
@@ -110,8 +112,8 @@ def design(setting: DesignContext, options: Options, name: str) -> Gains:
     if not 1 <= longest <= min(MOST, setting.ticks):
         most = min(MOST, setting.ticks) * dt
         raise UserError(
-            f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {most:g} s: "
-            "so far it goes back at every arrival; write longest, or take a longer tick."
+            f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {most:g} s, "
+            "over which every arrival propagates; write longest, or take a longer tick."
         )
     Phi, Gamma = linear.one_tick(model, dt)
     q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
@@ -134,16 +136,16 @@ def design(setting: DesignContext, options: Options, name: str) -> Gains:
         later=np.asarray(max(setting.latest - setting.delay[0], 0) if options.stamps else 0),
         stamps=np.asarray(int(options.stamps)),
         room=setting.room if options.stamps else np.zeros(0),
-        told=np.zeros(int(known)),
+        estimated=np.zeros(int(known)),
     )
 
 
 def read(gains: Gains, xhat: Array, delay: Array) -> Array:
-    """Return what is estimated: the state, and the delay [s] where the plant has one that is unknown."""
-    return jnp.append(xhat, delay) if gains.told.shape[0] else xhat
+    """Return the estimated signals: the state, and the delay [s] if it is the plant's unknown."""
+    return jnp.append(xhat, delay) if gains.estimated.shape[0] else xhat
 
 
 def spread(gains: Gains, P: Float[Array, "N N"]) -> Array:
-    """Return the covariance of what is estimated from that of state and delay."""
-    n = gains.C.shape[1] + gains.told.shape[0]
+    """Return the covariance of the estimated signals from that of state and delay."""
+    n = gains.C.shape[1] + gains.estimated.shape[0]
     return P[:n, :n]

@@ -1,21 +1,24 @@
-"""Observers that find an unknown input by injecting a signal v of the output error: what the sliding-mode and the PI one share.
+"""Shared parts of the sliding-mode and the PI observer, which estimate an unknown input by injecting a signal v.
 
     x' = A x + B u + E f;   e_y = y - C xhat,   s = Tp e_y                                   (5), (12)
     xhat' = A xhat + B u + Gx e_y + Lx v,   v of s (and of its integral)                     fhat = E222^-1 v[p-r:], Remark 2
     input = fhat - known(xhat), where a part of f is a known function of the state
 
-in original coordinates (`synthesis.unknown_input`). Errors are x - xhat. `field` is the observer where y is measured
-continuously. On samples of one constant age d it runs on the state d ago, xd, with B u(t - d), and is brought to now as KFBO:
+These equations are in original coordinates (`synthesis.unknown_input`), and errors are x - xhat. With continuous measurement,
+the observer is `field`. With samples of one constant age d, it estimates the state d ago, xd, with B u(t - d), and predicts
+it to the present as KFBO does:
 
     xhat(t) = e^{A min(t, d)} xd(t) + response to the input since (+ int_0^d e^{A s} ds E fhat, option `reconstruct`)
 
-xd stays at xhat(0) before t = d. Between samples y is the last one (`hold`), or predicted (`predict`):
-wy' = C (A xd + B u(t - d)), wy := y at arrivals. A tick is one Runge-Kutta step of the field.
+xd stays at xhat(0) before t = d. Between samples y is the last one (`hold`), or predicted (`predict`): wy' = C (A xd + B u(t
+- d)), wy := y at arrivals. A tick is one Runge-Kutta step of the field.
 
-Source: Peng, Appl. Sci. 2017, 7(1), 67; sampling and delay are ours. E is the paper's D. Time index: the estimate is of now,
-the value at tick k is read after the arrival there; fhat is of d ago and taken for that of now. `hold` does not know the
-schedule. Perfect start is exact where the plant moves by the same Runge-Kutta steps. Not claimed: an error of zero with an
-unknown input, or that the certificates, which are for continuous measurement, hold on samples.
+Source: Peng, Appl. Sci. 2017, 7(1), 67; sampling and delay are this project's. E is the paper's D.
+Time index: xhat is the estimate of the present, after the jump. fhat estimates f of d ago, and is used as the present f.
+Perfect start is exact if the plant also moves by the Runge-Kutta step; `hold` does not use the schedule, so it has no perfect
+start.
+Not claimed: an error of zero with an unknown input, or that the certificates, which are for continuous measurement, hold for
+samples.
 """
 
 from collections.abc import Callable, Mapping
@@ -48,31 +51,31 @@ class Gains(NamedTuple):
     Lx: Float[Leaf, "n p"]
     C: Float[Leaf, "p n"]
     D: Float[Leaf, "p m"]
-    F: Float[Leaf, "n+p n+p"]  # of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 where y is held
-    H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], likewise
+    F: Float[Leaf, "n+p n+p"]  # of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 if y is held
+    H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], its last rows 0 if y is held
     S: Float[Leaf, "p n+p"]  # s = S [xd; y] = Tp (y - C xd)
     pick: Float[Leaf, "r p"]  # fhat = pick v
     known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
     lag: Int[Leaf, ""]  # [ticks] d
     Phi: Float[Leaf, "n n"]  # one tick
     Gamma: Float[Leaf, "n m"]
-    push: Float[Leaf, "n r"]  # of fhat, where the prediction carries it; else 0
+    push: Float[Leaf, "n r"]  # of fhat over a tick with `reconstruct`; else 0
 
 
 class Memory(NamedTuple):
-    """What stands between ticks; `ahead` and `pushed` are the same in all runs."""
+    """Memory between ticks; `ahead` and `pushed` are the same in all runs."""
 
-    xd: Float[Array, " n"]  # the estimate of d ago
+    xd: Float[Array, " n"]  # estimate of the state d ago
     w: Float[Array, " p"]  # integral of the law
-    y: Float[Array, " p"]  # of d ago, as far as it is known
-    f: Float[Array, " r"]  # the unknown input found, of d ago: kept because every estimate needs it
-    response: Float[Array, " n"]  # to the input of the last d
+    y: Float[Array, " p"]  # output d ago, measured, held or predicted
+    f: Float[Array, " r"]  # estimate of the unknown input d ago, stored for `estimate`
+    response: Float[Array, " n"]  # response to the input of the last d
     ahead: Float[Array, "n n"]  # e^{A min(t, d)}
     pushed: Float[Array, "n r"]  # int_0^min(t, d) e^{A s} ds E
 
 
 class Options(StrictOptions):
-    """What the two have in common."""
+    """Options of both observers."""
 
     gains: Literal["design", "paper"] = way("design", description="by LMI, or as published (for the arm)")
     measurement: Literal["predict", "hold"] = Field("predict", description="output between samples: predicted, or held")
@@ -80,10 +83,10 @@ class Options(StrictOptions):
 
 
 def observer(law: Injection) -> Observer:
-    """Return the observer that injects v by a law."""
+    """Return the observer with an injection law."""
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
-        """Start from xhat(0), as if its output had been measured."""
+        """Return the memory at xhat(0), as if its output had been measured."""
         n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
         f = jnp.zeros(gains.push.shape[1])
         return Memory(
@@ -97,16 +100,18 @@ def observer(law: Injection) -> Observer:
         )
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        """Take what arrived for y of d ago."""
+        """Replace the output of d ago by the arriving sample."""
         y = jnp.where(arrival.mask, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
-        return memory._replace(y=y, f=found(gains, memory.xd, memory.w, y))
+        return memory._replace(y=y, f=reconstruct(gains, memory.xd, memory.w, y))
 
-    def found(gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]) -> Float[Array, " r"]:
+    def reconstruct(
+        gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]
+    ) -> Float[Array, " r"]:
         v, _ = law(gains.law, gains.S @ jnp.append(xd, y), w)
         return gains.pick @ v
 
     def field(gains: Gains, memory: Memory, now: Now, y: Float[Array, " p"]) -> Memory:
-        """Return d memory/dt with y measured, less D u; what the tick moves exactly stands still."""
+        """Return d memory/dt with the measurement y minus D u; entries that `flow` updates exactly have derivative 0."""
         z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
         v, w_rate = law(gains.law, gains.S @ z, memory.w)
         rate = gains.F @ z + gains.H @ now.past_u(gains.lag)
@@ -114,7 +119,7 @@ def observer(law: Injection) -> Observer:
         return Memory(rate[:n] + gains.Lx @ v, w_rate, rate[n:], *still)
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-        """Move by one tick, on the y that is held or predicted."""
+        """Advance by one tick, with the held or predicted y."""
         started = now.tick >= gains.lag
         moved = rk4(lambda t, m: field(gains, m, now._replace(t=t), m.y), now.t, memory, now.dt)
         xd, w, y = (jnp.where(started, new, old) for new, old in zip(moved[:3], memory[:3], strict=True))
@@ -122,11 +127,11 @@ def observer(law: Injection) -> Observer:
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - leaving
         ahead = jnp.where(started, memory.ahead, gains.Phi @ memory.ahead)
         pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
-        f = found(gains, xd, w, y)
+        f = reconstruct(gains, xd, w, y)
         return Memory(xd=xd, w=w, y=y, f=f, response=response, ahead=ahead, pushed=pushed)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
-        """Return xhat of now, and the unknown inputs."""
+        """Return the present xhat, and the unknown inputs."""
         xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
         return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
 
@@ -136,7 +141,7 @@ def observer(law: Injection) -> Observer:
 def gains_of(
     setting: DesignContext, split: Split, injection: tuple[Matrix, Matrix], law: PyTree, options: Options
 ) -> Gains:
-    """Return the gains of an observer whose Gx, Lx and law are found."""
+    """Return the gains of an observer from Gx, Lx and the law."""
     model, r, p = setting.model, len(split.E222), len(setting.model.C)
     (A, B, C, *_), (Gx, Lx) = model, injection
     predicts = float(options.measurement == "predict")
@@ -152,21 +157,21 @@ def gains_of(
 
 
 def carries(setting: DesignContext, options: Options) -> bool | None:
-    """Say whether the prediction to now carries the input found; None where there is nothing to predict."""
+    """Return whether the prediction to the present includes the estimated input; None without a delay."""
     return options.reconstruct if setting.delay[0] else None
 
 
 def one_delay(setting: DesignContext, where: str) -> None:
-    """Raise UserError where channels have delays of their own."""
+    """Raise UserError if channels have different delays."""
     if len(set(setting.delay)) > 1:
         raise UserError(
-            f"{where}: got channels with delays {setting.delay} (ticks), expected one for all: it runs on the state of one "
-            "delay ago; give equal delays, or take kf."
+            f"{where}: got channels with delays {setting.delay} (ticks), expected one for all, because it estimates the "
+            "state of one delay ago; give equal delays, or take kf."
         )
 
 
 def short_tick(setting: DesignContext, gain: float, of: str, where: str) -> None:
-    """Raise UserError where a Runge-Kutta step of one tick cannot follow a gain [1/s]."""
+    """Raise UserError if a Runge-Kutta step of one tick is unstable for a gain [1/s]."""
     if gain * setting.dt > STABLE:
         raise UserError(
             f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {setting.dt:g} s, expected their product below "
@@ -175,7 +180,7 @@ def short_tick(setting: DesignContext, gain: float, of: str, where: str) -> None
 
 
 def printed_for(arm: Mapping[str, tuple[tuple[int | float, ...], ...]], setting: DesignContext, where: str) -> None:
-    """Raise UserError where gains printed for the arm, of these matrices A, C, E, are asked of another plant."""
+    """Raise UserError if gains printed for the arm, given by its matrices A, C, E, are used for another plant."""
     for name, rows in arm.items():
         M = getattr(setting.model, name)
         if M is None or M.shape != np.shape(rows) or not np.allclose(M, rows, rtol=1e-12, atol=0):
