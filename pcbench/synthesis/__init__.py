@@ -1,6 +1,6 @@
 """Gains by design, with their certificates: LMIs, Riccati equations, pole placement. NumPy, SciPy and cvxpy, no jax.
 
-One file per method: `current_gains` chooses how the gain of `pccebo` is found, and `current_lmi` finds it by LMI. What a
-designer knows of a grid point, and what a certificate says, are in `certificate`. The gain of `kf` and its relatives is not
-designed beforehand: it is computed at every sample (`observers/parts/linear_filter.py`, `update`).
+One file per method. `current_gains` selects the design method of `pccebo`, and `current_lmi` is its LMI. `certificate`
+contains the inputs of a design and the record of a certificate. The gain of `kf` and its variants is not designed beforehand;
+it is computed at every sample (`observers/parts/linear_filter.py`, `update`).
 """

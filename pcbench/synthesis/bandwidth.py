@@ -1,11 +1,11 @@
-"""Gains by bandwidth: all poles of the error at exp(-omega T), except those of modes that decay faster by themselves.
+"""Gains by bandwidth: all poles of the error at exp(-omega T), except those of modes that decay faster without correction.
 
-    (I - L C) Phi, one sample to the next, has the wanted poles: L = Phi^-1 K, Phi - K C by Ackermann's formula
+    (I - L C) Phi from one sample to the next has the required poles: L = Phi^-1 K, Phi - K C by Ackermann's formula
     K = p(Phi) [C; C Phi; ..; C Phi^(k-1)]^-1 [0; ..; 0; 1],  p(z) = (z - p_1) .. (z - p_k)        (one output)
 
-or by `scipy.signal.place_poles` for several outputs. A mode that decays within a sample cannot be seen in the samples, and its
-pole could be moved by an enormous gain only. So modes faster than a limit are left as they are: with V a basis of the invariant
-subspace of the slow ones and W' V = I, W' Phi = Phi_s W', the gain is L = V l, with l for (Phi_s, C V).
+or by `scipy.signal.place_poles` for several outputs. A mode that decays within a sample is not observable in the samples, and
+only a very large gain could move its pole. So modes faster than a limit keep their poles. V is a basis of the invariant
+subspace of the slow modes, with W' V = I and W' Phi = Phi_s W'. The gain is L = V l, with l for (Phi_s, C V).
 
 Source: Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003 (all poles at -omega); the exemption of
 fast modes is this project's.
@@ -20,11 +20,11 @@ from scipy.linalg import schur
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import DesignError, UserError, first_sentence
 
-ZERO = 1e-9  # part of the largest entry below which an entry is zero
+ZERO = 1e-9  # relative to the largest entry; smaller entries count as zero
 
 
 class SlowModes(NamedTuple):
-    """The k modes of a map Phi [n, n] that are not fast: s = W' x, s+ = Phi s, and C [q, k] is what y shows of them."""
+    """The k slow modes of a map Phi [n, n]: s = W' x, s+ = Phi s, with the output C s."""
 
     Phi: Matrix  # [k, k]
     C: Matrix  # [q, k]
@@ -33,7 +33,7 @@ class SlowModes(NamedTuple):
 
 
 def slow_modes(Phi: Matrix, C: Matrix, fastest: float) -> SlowModes:
-    """Return the modes of Phi whose size is not below `fastest`."""
+    """Return the modes of Phi whose absolute value is at least `fastest`."""
     if fastest == 0:
         return SlowModes(Phi, C, np.eye(len(Phi)), np.eye(len(Phi)))
     scaled = Phi / (fastest * (1 - ZERO))  # its slow modes are those outside the unit circle
@@ -45,7 +45,7 @@ def slow_modes(Phi: Matrix, C: Matrix, fastest: float) -> SlowModes:
 
 
 def predictor_gain(Phi: Matrix, C: Matrix, poles: Matrix, where: str) -> Matrix:
-    """Return K [n, q] with Phi - K C of the given real poles [n]; raise DesignError where they cannot be placed."""
+    """Return K [n, q] with the real poles [n] of Phi - K C; raise DesignError if they cannot be placed."""
     n = len(Phi)
     if n == 0:
         return np.zeros((0, len(C)))
@@ -54,14 +54,14 @@ def predictor_gain(Phi: Matrix, C: Matrix, poles: Matrix, where: str) -> Matrix:
             from scipy.signal import place_poles  # takes a second to import
 
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                warnings.simplefilter("ignore", UserWarning)  # slow convergence; the certificate checks the result
                 return np.asarray(place_poles(Phi.T, C.T, poles).gain_matrix.T, float)
-        p, seen = np.eye(n), [C]
+        p, observability = np.eye(n), [C]
         for pole in poles:
             p = p @ (Phi - pole * np.eye(n))
         for _ in range(n - 1):
-            seen.append(seen[-1] @ Phi)
-        return np.asarray(p @ np.linalg.solve(np.vstack(seen), np.eye(n)[:, -1:]))
+            observability.append(observability[-1] @ Phi)
+        return np.asarray(p @ np.linalg.solve(np.vstack(observability), np.eye(n)[:, -1:]))
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(
             f"{where}: the poles were not placed ('{first_sentence(error)}'), expected outputs that show every slow mode; "
@@ -83,14 +83,14 @@ class Chain(NamedTuple):
     O: Matrix  # [n, n]
     row: Matrix  # [1, n] C A^n
     b: float  # C A^(n-1) G
-    G: Matrix  # [n, 1] the direction of the disturbance d: E where there is one, otherwise B
+    G: Matrix  # [n, 1] direction of the disturbance d: E, or B without an unknown input
 
 
 def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
     """Return a model as a chain of integrators.
 
-    Raises UserError where the model is discrete, has several outputs or disturbances, feedthrough, more than `longest` states,
-    or a relative degree from the disturbance to the output below n.
+    Raises UserError if the model is discrete, has several outputs or disturbances, feedthrough, a number of states other than
+    `longest`, or a relative degree from the disturbance to the output below n.
     """
     G = model.B if model.E is None else model.E
     n = len(model.A)
@@ -98,7 +98,7 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
     for _ in range(n):
         rows.append(rows[-1] @ model.A)
     known = "a known function of the state among its unknown inputs" if model.known is not None else ""
-    found = (
+    problem = (
         ("a discrete plant" if model.discrete else "")
         or (f"{len(model.C)} outputs" if len(model.C) != 1 else "")
         or (f"{G.shape[1]} disturbed inputs" if G.shape[1] != 1 else "")
@@ -106,16 +106,16 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
         or (f"{n} states" if longest is not None and n != longest else "")
         or known
     )
-    if not found:
+    if not problem:
         size = [float((abs(row) @ abs(G)).item()) for row in rows[:n]]
         effect = [float((row @ G).item()) for row in rows[:n]]
         acts = [abs(e) > ZERO * max(s, 1e-300) for e, s in zip(effect, size, strict=True)]
         degree = acts.index(True) + 1 if any(acts) else None
         if degree == n:
             return Chain(np.vstack(rows[:n]), rows[n], effect[-1], G)
-        found = f"a disturbance of relative degree {degree} with {n} states"
+        problem = f"a disturbance of relative degree {degree} with {n} states"
     states = f"{longest}" if longest is not None else "n"
     raise UserError(
-        f"{where}: got {found}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, and "
+        f"{where}: got {problem}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, and "
         f"one input or unknown input that acts on its derivative of order {states} first; take kf."
     )

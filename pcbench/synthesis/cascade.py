@@ -1,13 +1,13 @@
-"""Cascade predictors: gains of the links, and the exact map of their errors.
+"""Gains of cascade predictors, and the exact map of their errors.
 
-Link j of m carries the estimate over d ticks, and sees its own output of d ticks ago:
+Link j of m predicts over d ticks, and compares its output of d ticks ago with a reference whose error is r:
 
     e(k+1) = Phi e(k) - K (C e(k-d) - r(k)),   the poles of Phi - K C by `bandwidth`
 
-r is the error of what the link is compared with: of the link before, or, for the first link, of the output predicted between
-samples, r(k+1) = r(k) + C (Phi - I) e(k-d), r = 0 when a sample arrives. So the first link is a periodic map over one sampling
-period, the others a map over one tick. Their errors decay if and only if each of these maps has a radius below 1. For a scalar
-plant x' = a x and measurements without sampling, such a gain exists if and only if a d < 1 (d in seconds): links make d small.
+The reference is the preceding link. For the first link, it is the output predicted between samples, r(k+1) = r(k) + C (Phi -
+I) e(k-d), with r = 0 when a sample arrives. So the first link is a periodic map over one sampling period, and the others are
+maps over one tick. The errors decay if and only if the spectral radius of each map is below 1. For a scalar plant x' = a x
+with continuous measurement, such a gain exists if and only if a d < 1 (d in seconds); more links make d smaller.
 
 Source: Germani, Manes, Pepe, IEEE TAC 47(1), 2002 (cascade); the maps are this project's.
 """
@@ -22,7 +22,7 @@ from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
 from pcbench.value_cache import cached_by_value
 
-MOST = 12  # links that are tried
+MOST = 12  # largest default number of links
 DENSE = 300  # rows of a map from which on the largest eigenvalue alone is computed
 WHAT = "radius of the links' error maps over one sampling period < 1"
 
@@ -35,12 +35,12 @@ class Links(NamedTuple):
 
 
 def divided(delay: int, m: int) -> tuple[int, ...]:
-    """Return a delay [ticks] as m whole numbers that differ by 1 at most."""
+    """Return m whole numbers of sum `delay` [ticks] that differ by at most 1."""
     return tuple(delay * (j + 1) // m - delay * j // m for j in range(m))
 
 
 def gain(Phi: Matrix, C: Matrix, decay: float, where: str) -> Matrix:
-    """Return K [n, q] of a link whose errors would decay by `decay` a tick if it had no delay."""
+    """Return K [n, q] of a link whose errors would decay by the factor `decay` per tick without delay."""
     slow = bandwidth.slow_modes(Phi, C, decay)
     k = len(slow.Phi)
     poles = decay ** (1 + 0.2 * np.arange(k) / max(k, 1) * (len(C) > 1))
@@ -49,9 +49,9 @@ def gain(Phi: Matrix, C: Matrix, decay: float, where: str) -> Matrix:
 
 @cached_by_value
 def radius(Phi: Matrix, C: Matrix, K: Matrix, d: int, period: int) -> float:
-    """Return the spectral radius of a link's errors over `period` ticks; 0: a link that is compared at every tick, over one.
+    """Return the spectral radius of a link's errors over `period` ticks; 0: over one tick, for a link after the first.
 
-    The state is [e(k), e(k-1), .., e(k-d), r(k)]. Its map is built column by column: all columns take the steps together.
+    The state is [e(k), e(k-1), .., e(k-d), r(k)]. All columns of its map are computed together.
     """
     n, q = len(Phi), len(C)
     size, steps = n * (d + 1) + q, period or d + 1
@@ -59,8 +59,8 @@ def radius(Phi: Matrix, C: Matrix, K: Matrix, d: int, period: int) -> float:
     past = [state[n * i : n * (i + 1)] for i in range(d, -1, -1)]  # e(k-d), .., e(k)
     r = state[size - q :] if period else np.zeros((q, size))
     for k in range(steps):
-        seen = C @ past[k]
-        past.append(Phi @ past[-1] - K @ (seen - r))
+        output = C @ past[k]
+        past.append(Phi @ past[-1] - K @ (output - r))
         r = r + (C @ Phi - C) @ past[k] if period else r
     F = np.vstack([*past[: -d - 2 : -1], np.zeros((q, size))])  # a sample arrives: r = 0
     largest = _largest(F[: size - q, : size - q])
@@ -68,7 +68,7 @@ def radius(Phi: Matrix, C: Matrix, K: Matrix, d: int, period: int) -> float:
 
 
 def _largest(F: Matrix) -> float:
-    """Return the spectral radius; of a large matrix by Arnoldi iteration, as its other eigenvalues are smaller by far."""
+    """Return the spectral radius; for a large matrix by Arnoldi iteration, because its other eigenvalues are much smaller."""
     if len(F) > DENSE:
         from scipy.sparse.linalg import ArpackError, eigs  # takes a while to import
 
@@ -80,7 +80,7 @@ def _largest(F: Matrix) -> float:
 
 
 def certify(Phi: Matrix, C: Matrix, links: Links, period: int) -> Certificate:
-    """Return by how much the errors of all links shrink over a sampling period."""
+    """Return the certificate, whose margin is 1 minus the largest factor of the links' errors over a sampling period."""
     first = radius(Phi, C, links.K, links.d[0], period)
     others = {d: radius(Phi, C, links.K, d, 0) ** period for d in set(links.d[1:])}
     numbers = {
@@ -109,10 +109,10 @@ def design(
         DesignError: no number of links that was tried is certified.
     """
     tried = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
-    for many in tried:
-        wait = max(3.0 * max(divided(delay, many)), 1.5 * period)
+    for count in tried:
+        wait = max(3.0 * max(divided(delay, count)), 1.5 * period)
         K = gain(Phi, C, np.exp(-1 / wait) if decay is None else decay, where)
-        links = Links(divided(delay, many), K)
+        links = Links(divided(delay, count), K)
         certificate = certify(Phi, C, links, period)
         if certificate.margin > 0:
             return links, certificate

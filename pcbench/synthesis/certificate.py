@@ -1,6 +1,7 @@
-"""The record of a proof of a gain: the inequality, its margin, the solver. Each theorem's `certify` does the check in float64.
+"""The inputs of a design, and the record of a certificate of its gains: the inequality, its margin, and the solver.
 
-`certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves; `is_certified` says which it is.
+Each theorem's `certify` checks its inequality in float64. `require_certified` rejects a margin that is too small,
+`no_certificate` makes the record of gains without a certificate, and `is_certified` distinguishes the two.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,14 +13,14 @@ import numpy as np
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
 
-SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
+SHORT = 1e-5  # relative tolerance of a certified rate, because an optimum is on the boundary
 UNCERTIFIED = "uncertified"  # a status
-NO_GAIN = "none: no gain"  # an inequality: there is nothing to prove
-NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
+NO_GAIN = "none: no gain"  # an inequality, of an observer without gains
+NO_NOISE = 1e-12  # variance of a sample in a scenario without measurement noise
 
 
 def power_of_2(many: int) -> int:
-    """Return the least power of 2 that is not below `many`, or 0 for 0: few sizes, few programs."""
+    """Return the least power of 2 that is at least `many`, or 0 for 0; few sizes mean few compiled programs."""
     return 1 << (many - 1).bit_length() if many else 0
 
 
@@ -155,9 +156,9 @@ def no_certificate(why: str) -> Certificate:
 
 
 def is_certified(fields: Mapping[str, Any]) -> bool | None:
-    """Say whether a certificate, as its fields by name, proves its gains; None: there are no gains.
+    """Return whether a certificate, given as a mapping of its fields, certifies its gains; None without gains.
 
-    A margin of infinity (in files: none) has proven nothing.
+    A margin of infinity (in files: none) certifies nothing.
     """
     if fields["inequality"] == NO_GAIN:
         return None
@@ -166,12 +167,12 @@ def is_certified(fields: Mapping[str, Any]) -> bool | None:
 
 
 def least_eigenvalue(M: np.ndarray) -> float:
-    """Return the smallest eigenvalue of the symmetric part of M; NaN where M is not finite."""
+    """Return the smallest eigenvalue of the symmetric part of M; NaN if M is not finite."""
     return float(np.linalg.eigvalsh((M + M.T) / 2)[0]) if np.isfinite(M).all() else float("nan")
 
 
 def one_clock(setting: DesignContext, observer: str) -> int:
-    """Return the (mean) period in ticks of the clock that all channels share, or say that this observer needs it."""
+    """Return the (mean) period [ticks] of the clock of all channels; raise UserError if their periods or delays differ."""
     if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(
             f"observer {observer} in {setting.scenario}: got channels with periods {setting.period} and delays "

@@ -1,27 +1,27 @@
-"""Gains of a chain of observers: one link for each distinct delay, from the latest sensor to the present.
+"""Gains of a chain of observers: one link for each distinct delay, from the sensor with the longest delay to the present.
 
-Link i carries an estimate over d_i = theta_i - theta_(i-1) samples. In state coordinates (T = I, F = inv(T) G T, K = inv(T) L):
+Link i propagates an estimate over d_i = theta_i - theta_(i-1) samples. In state coordinates (T = I, F = inv(T) G T, K =
+inv(T) L):
 
     A^d - F = K C,   yhat = W xhat + V ybar,   W = C A^d - V C                                (8), (9)
 
-so a link's error moves by F over d samples, and the cascade's map is block triangular: it is stable iff every rho(F_i) < 1, at
-the rate max rho(F_i)^(1/d_i) a sample. That is the certificate: the spectral radius of the whole map of one sample, in shift
-coordinates (newest first), which must equal that rate. Condition (29) of the paper, for one matrix P and all links, is
-sufficient at most; `chain_lyapunov` checks it where asked.
+The error of a link is multiplied by F over d samples, and the map of the cascade is block triangular. It is stable if and
+only if every rho(F_i) < 1, with the rate max rho(F_i)^(1/d_i) per sample. The certificate is the spectral radius of the map
+of one sample in shift coordinates (newest first), which must equal that rate.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorems 1 and 3, Algorithm 1. Different from print: T = I, for T has nine
-free dimensions and a Sylvester equation for it is ill-conditioned here; (9) prints Q_0 = D - V D, wrong for D != 0.
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorems 1 and 3, Algorithm 1. Different from print: T = I, because T has
+nine free dimensions and its Sylvester equation is ill-conditioned here; (9) prints Q_0 = D - V D, which is wrong for D != 0.
 
-The paper's condition for a chain: one Lyapunov matrix for all links.
+`check` tests the paper's condition, one Lyapunov matrix for all links:
 
     (1 + e) F_i' P F_i + N_i (1 + 1/e) sum_{j > i} Phi_ij' P Phi_ij - P < 0   for every link i, N_i links before it     (29)
-    Phi_ij = K_i U_i V_(i+1) U_(i+1) ... W_j,   U_i picks the channels that link i takes from the link before
+    Phi_ij = K_i U_i V_(i+1) U_(i+1) ... W_j,   U_i selects the channels that link i takes from the preceding link
 
-Checked at T_i = I for every link: in print the G_i stand in the coordinates of their T_i. It is sufficient at most and not
-needed: the cascade is block triangular, so rho(F_i) < 1 decides. The paper sets e by norms; here it is searched
-for, since norms of mixed units mean nothing.
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3 and Appendix B; Remark 2, which would make it necessary to use
-Theorem 2 when A_0 = 0, certifies an unstable system and is not used.
+It is for T_i = I of every link; in print the G_i are in the coordinates of their T_i. The condition is sufficient but not
+necessary, because rho(F_i) < 1 decides. The paper computes e from norms. Here e is searched for, because norms depend on the
+units of the states.
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3 and Appendix B. Remark 2, by which Theorem 2 with A_0 = 0 would be
+necessary, certifies an unstable system and is not used.
 """
 
 from itertools import pairwise
@@ -38,14 +38,14 @@ from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.pole_placement import by_poles
 from pcbench.synthesis.sampled_model import SampledPlant, invertible, noise_over, power, require_seen
 
-LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
+LARGEST = 600  # rows of the map of one sample; above, its radius is computed from the links
 
 
 class Link(NamedTuple):
-    """One link over d samples; n states, q outputs. Where d = 0 it is passed through and its gains are 0."""
+    """One link over d samples; n states, q outputs. A link with d = 0 passes its inputs on, and its gains are 0."""
 
     d: int
-    seen: Matrix  # [q] 1 for the channels that have arrived at its source, 0 for those it takes from the link before
+    seen: Matrix  # [q] 1: the sample of the source has arrived; 0: it is from the preceding link
     F: Matrix  # [n, n]
     K: Matrix  # [n, q]
     V: Matrix  # [q, q]
@@ -53,12 +53,12 @@ class Link(NamedTuple):
 
 
 def ages(tau: tuple[int, ...]) -> list[int]:
-    """Return theta: 0 and the delays in order, ties kept, so that any delay vector gives q links."""
+    """Return theta: 0 and the sorted delays with repetitions, so that every delay vector gives q links."""
     return [0, *sorted(tau)]
 
 
 def links(plant: SampledPlant, gain: str, pole: float, per_sample: bool, output: str, where: str) -> list[Link]:
-    """Return a link for each channel, nearest first; `pole` is of each link, or of each sample of it."""
+    """Return a link for each channel, shortest delay first; `pole` is that of each link, or of each sample of a link."""
     theta, out = ages(plant.tau), []
     n, q = len(plant.A), len(plant.C)
     for start, end in pairwise(theta):
@@ -82,13 +82,13 @@ def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
     try:
         P = solve_discrete_are(Ad.T, C.T, noise_over(plant, d), plant.R)
         K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
-        found = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
+        outcome = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
-        found = f"SciPy said '{first_sentence(error)}'"
-    if found != "F is stable":
+        outcome = f"SciPy said '{first_sentence(error)}'"
+    if outcome != "F is stable":
         raise DesignError(
-            f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({found}), expected process noise "
-            "that reaches every mode which does not decay by itself; give option q, or take gain = 'poles'."
+            f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({outcome}), expected process noise "
+            "on every mode that does not decay; give option q, or take gain = 'poles'."
         )
     return K
 
@@ -112,15 +112,15 @@ def by_companion(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix
 
 
 def one_sample(chain: list[Link], C: Matrix) -> Matrix:
-    """Return the map [n theta, n theta] of the errors over one sample, newest first, theta the longest delay.
+    """Return the map [n theta, n theta] of the errors over one sample, newest first, with theta the longest delay.
 
-    Row g of the errors is that of the state g samples ago, as estimated by the link whose range (stamp to source) has g in it.
+    Row g is the error of the state g samples ago, as estimated by the link whose range (stamp to source) contains g.
     """
     n, q = len(C[0]), len(C)
     theta = np.cumsum([0, *(link.d for link in chain)])
     blocks = theta[-1]
     J = np.eye(n * blocks, k=-n)
-    eps = np.zeros((q, n * blocks))  # error of the output that comes from the link before, by errors one sample ago
+    eps = np.zeros((q, n * blocks))  # error of the preceding link's output, from the errors one sample ago
     for link, stamp, source in reversed(list(zip(chain, theta, theta[1:], strict=False))):
         if link.d == 0:
             continue
@@ -148,7 +148,7 @@ def rounding(F: Matrix, d: int) -> float:
 
 
 def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
-    """Say how far inside the unit circle the map of one sample stands; NaN where its radius is not that of its links."""
+    """Return 1 minus the radius of the map of one sample as margin; NaN if it differs from the radius of the links."""
     numbers: dict[str, float | Matrix]
     real = [link for link in chain if link.d]
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
@@ -169,7 +169,7 @@ SPAN = (-6.0, 3.0)  # of log10 e
 
 
 def couplings(chain: list[Link]) -> list[list[Matrix]]:
-    """Return Phi_ij [n, n] of every link i that is not passed through, for each link j before it."""
+    """Return Phi_ij [n, n] of every link i with d > 0, for each link j before it."""
     real, out = [link for link in chain if link.d], []
     for i, link in enumerate(real):
         path, each = link.K * (1 - link.seen), []
@@ -181,26 +181,26 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
 
 
 def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOLVERS) -> dict[str, float | Matrix]:
-    """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); report, never refuse.
+    """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); never raise an error.
 
-    Returns `shared_margin`, re-checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon`, `shared_P`.
+    Returns `shared_margin`, checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon` and `shared_P`.
     """
-    rows, change = couplings(chain), scale / scale[:, None]  # M of x becomes M of x / scale
+    rows, change = couplings(chain), scale / scale[:, None]  # M for x becomes M for x / scale
     F = [link.F * change for link in chain if link.d]
     Phi = [[M * change for M in each] for each in rows]
-    found: dict[float, tuple[float, Matrix]] = {}
+    results: dict[float, tuple[float, Matrix]] = {}
 
     def loss(exponent: float) -> float:
         e = 10.0**exponent
         P = _solve(F, Phi, e, among)
-        found[e] = (float("nan"), P) if P.size == 0 else (_margin(F, Phi, e, P), P)
-        return -found[e][0] if np.isfinite(found[e][0]) else 1.0
+        results[e] = (float("nan"), P) if P.size == 0 else (_margin(F, Phi, e, P), P)
+        return -results[e][0] if np.isfinite(results[e][0]) else 1.0
 
     from scipy.optimize import minimize_scalar  # takes a tenth of a second to import
 
     minimize_scalar(loss, bounds=SPAN, method="bounded", options={"xatol": 0.05})
-    e = max(found, key=lambda key: -np.inf if np.isnan(found[key][0]) else found[key][0])
-    return {"shared_margin": found[e][0], "shared_epsilon": e, "shared_P": found[e][1]}
+    e = max(results, key=lambda key: -np.inf if np.isnan(results[key][0]) else results[key][0])
+    return {"shared_margin": results[e][0], "shared_epsilon": e, "shared_P": results[e][1]}
 
 
 def _inequality(F: Matrix, Phi: list[Matrix], e: float, P: Any) -> Any:

@@ -1,12 +1,12 @@
 """One Lyapunov matrix for a whole range of sampling intervals, by LMI.
 
-    [P, M(T)'; M(T), P] > 0,   M(T) = e^{rate T} P J(T)                (the gain is given), or
-                               M(T) = e^{rate T} (P J0(T) - Y H(T))    (it is sought: G = P^-1 Y, J = J0 - G H)
+    [P, M(T)'; M(T), P] > 0,   M(T) = e^{rate T} P J(T)                (for a given gain), or
+                               M(T) = e^{rate T} (P J0(T) - Y H(T))    (to compute it: G = P^-1 Y, J = J0 - G H)
 
-which is J(T)' P J(T) < e^{-2 rate T} P: the error falls in the norm of P over every interval, in whatever order the intervals
-come, and at least at that rate. The solver sees a few T; the certificate is then re-checked by eigenvalues at every whole tick
-of the range, which are all that can occur. The objective: maximise t subject to [P, M'; M, P] >= t I, P <= I.
-Source: ours, after Li, Wang, Tian (PI-PCO): that F(T) alone is stable, as printed, is not enough for PI-PCO.
+This is J(T)' P J(T) < e^{-2 rate T} P: the error decreases in the norm of P over every interval, in every order of the
+intervals, at that rate or faster. The solver uses a few T. The certificate is checked by eigenvalues at every whole tick of
+the range, which are all intervals that can occur. The objective is to maximise t subject to [P, M'; M, P] >= t I, P <= I.
+Source: this project's, after Li, Wang, Tian (PI-PCO), where only F(T) is stable, which does not suffice for PI-PCO.
 """
 
 from collections.abc import Callable
@@ -20,17 +20,17 @@ from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
 
 class CommonLyapunov(NamedTuple):
-    """A solver's answer, as it came."""
+    """A solver's raw answer."""
 
     P: Matrix  # [k, k]
-    G: Matrix  # [k, l]; of size 0 where the gain was given
+    G: Matrix  # [k, l]; empty for a given gain
     t: float
     status: str
     solver: str
 
 
 class ErrorMaps(NamedTuple):
-    """The maps J [k, n, n] of an error over intervals of `seconds` [k]; where a gain is sought, without it, and H [k, l, n]."""
+    """Maps J [k, n, n] of an error over intervals of `seconds` [k]; to compute a gain, those without it, and H [k, l, n]."""
 
     J: Matrix
     seconds: Matrix
@@ -40,9 +40,9 @@ class ErrorMaps(NamedTuple):
 def design(
     corners: ErrorMaps, every: Callable[[CommonLyapunov], ErrorMaps], rate: float, what: str, where: str
 ) -> tuple[CommonLyapunov, Certificate]:
-    """Find P (and G) at the `corners` of a range and prove it at all that `every` gives of an answer, at `rate` [1/s].
+    """Return P (and G) computed at the `corners` of a range, certified at all maps that `every` returns, at `rate` [1/s].
 
-    Raises DesignError where no answer stands.
+    Raises DesignError if no answer is certified.
     """
     J, H, name = corners.J, corners.H, "common-p" if corners.H is None else "common-g"
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
@@ -61,7 +61,7 @@ def design(
 
 
 def solve(corners: ErrorMaps, rate: float, where: str, solver: str = "CLARABEL") -> CommonLyapunov:
-    """Find P, and with H the gain G as well; raise DesignError where there is no answer."""
+    """Return P, and with H also the gain G; raise DesignError without an answer."""
     import cvxpy as cp
 
     J, H = np.exp(rate * corners.seconds)[:, None, None] * corners.J, corners.H
@@ -79,7 +79,7 @@ def solve(corners: ErrorMaps, rate: float, where: str, solver: str = "CLARABEL")
 
 
 def certify(found: CommonLyapunov, every: ErrorMaps, rate: float, what: str) -> Certificate:
-    """Re-check [P, M'; M, P] > 0 at every map that can occur; the least eigenvalue is the margin."""
+    """Check [P, M'; M, P] > 0 at every map that can occur; the margin is the least eigenvalue."""
     P = np.asarray(found.P, float)
     if P.shape != every.J.shape[1:]:
         return Certificate(what, float("nan"), found.solver, found.status)

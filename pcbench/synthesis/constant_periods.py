@@ -1,4 +1,4 @@
-"""The largest constant sampling period at which an error that a linear map carries from sample to sample decays.
+"""Largest constant sampling period at which an error with a linear map from sample to sample decays.
 
 An error e(k+1) = M(T) e(k) decays if and only if the spectral radius of M(T) is below 1. The limits here are exact for a
 constant period T. A varying period may destabilise an error that every constant period in its range stabilises.

@@ -1,16 +1,16 @@
-"""The ways to a current estimator's gain L [n, q], each with its certificate.
+"""Design methods of a current estimator's gain L [n, q], each with its certificate.
 
     given     L itself
-    lmi       LMI (23) of Mohammed et al., sharp: `current_lmi`
+    lmi       LMI (23) of Mohammed et al., with a unique solution: `current_lmi`
     riccati   a stationary Kalman filter's
-    decay     the fastest rate of decay that one P proves over a range (up to e^-5 a sample), or a rate that is asked for
+    decay     the fastest decay rate that one P certifies over a range (up to e^-5 per sample), or a required rate
     h2        the least covariance, and
     hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust_lmi`
 
-The first three are found at the (mean) sampling period, in units of 1000^k (k whole) near the size of x(0), as the solution
-of (23) depends on the units. If a range or a rate is asked for, one P of its own proves over it what they found. All report
-the effect of noise in the same way: `noise_rms` [n], exact at the mean period, is the stationary rms of the estimate's error
-at a sample's arrival which measurement noise alone leaves.
+The first three are for the (mean) sampling period, in units of 1000^k (k whole) near the size of x(0), because the solution
+of (23) depends on the units. If a range or a rate is required, another P certifies their gain for it.
+All methods report `noise_rms` [n], exact at the mean period: the stationary rms error of the estimate at a sample's arrival,
+caused by measurement noise alone.
 """
 
 import numpy as np
@@ -36,9 +36,10 @@ def find(
     maps: Maps | None,
     where: str,
 ) -> tuple[Matrix, Certificate]:
-    """Return L and its certificate; raise DesignError where there is none that stands.
+    """Return L and its certificate; raise DesignError if no gain is certified.
 
-    `q`: process noise through the input, per second. `maps`: over which a promise is to hold, None: the mean period alone.
+    `q`: intensity of process noise through the input, per second. `maps`: range of the certificate; None: the mean period
+    only.
     """
     period, C, R = setting.period[0], setting.model.C, np.diag(setting.noise_variance)
     Phi, Q = _over_period(setting.model, setting.dt, q, setting.process_noise, period)
@@ -70,7 +71,7 @@ def find(
 
 @cached_by_value
 def _over_period(model: linear.Model, dt: float, q: float, process: Matrix, period: int) -> tuple[Matrix, Matrix]:
-    """The map over a period [ticks], and the covariance that process noise adds."""
+    """Return the map over a period [ticks], and the covariance that process noise adds."""
     doubled = linear.doublings(model, dt, linear.bits_for(period))
     noise = linear.noise_doublings(model, linear.input_noise(model, q, dt) + process, dt, len(doubled))
     return linear.over(doubled, period), linear.noise_over(doubled, noise, period)
@@ -78,7 +79,7 @@ def _over_period(model: linear.Model, dt: float, q: float, process: Matrix, peri
 
 @cached_by_value
 def _noise_alone(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
-    """The stationary covariance that measurement noise alone leaves."""
+    """Return the stationary covariance that measurement noise alone causes."""
     return error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T)
 
 
@@ -86,7 +87,7 @@ def _noise_alone(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
 def at_the_mean(
     method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
 ) -> tuple[Matrix, Certificate]:
-    """Return L and its certificate at the mean period, by one of the first three ways."""
+    """Return L and its certificate at the mean period, by one of the first three methods."""
 
     def certify(found: current_lmi.CurrentGain) -> Certificate:
         sharp = sharpened(found)
@@ -111,13 +112,13 @@ def at_the_mean(
 
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
-    """Prove a gain over a range, at a rate [1/s]."""
+    """Return the certificate of a gain over a range, at a rate [1/s]."""
     F = error_bounds.errors(L, C, maps.Phi)
     fastest = float((-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.LEAST)) / maps.seconds).min())
     if not decay < fastest:
         raise DesignError(
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
-            "ask for a slower decay or a narrower range, or take gain = 'h2'."
+            "take a slower decay or a narrower range, or gain = 'h2'."
         )
     every = ErrorMaps(F, maps.seconds)
 
@@ -130,7 +131,7 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
 
 
 def _size(setting: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
-    """The errors' size [n], for a solver's sake: a Kalman filter's where there is one, or else that of x(0)."""
+    """Return the size of the errors [n] for the solver: that of a Kalman filter if one exists, otherwise that of x(0)."""
     prior = riccati.prior_size(setting)
     try:
         L = riccati.current_gain(Phi, setting.model.C, Q, R, setting.scenario)

@@ -1,21 +1,21 @@
-"""The gain of a current estimator by LMI: xhat_m = xbar_m + L (y_m - C xbar_m), e_m = (I - L C) Phi e_(m-1).
+"""Gain of a current estimator by LMI: xhat_m = xbar_m + L (y_m - C xbar_m), e_m = (I - L C) Phi e_(m-1).
 
     [-P, (P Phi - Y C Phi)'; P Phi - Y C Phi, -P] < 0,   L = P^-1 Y                          (23)
 
-(23) is feasible for whole families of L, so feasibility alone does not define a gain. The choice here: maximise t subject to
+(23) is feasible for many L, so feasibility alone does not define a gain. Here t is maximised subject to
 
     [P, M'; M, P] >= t I,   P <= I,   M = P Phi - Y C Phi.
 
-The optimum fixes t and mostly P, but not Y: two solvers, or one on two machines, return gains that differ in the first digit.
-For given P and t the gains that attain t are those with ||D^-1/2 P (I - L C) Phi D^-1/2|| <= 1, D = P - t I, and the one with
-the least Frobenius norm of that matrix,
+The optimum defines t and mostly P, but not Y: gains of two solvers, or of one on two machines, differ in the first digit. For
+given P and t, the gains that attain t are those with ||D^-1/2 P (I - L C) Phi D^-1/2|| <= 1, D = P - t I. The result is the
+one with the least Frobenius norm of that matrix,
 
-    L = Phi D^-1 c (c' D^-1 c)^-1,   c = (C Phi)',
+    L = Phi D^-1 c (c' D^-1 c)^-1,   c = (C Phi)'.
 
-is the gain. With P = I it is argmin ||(I - L C) Phi||, t = 1 - ||(I - L C) Phi||, which needs no solver: where that attains the
-optimum which the solver found, it is the gain, so no digit of a table comes from a solver. (The spectral norm leaves ties, of
-the size of the fast mode's e^{-lam te}.) Of plants with several optimal P the gain is as far defined as the solver's P.
-Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
+With P = I it is argmin ||(I - L C) Phi||, t = 1 - ||(I - L C) Phi||, which needs no solver. If that attains the solver's
+optimum, it is the result, so that no digit of a table depends on a solver. (The spectral norm leaves the gain undefined by
+about the fast mode's e^{-lam te}.) For plants with several optimal P, the gain depends on the solver's P.
+Source: Mohammed et al. 2017, Theorem 1; the objective is this project's.
 """
 
 import warnings
@@ -29,12 +29,12 @@ from pcbench.dynamics.observability import rank
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
-SAME = 1e-5  # a gain attains a solver's optimum t when it comes this close
-FLAT = 1e-9  # least eigenvalue of P - t I that is told from 0, as a part of the largest
+SAME = 1e-5  # tolerance within which a gain attains a solver's optimum t
+FLAT = 1e-9  # least eigenvalue of P - t I relative to the largest; smaller ones are raised to it
 
 
 class CurrentGain(NamedTuple):
-    """A solver's answer, as it came."""
+    """A solver's raw answer."""
 
     P: Matrix  # [n, n]
     L: Matrix  # [n, q]
@@ -44,7 +44,7 @@ class CurrentGain(NamedTuple):
 
 
 def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
-    """Return argmin over L of ||(I - L C) Phi||: L = Phi c (c'c)^-1, c = (C Phi)'; of many the least, if outputs repeat."""
+    """Return argmin of ||(I - L C) Phi|| over L: L = Phi c (c'c)^-1, c = (C Phi)'; the least one for dependent outputs."""
     c = (C @ Phi).T
     if rank(c) < len(C):
         return np.asarray(Phi @ np.linalg.pinv(c.T), float)
@@ -52,10 +52,10 @@ def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
 
 
 def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> CurrentGain:
-    """Solve the LMI with cvxpy; raise DesignError where the solver leaves no answer."""
+    """Solve the LMI with cvxpy; raise DesignError without an answer."""
     import cvxpy as cp
 
-    if (r := rank(C)) < len(C):  # Y is not unique: find the gain of independent outputs, C = C M' M, and share it
+    if (r := rank(C)) < len(C):  # Y is not unique: solve for independent outputs, C = C M' M, and distribute their gain
         M = np.linalg.svd(C)[2][:r]
         found = solve(Phi, M, where, solver)
         return found._replace(L=found.L @ np.linalg.pinv(C @ M.T))
@@ -70,7 +70,7 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
 
 
 def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
-    """Return a gain found elsewhere with the P that proves it, of M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
+    """Return a given gain with P from M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
     closed = (np.eye(len(Phi)) - L @ C) @ Phi
     P = np.eye(len(Phi))
     if np.abs(np.linalg.eigvals(closed)).max() < 1:
@@ -82,7 +82,7 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
 
 
 def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
-    """Return the gain that the optimum defines: see the module. What does not attain the solver's optimum stays as it came."""
+    """Return the unique gain of the module's docstring; an answer that it cannot reproduce is returned as it is."""
     L, I, reached = closed_form(Phi, C), np.eye(len(Phi)), lmi_margin(found, Phi, C)
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
     if t > reached - SAME:
@@ -92,14 +92,14 @@ def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
 
 
 def least_norm(found: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
-    """Return of all gains that attain t with P the one of least norm: Phi D^-1 c (c' D^-1 c)^-1, D = P - t I."""
+    """Return the gain of least norm that attains t with P: Phi D^-1 c (c' D^-1 c)^-1, D = P - t I."""
     size, V = np.linalg.eigh(found.P - found.t * np.eye(len(Phi)))
     root = V / np.sqrt(np.maximum(size, FLAT * size.max()))  # D^-1 = root root'
     return np.asarray(Phi @ root @ np.linalg.pinv(C @ Phi @ root), float)
 
 
 def lmi_margin(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
-    """Return the t that an answer attains, whatever it says of itself; minus infinity where its shapes are wrong."""
+    """Return the t that an answer attains, independent of its status; minus infinity for wrong shapes."""
     P, L = np.asarray(found.P, float), np.asarray(found.L, float)
     if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:
         return -np.inf
@@ -108,9 +108,9 @@ def lmi_margin(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
 
 
 def certify(found: CurrentGain, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
-    """Re-check (23) with the gain itself: the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi, is the margin.
+    """Check (23) with the gain itself: the margin is the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi.
 
-    `seconds` is the time from sample to sample, of which the promised rate of decay is.
+    `seconds` is the time from sample to sample, for the decay rate.
     """
     P, L = found.P, found.L
     closed = (np.eye(len(Phi)) - L @ C) @ Phi

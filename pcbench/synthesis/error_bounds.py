@@ -1,10 +1,11 @@
-"""What a gain promises: a rate of decay over every interval, and how much noise reaches the estimate.
+"""Bounds that a gain guarantees: the decay rate over every interval, and the effect of noise on the estimate.
 
-Errors of a current estimator, e = x - xhat at the time of a sample, after it was used:
+The error of a current estimator after a sample was used, e = x - xhat, obeys
 
     e_m = F e_(m-1) + (I - L C) w_m - L v_m,   F = (I - L C) Phi,   w ~ (0, Q), v ~ (0, R)
 
-All are computed from the gain itself in NumPy, whoever found it. Where a range of maps is given, one P (or X) serves them all.
+All bounds are computed in NumPy from the gain itself, whatever its design method. For a range of maps, one P (or X) holds for
+all of them.
 """
 
 import math
@@ -15,10 +16,10 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
-GONE = 12.0  # e^-12 over an interval is as good as nothing
-NONE = 1e300  # stands for no bound at all
-DOUBLINGS = 60  # of the number of terms in a sum: enough for a spectral radius of 1 - 1e-16
-LEAST = 1e-150  # of a factor e^{-rate T}: an error that vanishes at once
+GONE = 12.0  # an error that decays by e^-12 counts as zero
+NONE = 1e300  # no bound
+DOUBLINGS = 60  # of the number of terms in a sum; enough for a spectral radius of 1 - 1e-16
+LEAST = 1e-150  # least factor e^{-rate T}, so that deadbeat errors have a finite rate
 
 
 def errors(L: Matrix, C: Matrix, Phi: Matrix) -> Matrix:
@@ -37,17 +38,17 @@ def rate(F: Matrix, P: Matrix, seconds: Matrix) -> float:
 
 
 def require_slower(rate: float, seconds: Matrix, where: str) -> None:
-    """Raise UserError where a rate [1/s] is so fast that an error would be gone within some interval [s]."""
+    """Raise UserError for a rate [1/s] at which an error decays below e^-12 within some interval [s]."""
     most = GONE / float(np.max(seconds))
     if rate > most:
         raise UserError(
             f"{where}: got a decay of {rate:g} 1/s, expected {most:.3g} at most over intervals of {np.max(seconds):g} s, "
-            "within which faster errors are gone; ask for a slower one."
+            "within which faster errors vanish; take a slower one."
         )
 
 
 def rate_of(factor: float, seconds: float) -> float:
-    """Return the rate [1/s] of errors that a spectral radius or norm multiplies every so many seconds."""
+    """Return the decay rate [1/s] of errors that are multiplied by `factor` every `seconds`."""
     return -math.log(max(factor, LEAST)) / seconds
 
 
@@ -60,8 +61,8 @@ def noise(L: Matrix, C: Matrix, Q: Matrix, R: Matrix) -> Matrix:
 def covariance(F: Matrix, N: Matrix) -> Matrix:
     """Return the stationary X = F X F' + N [n, n]; NaN if F [n, n] is not stable.
 
-    X is the sum of F^k N F'^k, added by doubling: a sum of positive terms keeps its digits whatever the units of the states,
-    for which a linear system in X is ill-conditioned.
+    X is the sum of F^k N F'^k, added by doubling. A sum of positive terms is accurate in all units of the states, while a
+    linear system for X is ill-conditioned in some.
     """
     if not np.abs(np.linalg.eigvals(F)).max() < 1:
         return np.full_like(F, np.nan)
@@ -75,9 +76,9 @@ def covariance(F: Matrix, N: Matrix) -> Matrix:
 
 
 def bound(F: Matrix, N: Matrix, P: Matrix) -> Matrix:
-    """Return X = s inv(P) with X >= F X F' + N at every map: no covariance exceeds it, in whatever order the maps come.
+    """Return X = s inv(P) with X >= F X F' + N at every map, which bounds the covariance for every order of the maps.
 
-    NaN where P proves none.
+    The result is NaN if P gives no bound.
     """
     X = np.linalg.inv(P)
     try:
@@ -89,9 +90,9 @@ def bound(F: Matrix, N: Matrix, P: Matrix) -> Matrix:
 
 
 def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
-    """Return the least g that P proves with sum |W e|^2 <= g^2 sum |d|^2, e = F e + B d, by e'(s P) e for any s > 0.
+    """Return the least g with sum |W e|^2 <= g^2 sum |d|^2, e = F e + B d, by e'(s P) e for any s > 0.
 
-    F [k, n, n], B [k, n, d]; NaN where it proves none. Over one map it is a bound of the H-infinity norm.
+    F [k, n, n], B [k, n, d]; NaN if P gives no bound. Over one map g is a bound of the H-infinity norm.
     """
     Ft, Bt = F.transpose(0, 2, 1), B.transpose(0, 2, 1)
 
@@ -108,5 +109,5 @@ def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
     if not (np.isfinite(P).all() and np.linalg.eigvalsh(P)[0] > 0):
         return float("nan")
     start = np.log(float(eigh(W.T @ W, P, eigvals_only=True)[-1]))
-    found = minimize_scalar(square, bounds=(start - 1, start + 12), method="bounded", options={"xatol": 1e-9})
-    return float(np.sqrt(found.fun)) if found.fun < NONE else float("nan")
+    minimum = minimize_scalar(square, bounds=(start - 1, start + 12), method="bounded", options={"xatol": 1e-9})
+    return float(np.sqrt(minimum.fun)) if minimum.fun < NONE else float("nan")

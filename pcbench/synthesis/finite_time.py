@@ -1,14 +1,14 @@
-"""Two current estimators whose combination has no error after N samples: their gains and the combination.
+"""Gains of two current estimators whose combination has no error after N samples, and their combination.
 
-With F_i = (I - L_i C) Phi, i = 1, 2, the error of each after N samples is F_i^N times the error before. Both estimate the same
-state, so with K1 + K2 = I and K1 F1^N + K2 F2^N = 0, that is K2 = F1^N (F1^N - F2^N)^-1,
+With F_i = (I - L_i C) Phi, i = 1, 2, the error of each estimator is multiplied by F_i^N over N samples. Both estimate the
+same state. So with K1 + K2 = I and K1 F1^N + K2 F2^N = 0, that is K2 = F1^N (F1^N - F2^N)^-1,
 
     xhat_m = K1 (z1_m - F1^N z1_(m-N)) + K2 (z2_m - F2^N z2_(m-N)) = K1 z1_m + K2 z2_m - H (z1_(m-N) - z2_(m-N)),   H = K1 F1^N
 
-has no error, whatever the errors were. In the source z is continuous, and exp((A - L_i C) D) takes the place of F_i^N; its
-[K1 K2] = [I 0] [E, exp(F D) E]^-1, F = diag(A - L1 C, A - L2 C), E = [I; I], is the same. For small N, K1 and K2 are large.
-A mode that loses 99 % in a sample keeps its pole (`bandwidth`): there H = (K1 F1^N - K2 F2^N) / 2, and the error vanishes at
-the rate of that mode.
+has no error, for all initial errors. In the source z is continuous, with exp((A - L_i C) D) instead of F_i^N. Its [K1 K2] =
+[I 0] [E, exp(F D) E]^-1, F = diag(A - L1 C, A - L2 C), E = [I; I], is equivalent. For small N, K1 and K2 are large.
+A mode that decays by 99 % or more per sample keeps its pole (`bandwidth`). Then H = (K1 F1^N - K2 F2^N) / 2, and the error
+vanishes at the rate of that mode.
 
 Source: Engel, Kreisselmeier, IEEE TAC 47(7), 2002, for continuous measurement; the form for samples is this project's.
 """
@@ -23,7 +23,7 @@ from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
 
 FASTEST = 0.01  # size of a mode per sample below which it keeps its pole
-LARGEST = 1e8  # of the entries of K1, K2: beyond, rounding alone would be seen
+LARGEST = 1e8  # of the entries of K1, K2; above, rounding errors dominate
 WHAT = "radius of F1 and F2 < 1; K1 + K2 = I, K1 F1^N + K2 F2^N = 0"
 
 
@@ -36,7 +36,7 @@ class FiniteTimeGains(NamedTuple):
 
 
 def weights(M1: Matrix, M2: Matrix) -> tuple[Matrix, Matrix]:
-    """Return K1, K2 [n, n] with K1 + K2 = I and K1 M1 + K2 M2 = 0; raise LinAlgError where M1 - M2 is singular."""
+    """Return K1, K2 [n, n] with K1 + K2 = I and K1 M1 + K2 M2 = 0; raise LinAlgError for a singular M1 - M2."""
     K2 = np.asarray(np.linalg.solve((M1 - M2).T, M1.T).T, float)
     return np.eye(len(M1)) - K2, K2
 

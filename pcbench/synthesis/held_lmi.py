@@ -1,19 +1,19 @@
 """Gains and certificates of an observer that holds its innovations between aperiodic, asynchronous samples, by an LMI.
 
-Clock g samples the outputs C_g; t_g is its newest sample and s_g = t - t_g <= T_g its age. The error, with A(t) anywhere in the
-convex hull of given matrices A_i, which contains the slopes of a nonlinear plant:
+Clock g samples the outputs C_g; t_g is its newest sample and s_g = t - t_g <= T_g its age. A(t) is anywhere in the convex
+hull of given matrices A_i, which contains the Jacobians of a nonlinear plant. The error obeys
 
     e' = A(t) e - sum_g L_g C_g e(t_g)
     V  = e'P e + sum_g (T_g - s_g) (integral of e^{2 a (r - t)} v(r)'R_g v(r) over r = t_g .. t),   v = de/dt
 
 Let m_g be the mean of v since t_g, so that e(t_g) = e - s_g m_g. With Jensen's inequality, and 0 = 2 (e'P2' + v'P3')(e' - v),
-dV/dt + 2 a V is at most a form in (e, v, m_g), affine in each s_g. It is negative if it is negative at all corners, which are
-s_g = 0 or T_g at every A_i. V does not grow at a sample. So e decays at the rate a for all intervals up to T_g of each clock,
-constant or not.
+dV/dt + 2 a V is at most a quadratic form in (e, v, m_g), affine in each s_g. It is negative if it is negative at all corners,
+s_g = 0 or T_g at every A_i. V does not increase at a sample. So e decays at the rate a for all constant or varying intervals
+up to T_g of each clock.
 
-A gain is sought with P3 = ratio P2: then the LMI is linear in P2'L_g. Time is in units of the largest T_g, and P <= I.
-Source: Fridman, Automatica 46(2), 2010, for one clock and a given gain; several clocks and the hull are ours.
-Not claimed: that larger intervals are unstable, nor anything about delayed samples.
+To compute a gain, P3 = ratio P2, so that the LMI is linear in P2'L_g. Time is in units of the largest T_g, and P <= I.
+Source: Fridman, Automatica 46(2), 2010, for one clock and a given gain; several clocks and the hull are this project's.
+Not claimed: that larger intervals are unstable, or any property with delayed samples.
 """
 
 import itertools
@@ -27,7 +27,7 @@ from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
 PRECISION = 1e-3  # relative, of the largest interval
-UNKNOWN = np.zeros((0, 0))  # a gain that is sought
+UNKNOWN = np.zeros((0, 0))  # a gain to be computed
 
 
 class HeldTask(NamedTuple):
@@ -38,11 +38,11 @@ class HeldTask(NamedTuple):
     clocks: tuple[int, ...]  # [q] the clock of each output, from 0
     intervals: tuple[float, ...]  # [g] the longest interval between samples of each clock [s]
     rate: float = 0.0  # a [1/s]
-    ratio: float = 1.4  # P3 / P2 if a gain is sought, in units of the largest interval
+    ratio: float = 1.4  # P3 / P2 to compute a gain, in units of the largest interval
 
 
 class HeldGain(NamedTuple):
-    """A solver's answer in units of the largest interval, as it came."""
+    """A solver's raw answer, in units of the largest interval."""
 
     P: Matrix  # [n, n]
     R: Matrix  # [g, n, n]
@@ -55,9 +55,9 @@ class HeldGain(NamedTuple):
 
 
 def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[Any, Any]) -> list[list[list[Any]]]:
-    """Return the blocks of the form in (e, v, m_g of the clocks with s_g = T_g) at each corner.
+    """Return the blocks of the quadratic form in (e, v, m_g of the clocks with s_g = T_g) at each corner.
 
-    Of arrays, or of cvxpy's variables. W contains P2' and P3', and Y their products with L.
+    The arguments are arrays or variables of cvxpy. W contains P2' and P3', and Y their products with L.
     """
     unit, n = max(task.intervals), task.A.shape[-1]
     rate, ages = task.rate * unit, [T / unit for T in task.intervals]
@@ -72,14 +72,14 @@ def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[An
             edge = [ages[g] * (y @ outputs[g]) for y in Y]
             for row, block in zip(rows, [*edge, *[np.zeros((n, n))] * (len(rows) - 2)], strict=True):
                 row.append(block)
-            own = -ages[g] * np.exp(-2 * rate * ages[g]) * R[g]
-            rows.append([row[-1].T for row in rows] + [own])
+            diagonal = -ages[g] * np.exp(-2 * rate * ages[g]) * R[g]
+            rows.append([row[-1].T for row in rows] + [diagonal])
         forms.append(rows)
     return forms
 
 
 def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> HeldGain:
-    """Prove the gain L [n, q], or find one if L is UNKNOWN, with the largest margin t; raise DesignError without an answer."""
+    """Certify the gain L [n, q], or compute one if L is UNKNOWN, with the largest t; raise DesignError without an answer."""
     import cvxpy as cp
 
     n, q = task.A.shape[-1], len(task.C)
@@ -96,14 +96,14 @@ def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> He
     rules = [P << np.eye(n), P >> t * np.eye(n), *(each >> t * np.eye(n) for each in R)]
     for form in map(cp.bmat, corner_forms(task, P, R, (P2.T, P3.T), Y)):
         rules.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
-    advice = "shorten the intervals, ask for a slower decay, or narrow the ranges"
+    advice = "shorten the intervals, take a slower decay, or narrow the ranges"
     status, (X, margin, X2, Z, *S) = solvers.minimise(-t, rules, (P, t, P2, last, *R), where, solver, advice)
     X3, gain = (Z, scaled) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
     return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)
 
 
 def certify(task: HeldTask, found: HeldGain) -> Certificate:
-    """Re-check P > 0, R_g > 0 and the form < 0 at every corner; the margin is the least eigenvalue, less its rounding error."""
+    """Check P > 0, R_g > 0 and the form < 0 at every corner; the margin is the least eigenvalue minus its rounding error."""
     what = "V' + 2 a V < 0 at every corner of ages and models, V of Fridman 2010 with one term per clock"
     P, R, W2, W3, L = (np.asarray(each, float) for each in (found.P, found.R, found.P2.T, found.P3.T, found.L))
     if not all(np.isfinite(each).all() for each in (P, R, W2, W3, L)):
@@ -115,21 +115,31 @@ def certify(task: HeldTask, found: HeldGain) -> Certificate:
 
 
 def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple[Matrix, Certificate]:
-    """Return the gain [n, q] with its certificate: L itself, or one that is found if L is None.
+    """Return the gain [n, q] with its certificate: L itself, or a computed one if L is None.
 
-    `scale` [n] are units of the states for the solver. Raises DesignError if none is certified.
+    `scale` [n] are units of the states for the solver. Raises DesignError if no gain is certified.
     """
-    own = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
+    scaled = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
     given = UNKNOWN if L is None else L / scale[:, None]
-    arrays = (own.A, own.C, np.array(own.clocks), np.array(own.intervals), np.array([own.rate, own.ratio]), given)
+    arrays = (
+        scaled.A,
+        scaled.C,
+        np.array(scaled.clocks),
+        np.array(scaled.intervals),
+        np.array([scaled.rate, scaled.ratio]),
+        given,
+    )
 
     def ask(solver: str) -> HeldGain:
         return solvers.solve_or_load(
-            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(own, given, where, solver)
+            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(scaled, given, where, solver)
         )
 
     found, certificate = solvers.proven(
-        ask, lambda found: certify(own, found), where, hopeless=lambda found: found.status == "optimal" and found.t <= 0
+        ask,
+        lambda found: certify(scaled, found),
+        where,
+        hopeless=lambda found: found.status == "optimal" and found.t <= 0,
     )
     gain = scale[:, None] * np.asarray(found.L, float) / max(task.intervals) if L is None else L
     numbers = dict(certificate.numbers) | {"L": gain, "P": np.asarray(found.P) / np.outer(scale, scale)}

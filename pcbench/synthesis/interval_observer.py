@@ -6,9 +6,9 @@ With real distinct eigenvalues l, M = V diag(l) V^-1,
     r(k+1) = |l| r(k) + |V^-1 b| wmax + |V^-1 K| vmax,     |V^-1 e| <= r,     x in xhat +- |V| r
 
 Proof: V^-1 e(k+1) = diag(l) V^-1 e(k) + V^-1 b w - V^-1 K v; take absolute values, entry by entry. The same holds for any V,
-with |N| = |V^-1 M V| instead of |l|, and r stays bounded if the spectral radius of |N| is below 1: the certificate. So a pair
-of complex eigenvalues is admitted, with the real and the imaginary part of its eigenvector in V.
-Source: ours, after Mazenc, Dinh, Automatica 50(10), 2014, which was not obtained.
+with |N| = |V^-1 M V| instead of |l|, and r stays bounded if the spectral radius of |N| is below 1: the certificate. So complex
+eigenvalues are allowed too, with the real and the imaginary part of its eigenvector in V.
+Source: this project's, after Mazenc, Dinh, Automatica 50(10), 2014, which was not obtained.
 """
 
 from typing import NamedTuple
@@ -35,9 +35,9 @@ class IntervalGains(NamedTuple):
 
 
 def gain(Phi: Matrix, C: Matrix, pole: float, poles: list[float] | None, where: str) -> Matrix:
-    """Return L [n, q] that gives Phi (I - L C) real distinct poles: `poles`, or `pole` and equally spaced smaller ones.
+    """Return L [n, q] with real distinct poles of Phi (I - L C): `poles`, or `pole` and equally spaced smaller ones.
 
-    By `pole`, modes that decay faster than 1e-3 per sample keep theirs. Raises DesignError where poles cannot be placed.
+    With `pole`, modes that decay faster than 1e-3 per sample keep theirs. Raises DesignError if the poles cannot be placed.
     """
     slow = bandwidth.slow_modes(Phi, C, 0.0 if poles else FASTEST)
     k = len(slow.Phi)
@@ -86,7 +86,7 @@ def accumulated(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matri
         ticks: the largest s.
     """
     out, b = np.zeros((ticks + 1, len(Phi))), columns
-    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable plant, at ages that do not occur
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow of an unstable plant at ages that do not occur
         for s in range(ticks if columns.any() else 0):
             out[s + 1] = out[s] + np.abs(back @ b).sum(1)
             b = Phi @ b

@@ -5,13 +5,13 @@ An error e is mapped from sample to sample by G(s) = E e^{F s} J, where s is any
     hold    e' = A e - L C e(t_k):                    F = [A, -L; 0, 0],  J = [I; C],  E = [I, 0]
     jump    e+ = (I - K C) e at a sample, e' = A e:   F = A,  J = I,  E = I - K C       (e after the jump)
 
-P is found at a few s. In the norm in which |e|^2 = e'P e, and in a cell of half-width w around m,
+P is computed for a few s. In the norm in which |e|^2 = e'P e, and in a cell of half-width w around m,
 
     |G(s)| <= |G(m)| + w |E F e^{F m} J| + |E F^2| |e^{F m} J| (e^{f w} - 1 - f w) / f^2,    f = |F|
 
-If that is below 1 in every cell, the error decays for all real intervals of the range. The gain K of a jump is found by the
+If that is below 1 in every cell, the error decays for all real intervals of the range. The gain K of a jump is computed by the
 same LMI, which is linear in P and P K.
-Source: ours. The theorems of Ferrante, Seuret (arXiv 2102.10652) were not obtained.
+Source: this project's. The theorems of Ferrante, Seuret (arXiv 2102.10652) were not obtained.
 """
 
 from typing import NamedTuple
@@ -64,7 +64,7 @@ def jump_gain(A: Matrix, C: Matrix, low: float, high: float, where: str) -> Matr
 
 
 def certify(error: SampledError, low: float, high: float, where: str) -> Certificate:
-    """Find P and bound |G(s)| over the whole range; the margin is 1 less the bound. Raises DesignError without an answer."""
+    """Compute P, and bound |G(s)| over the range; the margin is 1 minus the bound. Raises DesignError without an answer."""
     seconds = np.linspace(low, high, SHOWN)
     found = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
     worst = norm_bound(error, found.P, low, high)
@@ -78,7 +78,7 @@ def norm_bound(error: SampledError, P: Matrix, low: float, high: float, cells: i
         U = np.linalg.cholesky((P + P.T) / 2).T
     except np.linalg.LinAlgError:
         return float("nan")
-    # units of the flow's states: those of e by U, a held innovation in its own
+    # units of the flow's states: those of e by U, those of a held innovation by |U|
     extra = len(error.F) - len(P)
     S = np.block([[U, np.zeros((len(P), extra))], [np.zeros((extra, len(P))), np.eye(extra) * np.linalg.norm(U, 2)]])
     F = S @ error.F @ np.linalg.inv(S)

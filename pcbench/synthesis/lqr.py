@@ -1,8 +1,9 @@
-"""Linear-quadratic regulation of a sampled plant, and the eigenvalues of a loop with a late command.
+"""Linear-quadratic regulation of a sampled plant, and the eigenvalues of a loop with a delayed command.
 
-    u = -K x least in sum x'Q1 x + u'Q2 u:   S = Phi'S Phi + Q1 - Phi'S Gamma K,  K = (Q2 + Gamma'S Gamma)^-1 Gamma'S Phi
+    u = -K x minimises sum x'Q1 x + u'Q2 u:   S = Phi'S Phi + Q1 - Phi'S Gamma K,  K = (Q2 + Gamma'S Gamma)^-1 Gamma'S Phi
 
-Phi, Gamma are over one period of the controller, the input held. Source: Astrom, Wittenmark, Computer-Controlled Systems, 11.2.
+Phi, Gamma are over one period of the controller with held input. Source: Astrom, Wittenmark, Computer-Controlled Systems,
+11.2.
 """
 
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from pcbench.errors import DesignError, first_sentence
 
 
 class Law(NamedTuple):
-    """A linear law of the state x, run once a period: s+ = A s + B x, command C s + D x; k numbers kept, m inputs."""
+    """A linear law of the state x, computed once per period: s+ = A s + B x, command C s + D x; k entries of s, m inputs."""
 
     A: Matrix  # [k, k]
     B: Matrix  # [k, n]
@@ -24,20 +25,20 @@ class Law(NamedTuple):
 
 
 def gain(Phi: Matrix, Gamma: Matrix, Q1: Matrix, Q2: Matrix, where: str) -> Matrix:
-    """Return K [m, n]; raise DesignError where there is none that stabilises."""
+    """Return K [m, n]; raise DesignError without a stabilising one."""
     try:
         S = solve_discrete_are(Phi, Gamma, Q1, Q2)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"{where}: the Riccati equation of lqr was not solved (SciPy said '{first_sentence(error)}'), "
             "expected a plant that its "
-            "inputs can stabilise and a Q1 that weighs every mode that does not decay; weigh another state or add an input."
+            "inputs can stabilise and a Q1 that weights every mode that does not decay; weight another state or add an input."
         ) from error
     return np.asarray(np.linalg.solve(Q2 + Gamma.T @ S @ Gamma, Gamma.T @ S @ Phi), float)
 
 
 def over_period(tick: tuple[Matrix, Matrix], ticks: int) -> tuple[Matrix, Matrix]:
-    """Return Phi and Gamma over so many ticks of a held input, from those of one."""
+    """Return Phi and Gamma over `ticks` ticks of a held input, from those of one tick."""
     (Phi, Gamma), F, G = tick, np.eye(len(tick[0])), np.zeros_like(tick[1])
     for _ in range(ticks):
         F, G = Phi @ F, Phi @ G + Gamma
@@ -45,13 +46,14 @@ def over_period(tick: tuple[Matrix, Matrix], ticks: int) -> tuple[Matrix, Matrix
 
 
 def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, every: int, late: int) -> Matrix:
-    """Return the map over one period of the plant, the law and its commands on their way, which come `late` ticks later.
+    """Return the map over one period of the plant, the law and its commands in transit, which act `late` ticks later.
 
-    Its eigenvalues within the unit circle: the loop is stable, the state known. A decision is made every `every` ticks.
+    The loop is stable, with a known state, if its eigenvalues are within the unit circle. A decision is made every `every`
+    ticks.
     """
     Phi, Gamma = tick
     n, m, k = *Gamma.shape, len(law.A)
-    kept = -(-late // every)  # commands of the periods before that are still to act
+    kept = -(-late // every)  # commands of earlier periods that have not acted yet
     identity = np.eye(n + k + m * kept)
     x, s, sent = identity[:n], identity[n : n + k], [identity[n + k + m * j :][:m] for j in range(kept)]  # newest first
     sent = [law.C @ s + law.D @ x, *sent]

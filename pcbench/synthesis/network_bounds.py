@@ -1,7 +1,7 @@
-"""How long a network may wait between transmissions if it carries the outputs of a loop one at a time.
+"""Longest interval between transmissions of a network that carries the outputs of a loop one at a time.
 
-A plant x' = A x + B u, y = C x is controlled by xc' = Ac xc + Bc yh, u = Cc xc + Dc yh from the last received outputs yh, which
-are held. Each transmission updates one output of yh. With X = (x, xc) and the network's error e = yh - y:
+A plant x' = A x + B u, y = C x has the controller xc' = Ac xc + Bc yh, u = Cc xc + Dc yh. It uses the last received outputs
+yh, which are held. Each transmission updates one output of yh. With X = (x, xc) and the network's error e = yh - y:
 
     X' = A11 X + A12 e,    e' = A21 X + A22 e
 
@@ -11,8 +11,8 @@ norm of its own; lambda = sqrt(1/2) with two outputs. Every interval below a bou
     round robin         outputs in turn; gamma grows by the factor sqrt(2) with two outputs, L stays if A22 is diagonal
     try-once-discard    the output with the largest |e|
 
-Sources: the bound of Carnevale, Teel, Nesic, 2007, used by Heemels, Teel, van de Wouw, Nesic 2010; the older one of Nesic, Teel
-2004. The papers were not obtained. The limit of round robin and the rates of try-once-discard are ours.
+Sources: the bound of Carnevale, Teel, Nesic, 2007, used by Heemels, Teel, van de Wouw, Nesic 2010; the older one of Nesic,
+Teel 2004. The papers were not obtained. The limit of round robin and the rates of try-once-discard are this project's.
 """
 
 from math import atan, log, sqrt
@@ -85,11 +85,11 @@ def older_interval_bound(L: float, gamma: float, factor: float) -> float:
 def round_robin_radius(loop: NetworkLoop, interval: float) -> float:
     """Return the spectral radius of the map over one transmission of each output in turn, one every `interval` seconds."""
     over, N, q = expm(loop.flow * interval), len(loop.A11), len(loop.A22)
-    whole = np.eye(N + q)
+    cycle = np.eye(N + q)
     for node in range(q):
-        whole = over @ whole
-        whole[N + node] = 0.0  # received: yh = y of this output
-    return spectral_radius(whole)
+        cycle = over @ cycle
+        cycle[N + node] = 0.0  # received: yh = y of this output
+    return spectral_radius(cycle)
 
 
 def round_robin_limit(loop: NetworkLoop, upper: float) -> float:

@@ -1,9 +1,9 @@
-"""A model from sample to sample over a whole range: of sampling intervals, and of parameters of the model.
+"""Maps of a model from sample to sample over ranges of sampling intervals and of model parameters.
 
-What is proven over a range is proven at every whole tick of it, which are all the intervals that can occur, and at VALUES
-values of each parameter. A matrix inequality that is affine in the map holds between them too wherever the map there lies in
-the convex hull of those it was checked at (a polytope).
-Not claimed: anything about a plant whose parameters are not the observer's; the difference drives the error.
+A certificate over a range is checked at every whole tick, which are all intervals that can occur, and at VALUES values of
+each parameter. A matrix inequality that is affine in the map also holds between these values, if the map there is in the
+convex hull of the checked ones (a polytope).
+Not claimed: any property for a plant whose parameters differ from the observer's; the difference acts on the error.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import DesignContext
 
-SHOWN = 17  # maps that a solver sees; the re-check sees every one
+SHOWN = 17  # maps that a solver uses; the check of the certificate uses all
 VALUES = 33  # of a parameter
 MOST = 50_000  # maps in all
 
@@ -33,16 +33,16 @@ Range = Annotated[list[float], AfterValidator(_increasing)]
 
 
 class Maps(NamedTuple):
-    """A model over each of k intervals, under parameters of a range; n states."""
+    """Maps of a model over k intervals and parameter values; n states."""
 
     Phi: Matrix  # [k, n, n]
     Q: Matrix  # [k, n, n] covariance that process noise adds
     seconds: Matrix  # [k]
-    corners: NDArray[np.int64]  # [c] which of them a solver is to see
+    corners: NDArray[np.int64]  # [c] indices of the maps for a solver
 
     @property
     def seen(self) -> "Maps":
-        """Return the corners alone."""
+        """Return the corners only."""
         k = self.corners
         return Maps(self.Phi[k], self.Q[k], self.seconds[k], np.arange(len(k)))
 
@@ -54,10 +54,11 @@ def maps(
     q: float,
     where: str,
 ) -> Maps:
-    """Return the maps over every whole tick of `periods` (lowest, highest [s]; None: the schedule's own intervals).
+    """Return the maps over every whole tick of `periods` (lowest, highest [s]; None: the intervals of the schedule).
 
-    And under every value of `parameters` (lowest, highest of each; None: as they are). `q` is the assumed process noise through
-    the input, per second. Raises UserError where a range holds no tick, or where a parameter is none of the plant's.
+    `parameters` are the lowest and highest value of each parameter; None: nominal values. `q` is the assumed intensity of
+    process noise through the input, per second. Raises UserError for a range without a tick, or a parameter that the plant
+    does not have.
     """
     ticks = (
         list(setting.intervals or sorted(set(setting.period))) if periods is None else _ticks(periods, setting, where)
@@ -82,16 +83,16 @@ def _ticks(periods: list[float], setting: DesignContext, where: str) -> list[int
             f"{where}: got a period_range of {periods} s, which are {high - low:.3g} ticks of {setting.dt:g} s, expected "
             f"{MOST} at most; write seconds, or a narrower range."
         )
-    found = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
-    if not found:
+    ticks = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
+    if not ticks:
         raise UserError(
             f"{where}: got a period_range of {periods} s, expected one with a multiple of the tick of {setting.dt:g} s in it."
         )
-    return found
+    return ticks
 
 
 def _of(setting: DesignContext, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
-    """The maps and process noise covariances of one model, [ticks, n, n]."""
+    """Return the maps and process noise covariances of one model, [ticks, n, n]."""
     model = setting.variant(parameters) if parameters else setting.model
     tick = linear.input_noise(model, q, setting.dt) + setting.process_noise
     doubled = linear.doublings(model, setting.dt, linear.bits_for(max(ticks)))
@@ -102,7 +103,7 @@ def _of(setting: DesignContext, parameters: dict[str, float], ticks: list[int], 
 
 
 def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:
-    """Some intervals, the first and the last among them, at the lowest, middle and highest values of each parameter."""
+    """Return the indices of some intervals, with the first and the last, at lowest, middle and highest parameter values."""
     each = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
     few = max(SHOWN // 3**parameters, 3)
     some = np.unique(np.linspace(0, intervals - 1, min(few, intervals)).round().astype(int))

@@ -1,16 +1,16 @@
-"""The gains of a proportional-integral observer by LMI: the least that prove a rate of decay beta.
+"""Gains of a proportional-integral observer by LMI: the least gains with a certified decay rate beta.
 
-With v = KP s + w, w' = KI s + xi sgn(s), and A22s = 0 the error [ebar1; s; s'] moves by Ab - Bb K,
+With v = KP s + w, w' = KI s + xi sgn(s), and A22s = 0, the map of the error [ebar1; s; s'] is Ab - Bb K,
 
     Ab = [A11b, 0, 0; 0, 0, I; A21 A11b, 0, 0],  Bb = [0; 0; I],  K = [0, KI, KP],  A11b = A11 - L1 A211  (37), (39), (42)
     Q Ab' + Ab Q - LL'Bb' - Bb LL + 2 beta Q <= 0,   Q = inv(P) = blkdiag(Q1, [Q21, Q23; Q23, Q22])       (38), (40)
     minimise g:   ||LL|| <= g,  Q >= I,   LL = K Q = [0, LI, LP]                                          (52)
 
-less xi sgn(s) and f', which enter by Bb. Q21, Q22, Q23 are diagonal and Q23 <= 0: then P has the same form with
-P23 >= 0, which Proposition 2 needs for sgn(s), element by element. The first block column of LL is zero: a gain on the
-unmeasured ebar1 could not be applied. The norm is spectral; g is printed as gamma.
-Source: Peng 2017, Proposition 2. L1 is given, by the design of the sliding-mode observer. A11b is a block of the map, so
-beta has to lie below its slowest decay: not said in print. Strict inequalities are closed, see `sliding_mode`.
+without xi sgn(s) and f', which act through Bb. Q21, Q22, Q23 are diagonal and Q23 <= 0. Then P has the same form with P23 >=
+0, which Proposition 2 needs for sgn(s), element by element. The first block column of LL is zero, because a gain on the
+unmeasured ebar1 cannot be applied. The norm is spectral; g is printed as gamma.
+Source: Peng 2017, Proposition 2. L1 is that of the sliding-mode observer. Not in print: A11b is a block of the map, so beta
+must be below its slowest decay rate. Inequalities are not strict, see `sliding_mode`.
 """
 
 from typing import NamedTuple
@@ -23,11 +23,11 @@ from pcbench.synthesis import solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
-ADVICE = "ask for a slower rate"
+ADVICE = "take a slower rate"
 
 
 class PIGains(NamedTuple):
-    """A solver's answer, as it came."""
+    """A solver's raw answer."""
 
     KP: Matrix  # [p, p]
     KI: Matrix  # [p, p]
@@ -38,7 +38,7 @@ class PIGains(NamedTuple):
 
 
 def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, Certificate]:
-    """Find the least gains that prove beta [1/s] beside L1, and re-check that they do; errors as of `solve`."""
+    """Return the least gains with the decay rate beta [1/s] for L1, and their certificate; raise the errors of `solve`."""
     found, certificate = solvers.proven(
         lambda solver: solve(plant, L1, beta, where, solver),
         lambda found: certify(found, plant, L1),
@@ -49,29 +49,29 @@ def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, 
 
 
 def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> PIGains:
-    """Find the least gains that prove beta [1/s] beside L1 [n-p, p-r]; remembered.
+    """Return the least gains with the decay rate beta [1/s] for L1 [n-p, p-r], from the cache or a solver.
 
-    Raises UserError where what L1 leaves decays no faster than beta, DesignError where the solver has no answer.
+    Raises UserError if A11 - L1 A211 decays no faster than beta, and DesignError if the solver has no answer.
     """
     A11b = plant.A11 - L1 @ plant.A211
     least = -float(np.linalg.eigvals(A11b).real.max())
     if not beta < least:
         raise UserError(
             f"{where}: got a rate beta of {beta:.4g} 1/s, expected less than the {least:.4g} 1/s at which A11 - L1 A211 "
-            "decays; ask for a slower beta or a faster L1."
+            "decays; take a slower beta or a faster L1."
         )
     name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
     return solvers.solve_or_load(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
 
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
-    """Return the map [n+p, n+p] of the rate of [ebar1; s; s'] where xi and f' are zero, Ab - Bb K."""
+    """Return the map [n+p, n+p] of [ebar1; s; s'] to its derivative without xi and f', Ab - Bb K."""
     Ab, Bb = _model_only(plant.A11 - L1 @ plant.A211, plant.A21)
     return Ab - Bb @ np.hstack([np.zeros_like(plant.A21), KI, KP])
 
 
 def certify(found: PIGains, plant: Split, L1: Matrix) -> Certificate:
-    """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P proves; NaN where P is not of its form."""
+    """Check the LMI at the gains; the margin is the rate [1/s] that P certifies, NaN if P does not have the required form."""
     KP, KI, P = (np.asarray(M, float) for M in found[:3])
     what = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
     unproven, (p, k) = Certificate(what, float("nan"), found.solver, found.status), plant.A21.shape
@@ -87,14 +87,14 @@ def certify(found: PIGains, plant: Split, L1: Matrix) -> Certificate:
 
 
 def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:
-    """Return P [n+p, n+p] from P1 [n-p, n-p] and the diagonals [p] of its other blocks, in the order in which they stand."""
+    """Return P [n+p, n+p] from P1 [n-p, n-p] and the diagonals [p] of its other blocks."""
     zero = np.zeros((len(P1), len(P21)))
     low = [[zero.T, np.diag(P21), np.diag(P23)], [zero.T, np.diag(P23), np.diag(P22)]]
     return np.block([[P1, zero, zero], *low])
 
 
 def _has_form(P: Matrix, k: int, p: int) -> bool:
-    """Say whether P is of the form that Proposition 2 needs, to the bit."""
+    """Return whether P has exactly the form that Proposition 2 needs."""
     of = [P[k + i * p : k + (i + 1) * p, k + j * p : k + (j + 1) * p].diagonal() for i, j in ((0, 0), (0, 1), (1, 1))]
     return np.array_equal(P, form(P[:k, :k], *of)) and bool((of[1] >= 0).all())
 
@@ -119,7 +119,7 @@ def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> P
     rules = [half + half.T << 0, Q >> np.eye(k + 2 * p), q23 <= 0, cp.sigma_max(LL) <= g]
     unknowns = (Q1, q21, q23, q22, LL, g)
     status, (X1, a, b, c, gains, least) = solvers.minimise(g, rules, unknowns, where, solver, ADVICE)
-    # The inverse channel by channel, so that its blocks are diagonal to the bit; Q23 > 0 is a solver's rounding of 0.
+    # The inverse channel by channel, so that its blocks are diagonal to the bit; Q23 > 0 is a rounding error of the solver.
     b = np.minimum(b, 0.0)
     P = form(
         np.asarray(np.linalg.inv(X1), dtype=np.float64), c / (a * c - b**2), -b / (a * c - b**2), a / (a * c - b**2)

@@ -1,9 +1,9 @@
-"""Pole placement: the gain K [n, q] that gives A^d - K C, the error's map over d samples, its poles.
+"""Pole placement: the gain K [n, q] for given poles of A^d - K C, the map of the error over d samples.
 
-    all poles are p                       if the outputs give the state at once: A^d - K C = p I
+    all poles are p                       if C is invertible: A^d - K C = p I
     distinct poles p (1, 0.9, 0.8, ...)   otherwise, by `scipy.signal.place_poles`
 
-The observers `chain`, `equal-delay` and `no-delay` are designed with it.
+The observers `chain`, `equal-delay` and `no-delay` use it.
 """
 
 import warnings
@@ -16,9 +16,9 @@ from pcbench.synthesis.sampled_model import SampledPlant, invertible, power, req
 
 
 def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
-    """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
+    """Return K [n, q] with A^d - K C = pole I if C is invertible; otherwise the poles are pole (1, 0.9, 0.8, ...).
 
-    With n > 9 states they are closer together. Outputs that repeat each other share a gain.
+    With n > 9 states they are closer together. Linearly dependent outputs share a gain.
     """
     Ad, n = power(plant.A, d), len(plant.A)
     if invertible(plant.C):
@@ -40,7 +40,7 @@ def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
         wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                warnings.simplefilter("ignore", UserWarning)  # slow convergence; the certificate checks the result
                 G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(

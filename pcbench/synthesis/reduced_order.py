@@ -1,14 +1,16 @@
-"""The unmeasured part of a plant between samples, and the gains of a reduced-order PI observer of it.
+"""Unmeasured part of a plant between samples, and the gains of a reduced-order PI observer of it.
 
-With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned after y and w, the error of w and the integral L move by
+With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned into y and w, the map of the error of w and the integral L
+from sample to sample is
 
     J(T) = [[F, -I], [Ki A12, I]],   F = A22 - Kp A12            (PCO: F alone)
 
-from sample to sample. With more unmeasured states than outputs (n > 2 l) J has the eigenvalue 1, whatever Kp and Ki are:
-Ki A12 [n-l, n-l] has a rank of at most l < n-l, so there is a v with Ki A12 v = 0, and J [v; (F - I) v] = [v; (F - I) v].
-So no PI-PCO is stable there. Gains are sought and proven in units of 1000^k (k whole) near the size of x(0), as the solution of
-the LMI depends on the units; the margin is of those units.
-Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
+With more unmeasured states than outputs (n > 2 l), J has the eigenvalue 1 for all Kp and Ki: Ki A12 [n-l, n-l] has a rank of
+at most l < n-l, so there is a v with Ki A12 v = 0, and J [v; (F - I) v] = [v; (F - I) v]. So no PI-PCO is stable for such
+plants.
+Gains are computed and certified in units of 1000^k (k whole) near the size of x(0), because the solution of the LMI depends
+on the units. The margin is in those units.
+Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is this project's, the paper analyses F only.
 """
 
 from typing import NamedTuple
@@ -34,12 +36,12 @@ class Partition(NamedTuple):
     A12: Matrix  # [maps, l, n-l]
     A22: Matrix  # [maps, n-l, n-l]
     seconds: Matrix  # [maps] interval of each
-    units: Matrix  # [n] in which the LMI is solved, of y and w
-    corners: NDArray[np.int64]  # which of them a solver is to see
+    units: Matrix  # [n] units of y and w for the LMI
+    corners: NDArray[np.int64]  # indices of the maps for a solver
 
 
 def coordinates(C: Matrix, where: str) -> Matrix:
-    """Return T [n, n] with C inv(T) = [I 0]: C itself, then the directions it does not see; identity where C = [I 0]."""
+    """Return T [n, n] with C inv(T) = [I 0]: the rows of C, then a basis of its null space; identity if C = [I 0]."""
     l, n = C.shape
     if rank(C) < l or l == n:
         raise UserError(
@@ -48,24 +50,24 @@ def coordinates(C: Matrix, where: str) -> Matrix:
         )
     if np.array_equal(C, np.eye(l, n)):
         return np.eye(n)
-    unseen = null_space(C).T
-    lead = np.take_along_axis(unseen, np.abs(unseen).argmax(1)[:, None], 1)
-    return np.vstack([C, unseen * np.sign(lead)])
+    basis = null_space(C).T
+    lead = np.take_along_axis(basis, np.abs(basis).argmax(1)[:, None], 1)
+    return np.vstack([C, basis * np.sign(lead)])
 
 
 def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
-    """Return the partitions of T Phi inv(T) over a range of maps, of states of a `size` [n].
+    """Return the partitions of T Phi inv(T) over a range of maps, for states of a `size` [n].
 
-    Raises UserError where w is unobservable.
+    Raises UserError if w is unobservable.
     """
     require_observable(model, where)
     T, l = coordinates(model.C, where), len(model.C)
-    whole = T @ maps.Phi @ np.linalg.inv(T)
+    transformed = T @ maps.Phi @ np.linalg.inv(T)
     return Partition(
         T=T,
         outputs=l,
-        A12=whole[:, :l, l:],
-        A22=whole[:, l:, l:],
+        A12=transformed[:, :l, l:],
+        A22=transformed[:, l:, l:],
         seconds=maps.seconds,
         units=riccati.near(np.linalg.norm(T * size, axis=1)),
         corners=maps.corners,
@@ -73,7 +75,7 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
 
 
 def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
-    """Return J(T), or F(T) where Ki is None; A12 and A22 with a leading axis of intervals."""
+    """Return J(T), or F(T) if Ki is None; A12 and A22 have a leading axis of intervals."""
     F = A22 - Kp @ A12
     if Ki is None:
         return F
@@ -84,7 +86,7 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
 def design(
     plant: Partition, given: list[Matrix], integral: bool, rate: float, where: str
 ) -> tuple[Matrix, Matrix, Certificate]:
-    """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s].
+    """Certify the given gains ([Kp] or [Kp, Ki]), or compute and certify gains by the LMI, at a `rate` [1/s].
 
     Return Kp, Ki [n-l, l] and the certificate.
     """
@@ -128,7 +130,7 @@ def design(
 
 
 def _corners(plant: Partition, rate: float) -> tuple[Matrix, Matrix, Matrix]:
-    """What the solver sees: corners of the (A12, A22) box where both are numbers and no rate is asked, else some of them."""
+    """Return A12, A22 and intervals for the solver: corners of the box of scalar (A12, A22) without a rate, else some maps."""
     if plant.A22.shape[1:] == (1, 1) and plant.outputs == 1 and rate == 0:
         a, e = plant.A12.ravel(), plant.A22.ravel()
         box = np.array([(x, y) for x in {a.min(), a.max()} for y in {e.min(), e.max()}])

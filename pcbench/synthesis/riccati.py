@@ -1,11 +1,11 @@
-"""Riccati equations: the KFBO's stationary one, and the recursion that no causal estimator can beat.
+"""Riccati equations: the stationary one of the KFBO, and the covariance recursion that bounds every causal estimator.
 
     A P + P A' - P C' R^-1 C P + Q = 0,   K = P C' R^-1                                      (27), (26)
 
-(26) is printed K = P C' R; the printed gains need R^-1. The printed Q = 0.001 I does not give them either: the process
-noise enters through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, section 5.
+(26) is printed K = P C' R, but the printed gains need R^-1. The printed Q = 0.001 I does not give them either: the process
+noise acts through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, section 5.
 
-Units of 1000^k (k whole) in which gains are sought: the solution of an LMI depends on the units of the states.
+`near` returns units of 1000^k (k whole) for an LMI, because its solution depends on the units of the states.
 """
 
 from bisect import bisect
@@ -34,14 +34,14 @@ class Stationary(NamedTuple):
 
 @cached_by_value
 def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
-    """Solve (27) for P and K; the margin is how far A - K C lies left of the axis, NaN where P does not solve (27)."""
+    """Solve (27) for P and K; the margin is minus the largest real part of the poles of A - K C, NaN unless P solves (27)."""
     A, C = model.A, model.C
     try:
         P: Matrix = np.asarray(solve_continuous_are(A.T, C.T, Q, R), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"{where}: the Riccati equation (27) was not solved (SciPy said '{first_sentence(error)}'), "
-            "expected (A, C) detectable and Q, R positive; change what they are made of."
+            "expected (A, C) detectable and Q, R positive; change Q, R or the outputs."
         ) from error
     K: Matrix = np.asarray(np.linalg.solve(R, C @ P).T, dtype=np.float64)
     residual = A @ P + P @ A.T - P @ C.T @ K.T + Q
@@ -54,13 +54,13 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
 
 
 def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Matrix:
-    """Return the stationary Kalman filter's L [n, q] of a current estimator, xhat = xbar + L (y - C xbar)."""
+    """Return L [n, q] of the stationary Kalman filter as a current estimator, xhat = xbar + L (y - C xbar)."""
     try:
         P = solve_discrete_are(Phi.T, C.T, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"{where}: the discrete Riccati equation was not solved (SciPy said '{first_sentence(error)}'), "
-            "expected (Phi, C) detectable and Q, R positive; change what they are made of."
+            "expected (Phi, C) detectable and Q, R positive; change Q, R or the outputs."
         ) from error
     return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T, dtype=np.float64)
 
@@ -73,12 +73,12 @@ def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
 
 
 def _over(doubled: Matrix, noise: Matrix, ticks: int) -> tuple[Matrix, Matrix]:
-    """The map over some ticks, and the covariance that process noise adds."""
+    """Return the map over some ticks, and the covariance that process noise adds."""
     return linear.over(doubled, ticks), linear.noise_over(doubled, noise, ticks)
 
 
 class CovarianceRun(NamedTuple):
-    """What a covariance recursion over a horizon leaves."""
+    """Results of a covariance recursion over a horizon."""
 
     P: Matrix  # [n, n] after the last update
     K: Matrix  # [n, q] the last gain of each channel
@@ -92,10 +92,10 @@ def multirate(
 ) -> CovarianceRun:
     """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on.
 
-    Cached, as observers and grid points of one study ask for the same.
+    The result is cached, because observers and grid points of one study share it.
     """
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
-    over = cache(lambda gap: _over(doubled, noise, gap))  # the same gaps come again and again
+    over = cache(lambda gap: _over(doubled, noise, gap))  # gaps repeat
     innovation, least = np.inf, np.inf
     for tick in sorted({t for every in period for t in range(0, ticks + 1, every)}):
         E, Q = over(tick - at)
@@ -110,25 +110,25 @@ def multirate(
 
 
 Taken = tuple[int, int]  # a sample: the tick at which it is taken, its channel
-Stage = tuple[int, Matrix]  # a tick and a root S of the covariance of then, P = S S'
-After = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S that many ticks on, with its sample
+Stage = tuple[int, Matrix]  # a tick and a root S of the covariance there, P = S S'
+After = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S after `ticks` and a sample of the channel
 
 
 class Steps(NamedTuple):
-    """What covariance recursions of one model, noise and R have found on their way, for others of the same."""
+    """Results of covariance recursions of one model, noise and R, which later recursions use again."""
 
-    # (S to the bit, ticks, channel) -> S that many ticks on, with its sample
+    # (bytes of S, ticks, channel) -> S after `ticks` and a sample of the channel
     after: dict[tuple[bytes, int, int], Matrix]
-    over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, a root of the covariance that noise adds
-    flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
+    over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, and a root of the covariance that noise adds
+    flow: dict[str, Matrix]  # "maps" over 0, 1, 2, ... ticks and "noise" added over them, [ticks, n, n] each
     stages: dict[bytes, Matrix]  # samples that arrive in order -> covariances [m + 1, n, n] after none, one, two ...
 
 
-ROOM = 1 << 16  # covariances that `Steps` hold, and as many again in series: some ten megabytes each
+ROOM = 1 << 16  # covariances in each of the two caches of `Steps`: some ten megabytes
 
 
 def no_steps() -> Steps:
-    """Return what is known before the first recursion."""
+    """Return an empty cache."""
     return Steps({}, {}, {}, {})
 
 
@@ -142,14 +142,16 @@ def posterior_variance(
     ticks: range,
     steps: Steps | None = None,
 ) -> Matrix:
-    """Return the variance [n] that no causal estimator can beat, its mean over some ticks, from 0 on.
+    """Return the mean over some ticks of the variance [n] that bounds every causal estimator from below.
 
     `doubled` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
-    arrived. `samples` [m, 3] are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees.
-    It exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
-    Roots of covariances are carried, by orthogonal transformations: with a prior 1e8 times the noise P would keep no digit.
+    arrived. `samples` [m, 3] are (arrival, taken, channel) in ticks, in any order; R[q] are variances above 0. Source:
+    Kalman; Van Trees.
+    `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and do not change any bit.
+    The recursion propagates roots of covariances by orthogonal transformations. With a prior of 1e8 times the noise, P itself
+    would have no correct digit.
     """
     steps = no_steps() if steps is None else steps
     times = np.asarray(samples, int).reshape(-1, 3)
@@ -170,13 +172,13 @@ def posterior_variance(
 def _newest(
     after: After, P0: Matrix, samples: NDArray[np.integer], steps: Steps
 ) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
-    """Ticks [m] from which on nothing newer is known, those of the newest samples, and covariances after them [m, n, n].
+    """Return ticks [m] from which on a newest sample is known, those of the samples, and covariances after them [m, n, n].
 
-    A sample may arrive after a newer one: what came of newer ones is found again.
+    If a sample arrives after a newer one, the covariances after newer samples are computed again.
     """
     order = np.lexsort(samples.T[::-1])
     arrives, taken, channel = samples[order].T
-    last = np.append(arrives[1:] != arrives[:-1], True)[: len(arrives)]  # of those that arrive at its tick
+    last = np.append(arrives[1:] != arrives[:-1], True)[: len(arrives)]  # whether it is the last arrival of its tick
     if (np.lexsort((channel, taken)) == np.arange(len(taken))).all():
         key = np.append(P0, samples[order, 1:]).tobytes()
         if key not in steps.stages:
@@ -191,14 +193,14 @@ def _newest(
         since, at, P = np.append(0, arrives[last]), np.append(0, taken)[newest], steps.stages[key][newest]
     else:
         since, at, P = _newest_again(after, P0, samples[order])
-    first = int(len(since) > 1 and since[1] == 0)  # something arrives at tick 0
+    first = int(len(since) > 1 and since[1] == 0)  # 1 if a sample arrives at tick 0
     return since[first:], at[first:], P[first:]
 
 
 def _newest_again(
     after: After, P0: Matrix, samples: NDArray[np.integer]
 ) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
-    """The same of samples in the order of arrival, some of which arrive after a newer one."""
+    """As `_newest`, for samples in the order of arrival, some of which arrive after a newer one."""
     known: list[Taken] = []  # oldest first
     stages: list[Stage] = [(0, root(P0))]  # after none, one, two ... of them
     since = {-1: stages[0]}
@@ -217,24 +219,24 @@ def _newest_again(
 def _after(
     steps: Steps, doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, S: Matrix, ticks: int, channel: int
 ) -> Matrix:
-    """The root some ticks on, after a sample of one channel: once it repeats itself, nothing is computed."""
+    """Return the root of the covariance `ticks` later, after a sample of one channel; cached in `steps`."""
     key = S.tobytes(), ticks, channel
-    if (found := steps.after.get(key)) is not None:
-        return found
+    if (stored := steps.after.get(key)) is not None:
+        return stored
     if ticks not in steps.over:
         map_, added = _over(doubled, noise, ticks)
         steps.over[ticks] = map_, root(added)
     E, G = steps.over[ticks]
     if len(steps.after) >= ROOM:
         steps.after.clear()
-    found = steps.after[key] = root_after(np.hstack([E @ S, G]), C[channel], float(R[channel]))
-    return found
+    later = steps.after[key] = root_after(np.hstack([E @ S, G]), C[channel], float(R[channel]))
+    return later
 
 
 def root_after(S: Matrix, c: Matrix, r: float) -> Matrix:
-    """Return a root [n, n] of the posterior covariance after y = c x + v, v ~ N(0, r), of a root S [n, k] of the prior one.
+    """Return a root [n, n] of the posterior covariance after y = c x + v, v ~ N(0, r), from a root S [n, k] of the prior one.
 
-    [sqrt(r), c S; 0, S] times an orthogonal matrix is [s, 0; K s, S+]: lower triangular, of a diagonal not below 0.
+    [sqrt(r), c S; 0, S] times an orthogonal matrix is [s, 0; K s, S+], lower triangular with a diagonal of at least 0.
     Source: Kailath, Sayed, Hassibi, Linear Estimation, 2000, chapter 12 (array algorithms).
     """
     n, k = S.shape
@@ -245,7 +247,7 @@ def root_after(S: Matrix, c: Matrix, r: float) -> Matrix:
 
 
 def root(P: Matrix) -> Matrix:
-    """Return a root S of P = S S', of eigenvalues not below 0."""
+    """Return a root S of P = S S'; negative eigenvalues count as 0."""
     if not np.count_nonzero(P - np.diag(P.diagonal())):
         return np.diag(np.sqrt(P.diagonal()))
     size, V = np.linalg.eigh((P + P.T) / 2)
@@ -253,9 +255,9 @@ def root(P: Matrix) -> Matrix:
 
 
 def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:
-    """The maps over 0, 1 ... ticks and what noise adds over them, [many, n, n] each."""
+    """Return the maps over 0, 1 ... ticks and the covariance that noise adds over them, [many, n, n] each."""
     if not steps.flow or len(steps.flow["maps"]) < many:
-        room = 1 << (many - 1).bit_length()  # so that it is not done again for each delay that is a little longer
+        room = 1 << (many - 1).bit_length()  # a power of 2, so that slightly longer delays use it again
         maps, added = [np.eye(len(doubled[0]))], [np.zeros_like(doubled[0])]
         for _ in range(room - 1):
             maps.append(doubled[0] @ maps[-1])
@@ -265,11 +267,11 @@ def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matr
 
 
 def near(size: Matrix) -> Matrix:
-    """Return the units nearest to sizes [n], 1 for a size of 0. Units of sizes a thousand times larger are so much larger."""
+    """Return the powers of 1000 nearest to sizes [n], 1 for a size of 0; they scale with the sizes in steps of 1000."""
     return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
 
 
 def prior_size(setting: DesignContext) -> Matrix:
-    """Return the size of x(0) [n], 1 where it is known."""
+    """Return the standard deviation of x(0) [n], 1 for a known state."""
     size = np.sqrt(np.diag(setting.P0))
     return np.where(size > 0, size, 1.0)

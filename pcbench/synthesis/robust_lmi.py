@@ -1,14 +1,14 @@
-"""Gains of a current estimator that keep a promise over a whole range of maps Phi_i, by LMI in P > 0 and Y = P L.
+"""Gains of a current estimator with a guarantee over a whole range of maps Phi_i, by LMI in P > 0 and Y = P L.
 
     decay   [P, M_i'/r_i; M_i/r_i, P] >= t I,  M_i = (P - Y C) Phi_i,  r_i = e^{-rate T_i},           maximise t <= 1 at P <= I
     h2      [P, M_i, (P - Y C) G_i, Y V; ., P, 0, 0; ., ., I, 0; ., ., ., I] >= 0,  [Z, W; W', P] >= 0,  minimise trace Z
     hinf    [P, M_i, (P - Y C) G_i, -Y V; ., P - W'W, 0, 0; ., ., g I, 0; ., ., ., g I] >= 0,         minimise g
 
-with G_i G_i' = Q_i the process noise over an interval, V V' = R that of a sample, W e what counts of the error. h2 bounds the
-covariance of W e by Z, hinf its energy by g times that of the (normalised) noise. Each may be joined with decay; one P for
-all is sufficient, not necessary. Where the plant integrates, a constant sensor error comes out in the estimate as it is,
-whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `error_bounds` in the
-plant's own units.
+with G_i G_i' = Q_i the process noise over an interval, V V' = R that of a sample, and W e the weighted error. h2 bounds the
+covariance of W e by Z, and hinf its energy by g times that of the (normalised) noise. Each may be combined with decay. One P
+for all is sufficient, not necessary. If the plant integrates, a constant sensor error causes the same constant error of the
+estimate for every gain, which bounds the energy gain from below. The LMI is solved at the scale of the noise, and checked by
+`error_bounds` in the plant's own units.
 Source: standard (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994; de Oliveira et al., 1999), in
 the form that Y = P L makes affine.
 """
@@ -24,24 +24,24 @@ from pcbench.synthesis.certificate import SHORT, Certificate
 from pcbench.synthesis.parameter_ranges import Maps
 
 Kind = Literal["decay", "h2", "hinf"]
-FASTEST = 5.0  # e^-5 a sample: faster is as good as at once
-NEARLY = 1.01  # the energy gain's square, of the least
+FASTEST = 5.0  # fastest decay, e^-5 per sample
+NEARLY = 1.01  # factor of the least squared energy gain
 STEPS = 24  # of the search for the fastest rate
-ADVICE = "ask for a slower decay or a narrower range"
+ADVICE = "take a slower decay or a narrower range"
 
 
 class RobustTask(NamedTuple):
-    """What a gain is sought for; n states, q outputs."""
+    """Maps, noise and weights of a design; n states, q outputs."""
 
     maps: Maps
     C: Matrix  # [q, n]
     R: Matrix  # [q, q] variance of one sample, > 0
-    W: Matrix  # [n, n] what counts of the error
-    scale: Matrix  # [n] size of the error, for the solver's sake
+    W: Matrix  # [n, n] weight of the error
+    scale: Matrix  # [n] size of the error, as units for the solver
 
 
 class RobustGain(NamedTuple):
-    """A solver's answer, as it came."""
+    """A solver's raw answer."""
 
     P: Matrix  # [n, n]
     L: Matrix  # [n, q]
@@ -53,9 +53,9 @@ class RobustGain(NamedTuple):
 def design(
     task: RobustTask, kind: Kind, decay: float | None, where: str, among: tuple[str, ...] = solvers.SOLVERS
 ) -> tuple[RobustGain, Certificate]:
-    """Find a gain and prove it; `decay` [1/s] is the least rate, None: any (of the kind decay: the fastest).
+    """Return a gain with its certificate; `decay` [1/s] is the least rate, None: any (for kind "decay": the fastest).
 
-    Raises DesignError where no answer stands.
+    Raises DesignError if no answer is certified.
     """
     if kind == "decay" and decay is None:
         return fastest(task, where)
@@ -75,7 +75,7 @@ def design(
 
 
 def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
-    """Return the gain with the fastest decay that one P proves over the range, by bisection of the rate."""
+    """Return the gain with the fastest decay that one P certifies over the range, by bisection of the rate."""
     low, high = 0.0, FASTEST / float(task.maps.seconds.min())
     best: tuple[RobustGain, Certificate] | None = None
     for _ in range(STEPS):
@@ -91,9 +91,10 @@ def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
 
 
 def solve(task: RobustTask, kind: Kind, decay: float | None, where: str, solver: str = "CLARABEL") -> RobustGain:
-    """Solve the inequalities at the corners of a range; raise DesignError where the solver has no answer.
+    """Solve the inequalities at the corners of a range; raise DesignError without an answer.
 
-    Of the gains with the least energy gain, to NEARLY, the one with the least covariance is taken: there are many.
+    For hinf, many gains have nearly the least energy gain; of those up to NEARLY times it, the result has the least
+    covariance.
     """
     if kind != "hinf":
         return _solve(task, kind, decay, np.inf, where, solver)
@@ -102,7 +103,7 @@ def solve(task: RobustTask, kind: Kind, decay: float | None, where: str, solver:
 
 
 def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, where: str, solver: str) -> RobustGain:
-    """Minimise what `kind` says, with an energy gain of no more than `energy`."""
+    """Minimise the objective of `kind`, with an energy gain of at most `energy`."""
     import cvxpy as cp
 
     S, v = task.scale, 1 / np.sqrt(np.diag(task.R))
@@ -138,7 +139,7 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
 
 
 def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) -> Any:
-    """The block of h2 or hinf, whose noise has variance 1."""
+    """Return the block matrix of h2 or hinf for noise of variance 1."""
     n, q, r = P.shape[0], Y.shape[1], G.shape[1]
     zero = np.zeros
     return cp.bmat([
@@ -150,7 +151,7 @@ def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) ->
 
 
 def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
-    """Re-check what P proves of L at every map of the range; the margin is the rate of decay [1/s]."""
+    """Check what P certifies for L at every map of the range; the margin is the decay rate [1/s]."""
     P, L = np.asarray(found.P, float), np.asarray(found.L, float)
     what = "F'P F <= e^{-2 rate T} P at every map of the range, F = (I - L C) Phi"
     if P.shape != task.W.shape or L.shape != task.C.T.shape or not (np.isfinite(P).all() and np.isfinite(L).all()):

@@ -1,16 +1,17 @@
-"""The high-gain observer of a chain of n integrators at constant sampling periods: its limits and its decay.
+"""High-gain observer of a chain of n integrators at constant sampling periods: its limits and its decay.
 
     z' = A z + L g,    L = (C(n,1) theta, C(n,2) theta^2, ...),    y = x1
 
-Between samples the innovation g is one of three:
+Between samples the innovation g has one of three forms:
 
     hold        g(t) = y_k - z1(t_k)
     predictor   g(t) = w - z1,  w' = z2,  w(t_k) = y_k      output predictor; g' = -n theta g, and g = e1 at a sample
     impulse     g = 0, and z+ = z + T L (y - z1) at a sample
 
-Time is scaled by theta and the states by its powers, so that all depends on theta T alone. Without sampling, all n eigenvalues
-are -theta. At rest, `high-gain` is the predictor with n = 3; `high-gain-predictor` is the predictor.
-Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, for the output predictor; the limits are ours, by the map over one period.
+Time is scaled by theta and the states by its powers, so that the result depends on theta T only. Without sampling, all n
+eigenvalues are -theta. At constant S, `high-gain` is the predictor with n = 3; `high-gain-predictor` is the predictor.
+Source: Karafyllis, Kravaris, IEEE TAC 54(9), 2009, for the output predictor; the limits are this project's, by the map over
+one period.
 """
 
 from math import comb
@@ -39,7 +40,7 @@ def error_map(form: Form, n: int, interval: float) -> Matrix:
 
 
 def radius(form: Form, n: int, interval: float) -> float:
-    """Return the spectral radius of the error's map at a constant interval theta T; above 1 errors grow."""
+    """Return the spectral radius of the error's map at a constant interval theta T; errors grow if it is above 1."""
     return spectral_radius(error_map(form, n, interval))
 
 
@@ -54,9 +55,9 @@ def decay_rate(form: Form, n: int, interval: float) -> float:
 
 
 def certificate(theta: float, period: float) -> Certificate:
-    """Return the linear limit of `high-gain` with a gain parameter [1/s] at a sampling period [s], samples without delay.
+    """Return the linear limit of `high-gain` for a gain parameter [1/s] and a sampling period [s], without delay.
 
-    There is no proof, as the observer is nonlinear.
+    The observer is nonlinear, so the numbers are not a certificate.
     """
     numbers = {
         "theta_Ts": theta * period,

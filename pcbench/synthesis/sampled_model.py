@@ -1,6 +1,6 @@
-"""A plant from sample to sample, for observers that work on whole samples: its map, its noise, and which modes C shows.
+"""Plant from sample to sample, for observers that compute once per sample: its map, its noise, and its observability.
 
-x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples, all channels are sampled together every
+x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples. All channels are sampled together every
 `period` ticks, and channel j arrives a whole number tau_j of samples later.
 """
 
@@ -15,9 +15,9 @@ from pcbench.errors import UserError
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 
 power = np.linalg.matrix_power
-UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
-STAYS = 1 - 1e-9  # a mode of this size or more does not decay
-ROWS = 1500  # of the largest map whose radius is computed
+UNSEEN = 1e-8  # least singular value of Hautus' test for an observable mode, in scaled units
+STAYS = 1 - 1e-9  # a mode of this absolute value or more does not decay
+ROWS = 1500  # of the largest map whose spectral radius is computed
 GROWS = 100.0  # powers of ten by which a model may grow over a delay
 
 
@@ -26,7 +26,7 @@ class SampledPlant(NamedTuple):
 
     A: Matrix  # [n, n]
     C: Matrix  # [q, n]
-    Q: Matrix  # [n, n] what the assumed process noise adds over a sample
+    Q: Matrix  # [n, n] covariance that the assumed process noise adds over a sample
     R: Matrix  # [q, q] variance of one sample
     tau: tuple[int, ...]  # [q] samples
     period: int  # ticks
@@ -37,7 +37,7 @@ class SampledPlant(NamedTuple):
 def sample_plant(setting: DesignContext, observer: str, q: float | None = None) -> SampledPlant:
     """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
 
-    Raises UserError where channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
+    Raises UserError if channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
     """
     where, period = f"{observer} in {setting.scenario}", _whole_samples(setting, f"{observer} in {setting.scenario}")
     model, tau = setting.model, tuple(delay // period for delay in setting.delay)
@@ -60,12 +60,12 @@ def sample_plant(setting: DesignContext, observer: str, q: float | None = None) 
 
 
 def _whole_samples(setting: DesignContext, where: str) -> int:
-    """Return the period in ticks; raise UserError where times are not whole samples."""
+    """Return the period in ticks; raise UserError if a delay is not a whole number of samples."""
     periods, dt, error = set(setting.period), setting.dt, setting.error
     if len(periods) > 1:
         seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
         raise UserError(
-            f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
+            f"{where}: got sampling periods of {seconds} s, expected the same for all channels, because it computes once per sample; "
             "give one period, or take kf."
         )
     period = periods.pop()
@@ -81,21 +81,21 @@ def _whole_samples(setting: DesignContext, where: str) -> int:
 
 
 def noise_over(plant: SampledPlant, d: int) -> Matrix:
-    """Return what the process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
+    """Return the covariance that process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
     each = [power(plant.A, j) for j in range(d)]
     return np.asarray(sum(E @ plant.Q @ E.T for E in each))
 
 
 def invertible(C: Matrix) -> bool:
-    """Say whether the outputs give the state at once, without one to spare."""
+    """Return whether C is square and invertible."""
     return C.shape[0] == C.shape[1] and rank(C) == len(C)
 
 
 def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
-    """Raise UserError naming a mode of A^d, of size `least` or more, that C does not show.
+    """Raise UserError with a mode of A^d of absolute value `least` or more that C does not observe.
 
-    The test of Hautus at the scale of x(0) and of the noise; by singular values, so that it finds what a multiple mode hides:
-    two modes of A may be one of A^d.
+    This is Hautus' test at the scale of x(0) and of the noise. It uses singular values, so that it detects a multiple mode:
+    two modes of A may be equal in A^d.
     """
     Ad = power(plant.A, d) / plant.scale[:, None] * plant.scale
     C = plant.C / plant.sizes[:, None] * plant.scale
@@ -113,7 +113,7 @@ def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, 
 
 
 def delayed_radius(A: Matrix, K: Matrix, C: Matrix, ages: tuple[int, ...]) -> float:
-    """Return the spectral radius of e(k+1) = A e(k) - sum_j K_j C_j e(k - ages_j); NaN where the ages are too long for it."""
+    """Return the spectral radius of e(k+1) = A e(k) - sum_j K_j C_j e(k - ages_j); NaN if the ages are too long."""
     n = len(A)
     if n * (max(ages) + 1) > ROWS:
         return float("nan")

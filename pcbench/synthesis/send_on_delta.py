@@ -4,7 +4,7 @@
 
 u(x) is the mean time until the exit at +-d, v(x) the mean of the integral of x^2 until then. At 0, u = d^2 and v = d^4/6: the
 mean interval is d^2, and the mean variance of the estimate is v/u = d^2/6. Periodic samples at the same mean interval h = d^2
-leave h/2 = d^2/2, three times as much. By symmetry the estimate does not move while no sample comes.
+give h/2 = d^2/2, three times as much. By symmetry the estimate is constant between samples.
 Source: Astrom, Bernhardsson, CDC 2002; the paper was not obtained, the equations are solved here.
 """
 
@@ -14,12 +14,12 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 SHIFT = (
-    0.5826  # -zeta(1/2) / sqrt(2 pi): overshoot of a sampled random walk over a level, in steps' standard deviations
+    0.5826  # -zeta(1/2) / sqrt(2 pi): mean overshoot of a random walk over a level, in standard deviations of a step
 )
 
 
 class TriggerStats(NamedTuple):
-    """What a send-on-delta trigger costs and gives."""
+    """Statistics of a send-on-delta trigger."""
 
     interval: float  # mean time between samples [s]
     variance: float  # mean variance of the estimate
@@ -28,7 +28,7 @@ class TriggerStats(NamedTuple):
 def expected(threshold: float, points: int = 2000) -> TriggerStats:
     """Solve the exit-time equations on a symmetric grid of 2 `points` - 1 inner points; d is the threshold.
 
-    A grid is a random walk of steps d/points, so the interval is exact and the variance is d^2/6 (1 - 1/points^2).
+    The grid is a random walk of steps d/points, so the interval is exact and the variance is d^2/6 (1 - 1/points^2).
     """
     x = np.linspace(-threshold, threshold, 2 * points + 1)[1:-1]
     step = threshold / points
@@ -45,8 +45,8 @@ def periodic_variance(period: float) -> float:
 def simulated(threshold: float, step: float, steps: int, seed: int, shifted: bool = True) -> TriggerStats:
     """Simulate `steps` steps of `step` seconds, from `seed`.
 
-    A trigger that looks only once a step sees a level late, as if it were higher by SHIFT sqrt(step). `shifted` lowers the
-    level by that, so that the result is that of the threshold in continuous time.
+    A trigger that is evaluated once per step detects a level late, as if the level were higher by SHIFT sqrt(step). `shifted`
+    lowers the level by that, so that the result is that of the threshold in continuous time.
     """
     level = threshold - SHIFT * np.sqrt(step) if shifted else threshold
     moves = np.random.default_rng(seed).standard_normal(steps) * np.sqrt(step)

@@ -1,16 +1,16 @@
-"""The gains of a sliding-mode observer by LMI: the least that prove a rate of decay alpha.
+"""Gains of a sliding-mode observer by LMI: the least gains with a certified decay rate alpha.
 
     [ A11'P1 + P1 A11 - k1 A211 - A211'k1' + 2 alpha P1    A21'P2                     ]
     [ P2 A21                                               -k2 - k2' + 2 alpha P2     ]  <= 0             (23), (27)
     minimise r:   ||k1|| <= r,  ||k2|| <= r,  P1 >= I,  P2 >= I,   k1 = P1 L1,  k2 = -P2 A22s             (24), (29)
 
-so that with v = 0 and f = 0 the error [ebar1; s], x' = [A11 - L1 A211, 0; A21, A22s] x, decays as e^{-alpha t}. The observer
+With v = 0 and f = 0, the error [ebar1; s], x' = [A11 - L1 A211, 0; A21, A22s] x, then decays as e^{-alpha t}. The observer
 adds v = rho P2 s / (||P2 s|| + eps) (21), which needs this P2. Norms are spectral.
-Source: Peng 2017, Proposition 1. In print K1 and K2 are padded with zeros to n rows and columns; where p - q > n - p the
-padding lets the two overlap, and the printed norm would be another: here each counts for itself. Strict inequalities
-are closed: the optimum lies on the boundary, and what it proves is re-checked by `certify`. Where A11 has a mode left of
--alpha, P1 may grow along it at no cost and the printed minimum need not be attained: there, and only there, P1 <= 100 I is
-asked as well, or the first of BOUNDS that leaves an answer.
+Source: Peng 2017, Proposition 1. Different from print: K1 and K2 are printed with zeros up to n rows and columns; if p - q >
+n - p they overlap, which changes the norm. Here each norm is that of its own matrix.
+Inequalities are not strict, because the optimum is on the boundary; `certify` checks what it proves. If A11 has a mode faster
+than alpha, P1 may grow along it at no cost, and the printed minimum need not exist. Only then P1 <= 100 I is added, or the
+first of BOUNDS with an answer.
 """
 
 from typing import NamedTuple
@@ -24,12 +24,12 @@ from pcbench.synthesis import solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
-BOUNDS = (1e2, 1e4, 1e6, 1e8)  # of P1 where it would grow for ever
-ADVICE = "ask for a slower rate"
+BOUNDS = (1e2, 1e4, 1e6, 1e8)  # upper bounds of P1 if it would be unbounded
+ADVICE = "take a slower rate"
 
 
 class SlidingModeGains(NamedTuple):
-    """A solver's answer, as it came."""
+    """A solver's raw answer."""
 
     L1: Matrix  # [n-p, p-r]
     P1: Matrix  # [n-p, n-p]
@@ -41,7 +41,7 @@ class SlidingModeGains(NamedTuple):
 
 
 def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Certificate]:
-    """Find the least gains that prove alpha [1/s], and re-check that they do; errors as of `solve`."""
+    """Return the least gains with the decay rate alpha [1/s], and their certificate; raise the errors of `solve`."""
     least = unknown_input.enough(alpha)
     found, certificate = solvers.proven(
         lambda solver: solve(plant, alpha, where, solver), lambda found: certify(found, plant), where, least
@@ -50,9 +50,9 @@ def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Ce
 
 
 def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> SlidingModeGains:
-    """Find the least gains that prove alpha [1/s]; remembered.
+    """Return the least gains with the decay rate alpha [1/s], from the cache or a solver.
 
-    Raises UserError where modes that no gain moves are slower than alpha, DesignError where the solver has no answer.
+    Raises UserError if modes that no gain moves are slower than alpha, and DesignError if the solver has no answer.
     """
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
@@ -62,13 +62,13 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> S
 
 
 def closed_loop(plant: Split, L1: Matrix, A22s: Matrix) -> Matrix:
-    """Return the map [n, n] of the rate of the error [ebar1; s] where f and v are zero."""
+    """Return the map [n, n] of the error [ebar1; s] to its derivative without f and v."""
     A11b = plant.A11 - L1 @ plant.A211
     return np.block([[A11b, np.zeros_like(plant.A12)], [plant.A21, A22s]])
 
 
 def certify(found: SlidingModeGains, plant: Split) -> Certificate:
-    """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P1, P2 prove, NaN where none."""
+    """Check the LMI at the gains; the margin is the rate [1/s] that P1, P2 certify, NaN without one."""
     L1, P1, P2, A22s = (np.asarray(M, float) for M in found[:4])
     what = "A'P + P A + 2 rate P <= 0, A = [A11 - L1 A211, 0; A21, A22s], P = blkdiag(P1, P2)"
     unproven = Certificate(what, float("nan"), found.solver, found.status)

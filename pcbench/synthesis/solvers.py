@@ -1,13 +1,12 @@
-"""Two solvers for every matrix inequality, and what decides between them: a certificate, not what a solver says of itself.
+"""Solution of matrix inequalities by two solvers; a certificate accepts the answer, not the status that a solver reports.
 
-Clarabel, an interior-point method, is asked first. Where it has no answer, or one that fails its re-check by eigenvalues, SCS
-is asked, a first-order method that shares no code with it. Both answers are judged the same way: what a solver calls
-inaccurate may prove a gain, and what it calls optimal may not.
+Clarabel, an interior-point method, is tried first. If it has no answer, or one whose certificate fails the check by
+eigenvalues, SCS is tried, a first-order method with no common code. A certificate may accept an answer that the solver calls
+inaccurate, and reject one that it calls optimal.
 
-Remember what a solver found, so that the second run of a study need not import it.
-
-Only raw answers are kept, under the hash of the problem's bits, of the text that states it and of the solvers' versions;
-every certificate is re-checked on what is read back, so a damaged or foreign entry can cost time but cannot enter a table.
+Raw answers are cached on disk, so that the second run of a study need not import a solver. The key is a hash of the problem's
+bits, of the source text that states it, and of the solvers' versions. Certificates are always checked again on cached
+answers, so a damaged entry can cost time but cannot change a table.
 """
 
 import hashlib
@@ -42,7 +41,7 @@ ANSWERED = ("optimal", "optimal_inaccurate")
 
 
 class Impossible(DesignError):
-    """There is no such gain: a solver has proven it, so another need not be asked."""
+    """No such gain exists, as a solver has proven; no other solver is tried."""
 
 
 def minimise(
@@ -53,19 +52,20 @@ def minimise(
     solver: str,
     advice: str,
 ) -> tuple[str, list[Matrix]]:
-    """Solve a problem of cvxpy to the last digits a solver gives; return its status and the unknowns' values.
+    """Solve a problem of cvxpy to the highest accuracy of the solver; return its status and the values of the unknowns.
 
-    Raises DesignError with the status and the `advice` where there are none, Impossible where the solver proves that.
+    Raises DesignError with the status and the `advice` without a solution, and Impossible if the solver proves that none
+    exists.
     """
     import cvxpy as cp
 
     problem = cp.Problem(cp.Minimize(objective), rules)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that an answer is inaccurate; the status says it too
+            warnings.simplefilter("ignore", UserWarning)  # inaccurate answers; the status reports them too
             problem.solve(solver=solver, **SETTINGS.get(solver, {}))
         status = str(problem.status)
-    except (cp.SolverError, ValueError, ArithmeticError) as error:  # a solver's own errors, by its name or not
+    except (cp.SolverError, ValueError, ArithmeticError) as error:  # also errors of a solver that are no SolverError
         status = str(error)
     if status not in ANSWERED:
         kind = Impossible if status == "infeasible" else DesignError
@@ -80,29 +80,30 @@ def proven(
     certify: Callable[[F], Certificate],
     where: str,
     least: float = 0.0,
-    hopeless: Callable[[F], bool] = lambda found: False,
+    hopeless: Callable[[F], bool] = lambda answer: False,
     among: tuple[str, ...] = SOLVERS,
 ) -> tuple[F, Certificate]:
-    """Return the first solver's answer whose certificate's margin is above `least`, and the certificate.
+    """Return the first solver's answer whose certificate has a margin above `least`, and the certificate.
 
-    `solve` takes a solver's name. If `hopeless(answer)`, the answer itself shows that no gain does better: no other is asked.
-    Raises DesignError with the largest margin where no answer stands, or with the last status where there is none.
+    `solve` takes a solver's name. If `hopeless(answer)`, the answer itself shows that no gain is better, and no other solver
+    is tried.
+    Raises DesignError with the largest margin if no answer is certified, or with the last status if there is no answer.
     """
     tried: list[str] = []
     answers: list[tuple[F, Certificate]] = []
     failure: DesignError | None = None
     for solver in among:
         try:
-            found = solve(solver)
+            answer = solve(solver)
         except Impossible:
             raise
         except DesignError as error:
             failure = error
             tried.append(f"{solver} had no answer")
             continue
-        certificate = certify(found)._replace(fallback=", ".join(tried))
-        answers.append((found, certificate))
-        if certificate.margin > least or hopeless(found):
+        certificate = certify(answer)._replace(fallback=", ".join(tried))
+        answers.append((answer, certificate))
+        if certificate.margin > least or hopeless(answer):
             break
         tried.append(f"{solver}'s ('{certificate.status}') had margin {certificate.margin:.3g}")
     if not answers and failure:
@@ -112,32 +113,32 @@ def proven(
 
 
 def solve_or_load(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], F]) -> F:
-    """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
+    """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and store it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
-    said = f"{name} {_solvers()}".encode()
-    key = hashlib.sha256(bits + said + _source(kind.__module__) + _source(__name__)).hexdigest()[:32]
+    label = f"{name} {_solvers()}".encode()
+    key = hashlib.sha256(bits + label + _source(kind.__module__) + _source(__name__)).hexdigest()[:32]
     path = folder("gains") / f"{name}-{key}.json"
     try:
         stored = json.loads(path.read_text())
         return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
     except (OSError, ValueError, TypeError, AttributeError):
-        found = solve()
-        keep(path, _to_json(found))
-        return found
+        answer = solve()
+        keep(path, _to_json(answer))
+        return answer
 
 
 @cache
 def _solvers() -> str:
-    """The versions of the solvers: looked up once, as each takes milliseconds."""
+    """Return the versions of the solvers; cached, because the lookup takes milliseconds."""
     return f"{version('cvxpy')} {version('clarabel')} {version('scs')}"
 
 
 @cache
 def _source(module: str) -> bytes:
-    """The text of the module that states a problem: another statement may have another answer."""
-    found = inspect.getsourcefile(sys.modules[module])
-    return Path(found).read_bytes() if found else b""
+    """Return the source text of the module that states a problem, because its answer depends on it."""
+    file = inspect.getsourcefile(sys.modules[module])
+    return Path(file).read_bytes() if file else b""
 
 
-def _to_json(found: Any) -> str:
-    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})
+def _to_json(answer: Any) -> str:
+    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in answer._asdict().items()})

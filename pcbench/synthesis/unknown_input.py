@@ -1,17 +1,19 @@
-"""A plant seen past its unknown input: what the sliding-mode observer and the PI observer have in common.
+"""Coordinates of a plant with an unknown input, shared by the sliding-mode observer and the PI observer.
 
     x' = A x + B u + E f,   y = C x;      z = T x,   T E = [0; 0; E222],   C inv(T) = [0, inv(Tp)]        (1) to (4)
     xhat' = A xhat + B u + Gx e_y + Lx v,   e_y = y - C xhat,   s = Tp e_y                                (5), (21)
 
-n states, m inputs, p outputs, r unknown inputs (q in print, where E is D, D222 our E222). Errors are x - xhat, T of them
-[e1; s], and v is subtracted from the rate of s. With ebar1 = e1 - L s, L = [L1, 0], and the gains of `injection`
+There are n states, m inputs, p outputs and r unknown inputs (q in print, where E is D, and our E222 is D222). Errors are x -
+xhat; T times the error is [e1; s], and v is subtracted from the rate of s. With ebar1 = e1 - L s, L = [L1, 0], and the gains
+of `injection`,
 
     ebar1' = (A11 - L1 A211) ebar1,   s' = A21 ebar1 + A22s s + [0; E222] f - v                           (13), (14), (36)
 
-whatever f and v do: what is not measured decays by itself, and v must become [0; E222] f. Feedthrough changes e_y only.
-Source: Peng, Appl. Sci. 2017, 7(1), 67. Not from print: which orthonormal bases T is built from, `split` fixes them.
-Assumptions 1 and 2 do not make an L1 possible: modes of (A11, A211) may be unmovable, `require_movable`. For the arm with
-its link angle and velocity measured, those are printed at -0.006 +- 1.9365j; they are -0.000625 +- 1.9365j.
+for all f and v. So the unmeasured part decays independently of f, and v must tend to [0; E222] f. Feedthrough changes e_y
+only.
+Source: Peng, Appl. Sci. 2017, 7(1), 67. Not in print: the orthonormal bases of T, which `split` defines.
+Assumptions 1 and 2 do not guarantee an L1: no gain may move some modes of (A11, A211), see `require_movable`. For the arm
+with its link angle and velocity measured, those are printed at -0.006 +- 1.9365j; they are -0.000625 +- 1.9365j.
 """
 
 from typing import NamedTuple
@@ -24,11 +26,11 @@ from pcbench.dynamics.observability import format_mode, product, rank, unobserva
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import SHORT, Certificate, require_certified
 
-TIE = 1e-9  # lengths this close are equal, and entries this small are zero
+TIE = 1e-9  # relative tolerance of equal lengths and zero entries
 
 
 class Split(NamedTuple):
-    """A plant in the coordinates z = T x = [z1; z2], of which z2 = Tp y is measured and its last r feel f."""
+    """A plant in the coordinates z = T x = [z1; z2], where z2 = Tp y is measured and f acts on its last r entries."""
 
     T: Matrix  # [n, n]
     Tp: Matrix  # [p, p] orthogonal
@@ -40,21 +42,23 @@ class Split(NamedTuple):
 
     @property
     def A211(self) -> Matrix:
-        """What the outputs that f does not reach see of z1, [p-r, n-p]."""
+        """Return the rows of A21 for the outputs on which f does not act, [p-r, n-p]."""
         return self.A21[: len(self.Tp) - len(self.E222)]
 
 
 def split(model: Model, where: str) -> Split:
-    """Return the plant in coordinates where f reaches the last r outputs only; raise UserError where there are none.
+    """Return the plant in coordinates in which f acts on the last r outputs only; raise UserError if there are none.
 
-    T = TD [N'; C], TD = [I, -D1 pinv(D2); 0, Tp], D1 = N'E, D2 = C E, N a basis of null(C), Tp one of null(D2') and then of
-    the span of D2, each by `_basis`; the first non-zero entry of each row of T is positive. For the arm T comes out as the
-    permutation [x1, x4, x3, x2], to which the printed gains belong.
+    T = TD [N'; C], TD = [I, -D1 pinv(D2); 0, Tp], D1 = N'E, D2 = C E. N is a basis of null(C), and Tp one of null(D2')
+    followed by one of the span of D2, each by `_basis`. The first non-zero entry of each row of T is positive. For the arm, T
+    is the permutation [x1, x4, x3, x2], for which the gains are printed.
     """
     given = _require_assumptions(model, where)
     n, p, r = len(model.A), len(model.C), given.shape[1]
     C, rows = model.C, _unit(model.C)
-    E = given / np.linalg.norm(C @ given, axis=0)  # f in units that move y by 1 each: no pseudo-inverse sees its units
+    E = given / np.linalg.norm(
+        C @ given, axis=0
+    )  # f scaled so that each moves y by 1, for a pseudo-inverse independent of units
     E2, back = C @ E, np.linalg.pinv(C @ E)
     N = _basis(np.eye(n) - np.linalg.pinv(rows) @ rows, n - p)
     Tp = np.vstack([_basis(np.eye(p) - E2 @ back, p - r), _basis(E2 @ back, r)])
@@ -73,22 +77,22 @@ def injection(plant: Split, L1: Matrix, A22s: Matrix) -> tuple[Matrix, Matrix]:
     A12b = plant.A12 - L @ plant.A22 + plant.A11 @ L - L @ plant.A21 @ L
     G2 = (plant.A22 + plant.A21 @ L - A22s) @ plant.Tp
     G1 = A12b @ plant.Tp + L @ G2
-    both = np.block([[G1, L], [G2, np.eye(len(G2))]])
-    Gx, Lx = np.hsplit(np.asarray(np.linalg.solve(plant.T, both), dtype=np.float64), 2)
+    gains = np.block([[G1, L], [G2, np.eye(len(G2))]])
+    Gx, Lx = np.hsplit(np.asarray(np.linalg.solve(plant.T, gains), dtype=np.float64), 2)
     return Gx, Lx
 
 
 def unmovable(plant: Split) -> list[complex]:
-    """Return the modes of A11 - L1 A211 that are the same for every L1: the plant's zeros from f to the outputs."""
+    """Return the modes of A11 - L1 A211 that no L1 moves: the zeros of the plant from f to the outputs."""
     return unobservable(plant.A11, plant.A211)
 
 
 def require_movable(plant: Split, rate: float, where: str) -> None:
-    """Raise UserError naming the modes that no L1 moves where one of them does not decay faster than `rate` [1/s]."""
+    """Raise UserError with the modes that no L1 moves, if one of them does not decay faster than `rate` [1/s]."""
     fixed = unmovable(plant)
     slowest = max((mode.real for mode in fixed), default=-np.inf)
     if slowest >= -rate:
-        other = f"ask for a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
+        other = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
             f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed))}, "
             "expected each left of "
@@ -97,7 +101,7 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
 
 
 def proven_rate(closed: Matrix, P: Matrix) -> float:
-    """Return the largest rate with closed' P + P closed + 2 rate P <= 0, [1/s]; NaN where P is not positive definite."""
+    """Return the largest rate [1/s] with closed' P + P closed + 2 rate P <= 0; NaN unless P is positive definite."""
     P = (P + P.T) / 2
     try:
         return float(-eigh(closed.T @ P + P @ closed, P, eigvals_only=True)[-1] / 2)
@@ -106,18 +110,18 @@ def proven_rate(closed: Matrix, P: Matrix) -> float:
 
 
 def require_rate(certificate: Certificate, rate: float, where: str) -> Certificate:
-    """Return the certificate with the rate that was asked for; raise DesignError where less is proven."""
+    """Return the certificate with the required rate; raise DesignError if it certifies less."""
     numbers = dict(certificate.numbers) | {"rate_asked": rate}
     return require_certified(certificate._replace(numbers=numbers), where, enough(rate))
 
 
 def enough(rate: float) -> float:
-    """Return how much of a rate [1/s] that was asked for must be proven."""
+    """Return the rate [1/s] that must be certified for a required rate: slightly less, because an optimum is on the boundary."""
     return rate * (1 - SHORT)
 
 
 def _require_assumptions(model: Model, where: str) -> Matrix:
-    """Return E of a model that meets Assumptions 1 and 2; raise UserError naming the one it does not meet."""
+    """Return E of a model that meets Assumptions 1 and 2; raise UserError for the first one that it violates."""
     if model.discrete:
         raise UserError(f"{where}: got a discrete model, expected x' = A x + B u + E f; take another observer.")
     if model.E is None or model.E.shape[1] == 0:
@@ -152,15 +156,15 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
 
 
 def _unit(rows: Matrix) -> Matrix:
-    """Rows of length 1, so that no rank depends on units; a row of zeros stays one."""
+    """Return rows scaled to length 1, so that no rank depends on units; a row of zeros stays zero."""
     return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
 
 
 def _basis(onto: Matrix, k: int) -> Matrix:
-    """Return an orthonormal basis, as rows [k, n], of the k-dimensional space that `onto` projects orthogonally on.
+    """Return an orthonormal basis, as rows [k, n], of the k-dimensional space with the orthogonal projection `onto`.
 
-    The unit vector that lies closest to the space is projected on it, and so on with what is left; of equals the first is
-    taken. So a space spanned by axes has those axes, in their order.
+    The unit vector closest to the space is projected onto it, and so on in the remaining space; of equally close ones, the
+    first is used. So a space spanned by axes has those axes as its basis, in their order.
     """
     rows = np.zeros((k, len(onto)))
     for row in rows:
