@@ -1,7 +1,7 @@
-"""The protocols: a plant and an observer are NamedTuples of pure functions plus a pytree of numbers.
+"""Protocols of plants, observers and controllers: NamedTuples of pure functions, with a pytree of arrays.
 
-Every function here is written for ONE run (a *lane*); `engine/interpreter` carries it over thousands. Arrays have the
-shapes named below; n states, m inputs, q outputs, s unknowns beside the state. Time is counted in ticks of `dt` seconds.
+Every function is written for one run; `engine/interpreter` vectorizes it over thousands. Array shapes use n states, m inputs,
+q outputs and s unknown inputs or parameters. Time is counted in ticks of `dt` seconds.
 
 Order of events at tick k: sense, deliver, estimate, control, flow. Values are right-continuous: the estimate of tick k is read
 after the jump of tick k, and in a closed loop the command of tick k is computed from it.
@@ -15,19 +15,19 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int, PyTree, UInt32
 
-Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
-Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
-Params = PyTree  # a pytree of arrays: a plant's or a controller's numbers
-Gains = PyTree  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
+Leaf = Any  # an array in a pytree of parameters: of NumPy in a design, of jax when traced
+Room = Leaf  # zeros; only their number matters, because a length is static under jit and a value is not
+Params = PyTree  # a pytree of arrays: parameters of a plant or a controller
+Gains = PyTree  # a pytree of arrays: parameters of an observer, traced, never captured in a closure
 Memory = PyTree  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[ArrayLike], ArrayLike]  # of a closed loop: t [s], an array -> tau [s]
 
 
-TOGETHER = "pcbench_together"  # the name by which simulations know a function that `together` has made
+TOGETHER = "pcbench_together"  # the name by which simulations recognise a function that `vmap_as_unit` returned
 
 
 def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
-    """Mark a function to be vectorized over runs as a whole, by `jax.vmap`.
+    """Mark a function to be vectorized over runs as a unit, by `jax.vmap`.
 
     Use it for functions that are large, or that have arrays of hundreds of entries. Other functions are vectorized entry by
     entry, which is faster for small arrays, but slow to compile for large ones.
@@ -39,11 +39,11 @@ def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
         The same function, marked.
     """
 
-    def whole(*args: PyTree) -> PyTree:
+    def marked(*args: PyTree) -> PyTree:
         return f(*args)
 
-    whole.__name__ = TOGETHER  # a user's own function may be called `together`
-    return jax.jit(whole)
+    marked.__name__ = TOGETHER  # unlike the name of any user's function
+    return jax.jit(marked)
 
 
 class Now(NamedTuple):
@@ -79,13 +79,13 @@ class Arrival(NamedTuple):
 
 
 class Step(Protocol):
-    """Move x by one tick, under the held now.u."""
+    """Return x one tick later, under the held now.u."""
 
     def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " n"]: ...
 
 
 class Output(Protocol):
-    """Return y, what is measured of x."""
+    """Return the measured outputs y of x."""
 
     def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " q"]: ...
 
@@ -103,7 +103,7 @@ class Unknown(Protocol):
 
 
 class OwnErrors(Protocol):
-    """Return errors of a user's own, of the state x and its estimate xhat: numbers, scored as the errors of states are."""
+    """Return user-defined errors of the state x and its estimate xhat; their metrics are those of the states' errors."""
 
     def __call__(
         self, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"], /
@@ -111,7 +111,7 @@ class OwnErrors(Protocol):
 
 
 class OfRun(Protocol):
-    """Return the numbers of one run, given what it has drawn uniformly from [0, 1)."""
+    """Return the parameters of one run, from its uniform random numbers in [0, 1)."""
 
     def __call__(self, params: Params, uniform: Float[Array, " drawn"], /) -> Params: ...
 
@@ -146,7 +146,7 @@ class Before(Protocol):
 
 
 class Command(Protocol):
-    """Return the present command; coming(i) is the input applied i ticks later, if it is decided."""
+    """Return the present command; coming(i) is the input applied i ticks later, if it has been decided."""
 
     def __call__(
         self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], /
@@ -180,25 +180,25 @@ class Controller(NamedTuple):
 
 
 class Init(Protocol):
-    """Start a run from xhat(0)."""
+    """Return the memory at the start of a run from xhat(0)."""
 
     def __call__(self, gains: Gains, xhat0: Float[Array, " n"], /) -> Memory: ...
 
 
 class Note(Protocol):
-    """Return what `jump` will need of the present tick when the sample taken now arrives."""
+    """Return the snapshot of the present tick that `jump` needs when the sample taken now arrives."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " noted"]: ...
 
 
 class Jump(Protocol):
-    """Use what arrives."""
+    """Return the memory after an arrival."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Memory: ...
 
 
 class Flow(Protocol):
-    """Move by one tick, under the held now.u."""
+    """Return the memory one tick later, under the held now.u."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Memory: ...
 
@@ -258,13 +258,13 @@ class Innovation(Protocol):
 
 
 class ObserverField(Protocol):
-    """Return d memory/dt with y measured at now.t, a Runge-Kutta stage's."""
+    """Return d memory/dt with the measurement y at now.t, the time of a Runge-Kutta stage."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, y: Float[Array, " q"], /) -> Memory: ...
 
 
 class InitRandom(Protocol):
-    """Return the memory at the start of a run that has `words` of its own, from which the observer draws, and xhat(0)."""
+    """Return the memory at the start of a run from xhat(0), with the run's random `words` for the observer's random numbers."""
 
     def __call__(
         self, gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"], /

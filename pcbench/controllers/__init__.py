@@ -1,4 +1,4 @@
-"""The controllers of closed loops, one file each, and the dict that names them."""
+"""The controllers of closed loops, one file each, and the dict of them by name."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -49,10 +49,10 @@ CONTROLLERS = {
 
 
 def law_of(entry: ControllerSpec, options: Any) -> Controller:
-    """Return the law that the options ask for."""
+    """Return the control law for the options."""
     return entry.controller if isinstance(entry.controller, Controller) else entry.controller(options)
 
 
 def entry_of(scenario: Scenario) -> ControllerSpec:
-    """Return the controller of a scenario's loop: the one that it carries itself, or else the one of its name."""
+    """Return the controller of a scenario's loop: its own one, or the built-in one of its name."""
     return scenario.own["controller"].entry if "controller" in scenario.own else CONTROLLERS[scenario.loop.controller]

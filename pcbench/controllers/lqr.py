@@ -1,10 +1,10 @@
-"""lqr: state feedback with the gain that is best for a quadratic cost, for the plant sampled at the controller's period.
+"""lqr: linear-quadratic regulator for the plant sampled at the controller's period.
 
-    u = -K x least in sum x'Q1 x + u'Q2 u over decisions, the plant as observers know it under a held input
+    u = -K x minimises sum x'Q1 x + u'Q2 u over decisions, for the nominal plant with held input
 
-K is `synthesis.lqr.gain`; law, set points and times as in `state_feedback`. By default it knows the (mean) delay of its
-command: acting on the predicted state is then optimal, the delay costs what cannot be helped. The delay of the measurements is
-the observer's: what is fed back is its estimate of the present. The weights are those of the metric `lq_cost` too.
+K is `synthesis.lqr.gain`; law, set points and times are those of `state_feedback`. By default it uses the (mean) delay of its
+command: feedback of the predicted state is then optimal, and only the unavoidable cost of the delay remains. The delay of the
+measurements is the observer's task, which estimates the present state. The metric `lq_cost` has the same weights.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from pcbench.synthesis import lqr
 
 
 class Lqr(common.Options):
-    """The weights and what all laws have."""
+    """The weights, and the options of all laws."""
 
     Q1: Weight = Field(description="weight of the state: a number, n numbers, or [n, n]")
     Q2: Weight = Field(description="weight of the input: a number, m numbers, or [m, m]")
@@ -26,12 +26,12 @@ class Lqr(common.Options):
 
 
 def check(options: Lqr, sizes: Sizes) -> None:
-    """Raise UserError where the options do not fit the plant."""
+    """Raise UserError if the options do not fit the plant."""
     common.require_common(options, sizes, definite=True)
 
 
 def gain(options: Lqr, context: ControllerContext) -> Matrix:
-    """Return K [m, n]; raise DesignError where there is none."""
+    """Return K [m, n]; raise DesignError without a stabilising one."""
     (Phi, Gamma), (n, m) = context.tick, context.model.B.shape
     sizes = Sizes(context.states, m, len(context.model.C), context.dt, "controller")
     Q1, Q2 = common.matrix(options.Q1, (n, n), "Q1", sizes), common.matrix(options.Q2, (m, m), "Q2", sizes)
@@ -39,12 +39,12 @@ def gain(options: Lqr, context: ControllerContext) -> Matrix:
 
 
 def prepare(options: Lqr, context: ControllerContext) -> state_feedback.Params:
-    """Return the law's numbers."""
+    """Return the parameters of the law."""
     return state_feedback.numbers(options, context, gain(options, context))
 
 
 def linear(options: Lqr, context: ControllerContext) -> lqr.Law:
-    """Return the law about its set point."""
+    """Return the law linearised about its set point."""
     return state_feedback.of_gain(np.asarray(gain(options, context)))
 
 

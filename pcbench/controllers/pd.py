@@ -1,16 +1,20 @@
-"""PD control of two angles from the estimate, with its options `feedforward` and `predictor`.
+"""pd: PD control of two angles from the estimate, optionally with `feedforward` and `predictor`.
 
     u_cmd = clip(-Kp (z1 - Td) - Kd (z2 - Td') [+ u_ff], +-limit)                                   (46), (47)
 
-z1, z2 are the estimated angles and rates of now, Td the path. A command of time t acts at sigma with sigma - tau(sigma) = t.
+z1, z2 are the present estimates of angles and rates, and Td is the path. The command of time t acts at sigma with sigma -
+tau(sigma) = t.
 
-* feedforward: u_ff are the voltages under which the plant, with the viscosities estimated now, moves along the path at sigma.
-* predictor: the PD law takes the state predicted to sigma and Td(sigma) in place of z and Td(t): Runge-Kutta steps of the model
-  from the estimate, under the inputs that the commands given so far become; what would need the command now sought takes the
-  one before it. The last step ends at sigma.
+* feedforward: u_ff are the voltages with which the plant, with the present estimates of the viscosities, follows the path at
+  sigma.
+* predictor: the law uses the state predicted to sigma and Td(sigma) instead of z and Td(t). The prediction has Runge-Kutta
+  steps of the model from the estimate, under the commands given so far. If it needs the command that is being computed, it uses
+  the preceding one. The last step ends at sigma.
 
-Commands of the time before 0 are the same law at the estimate of t = 0, without prediction. The path is data, a row a tick.
-Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 4.1; the options are ours. The paper has no gravity term.
+Commands before t = 0 are the same law at the estimate of t = 0, without prediction. The path is an array with one row per
+tick.
+Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 4.1; the options are this project's. The paper has no
+gravity term.
 """
 
 from collections.abc import Callable
@@ -29,7 +33,7 @@ from pcbench.scenarios.signals import PATHS
 
 
 class Options(BaseModel):
-    """Gains, limits and what the law is helped by."""
+    """Gains, limits, path, feedforward and prediction."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     Kp: tuple[float, float]
@@ -41,7 +45,7 @@ class Options(BaseModel):
 
 
 class Params(NamedTuple):
-    """T ticks from `first` on."""
+    """Parameters for T ticks from `first` on."""
 
     Kp: Leaf  # [2]
     Kd: Leaf  # [2]
@@ -51,7 +55,7 @@ class Params(NamedTuple):
     path: Leaf  # [T, 3, 2] Td, Td', Td'' at t
     goal: Leaf  # [T, 3, 2] at sigma
     ahead: Leaf  # [T] sigma - t [s]
-    model: Callable[..., Array]  # (now, x[4], B[2]) -> dx/dt[4], as observers know it
+    model: Callable[..., Array]  # (now, x[4], B[2]) -> dx/dt[4] of the nominal plant
     inverse: Callable[..., Array]  # (B[2], Td[2], Td'[2], Td''[2]) -> u[2]
 
 
@@ -66,7 +70,7 @@ def acts_at(t: np.ndarray, delay: Delay) -> np.ndarray:
 
 
 def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, model: Any, inverse: Any) -> Params:
-    """Return the law's numbers for ticks -`rows` .. `ticks`."""
+    """Return the parameters of the law for ticks -`rows` .. `ticks`."""
     t = dt * np.arange(-rows, ticks + 1, dtype=np.float64)
     sigma, path = acts_at(t, delay), PATHS[options.path]
     return Params(
@@ -84,7 +88,7 @@ def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, mo
 
 
 def law(params: Params, row: Array, x: Array, B: Array, aim: Float[Leaf, "3 2"]) -> Float[Array, "2"]:
-    """Return the clipped command of angles and rates x [4] against `aim`, with viscosities B [2]."""
+    """Return the clipped command for angles and rates x [4] with the set point `aim` and viscosities B [2]."""
     u = -params.Kp * (x[:2] - aim[0]) - params.Kd * (x[2:4] - aim[1])
     return jnp.clip(u + params.help * params.inverse(B, *params.goal[row]), -params.limit, params.limit)
 
@@ -96,19 +100,19 @@ def before(predicts: bool, params: Params, tick: Array, estimate: Array) -> Floa
 
 
 def now_at(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
-    """Return the command of now, from the estimate of now."""
+    """Return the present command, from the present estimate."""
     row = now.tick - params.first
     return law(params, row, estimate[:4], estimate[4:], params.path[row])
 
 
 def pd_command(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
-    """Return the command of now, from the state predicted to the time at which it acts."""
+    """Return the present command, from the state predicted to the time at which it acts."""
     row, B = now.tick - params.first, estimate[4:]
     left = params.ahead[row]
 
     def step(i: Array, x: Array) -> Array:
-        there = now._replace(u=coming(i))
-        return rk4(lambda t, x: params.model(there, x, B), now.t, x, jnp.minimum(now.dt, left - i * now.dt))
+        future = now._replace(u=coming(i))
+        return rk4(lambda t, x: params.model(future, x, B), now.t, x, jnp.minimum(now.dt, left - i * now.dt))
 
     steps = jnp.ceil(left / now.dt - 1e-6).astype(int)
     x = lax.fori_loop(0, steps, step, estimate[:4])
@@ -125,5 +129,5 @@ PREDICTIVE = Controller(target, partial(before, True), pd_command)
 
 
 def controller(options: Options) -> Controller:
-    """Return the law that the options ask for."""
+    """Return the control law for the options."""
     return PREDICTIVE if options.predictor else PD

@@ -1,12 +1,13 @@
-"""PID control of the outputs of the estimate, in discrete time with period T, held between decisions.
+"""pid: PID control of the estimated outputs, in discrete time with period T, with held commands.
 
     e = C (x_ref - xhat),  y = C xhat
-    I+ = I + Ki T e                                         (each input's: only while its command is within its limit)
+    I+ = I + Ki T e                                         (for each input, only while its command is within the limit)
     D+ = f D + (1 - f) (y - y_last) / T,  f = filter / (filter + T)
     c = offset + Kp e + I+ - Kd D+, clipped to +-limit
 
-The derivative is that of the output, not of the set point, so that a step gives no kick. I, D start from 0, and y_last from the
-estimate of t = 0; before t = 0 commands are 0. Source: Astrom, Hagglund, Advanced PID Control, 3 and 13; backward differences.
+The derivative is that of the output, not of the set point, so that a step of the set point causes no peak. I and D start at
+0, and y_last at the estimate of t = 0. Before t = 0 commands are 0.
+Source: Astrom, Hagglund, Advanced PID Control, 3 and 13; backward differences.
 """
 
 from collections.abc import Callable
@@ -28,7 +29,7 @@ Gain = Number | list[Number] | Rows
 
 
 class Options(common.Options):
-    """Gains [m, q] from the outputs' errors to the inputs; one number, or a list, for as many inputs as outputs."""
+    """Gains [m, q] from output errors to inputs; a number or a list if there are as many inputs as outputs."""
 
     Kp: Gain = Field(description="[m, q] proportional gain")
     Ki: Gain = Field(0.0, description="[m, q] integral gain [1/s]")
@@ -39,7 +40,7 @@ class Options(common.Options):
 
 
 class Params(NamedTuple):
-    """n states, m inputs, q outputs; T ticks from 0 on."""
+    """Parameters: n states, m inputs, q outputs, T ticks from 0 on."""
 
     C: Leaf  # [q, n]
     Kp: Leaf  # [m, q]
@@ -54,7 +55,7 @@ class Params(NamedTuple):
 
 
 class PidState(NamedTuple):
-    """What the law keeps between decisions."""
+    """Memory of the law between decisions."""
 
     u: Float[Array, " m"]
     integral: Float[Array, " m"]
@@ -63,7 +64,7 @@ class PidState(NamedTuple):
 
 
 def check(options: Options, sizes: Sizes) -> None:
-    """Raise UserError where the options do not fit the plant."""
+    """Raise UserError if the options do not fit the plant."""
     for name in ("Kp", "Ki", "Kd"):
         if name == "Kp" or getattr(options, name) != 0.0:
             common.matrix(getattr(options, name), (sizes.m, sizes.q), name, sizes)
@@ -71,7 +72,7 @@ def check(options: Options, sizes: Sizes) -> None:
 
 
 def prepare(options: Options, context: ControllerContext) -> Params:
-    """Return the law's numbers."""
+    """Return the parameters of the law."""
     (q, _), (_, m) = context.model.C.shape, context.model.B.shape
     sizes, every = Sizes(context.states, m, q, context.dt, "controller"), context.every(options.period)
     T = every * context.dt
@@ -97,15 +98,15 @@ def prepare(options: Options, context: ControllerContext) -> Params:
 
 
 def linear(options: Options, context: ControllerContext) -> lqr.Law:
-    """Return the law about its set point, of the state; it keeps (I, y_last, D)."""
+    """Return the law of the state, linearised about its set point; its memory is (I, y_last, D)."""
     p = prepare(options, context)
     q, m, f = len(p.C), len(p.Kp), float(p.filter)
     rate = (1 - f) / float(p.T)
     A = np.zeros((m + 2 * q, m + 2 * q))
-    A[:m, :m] = np.diag(1.0 * p.KiT.any(1))  # what integrates nothing stays 0
+    A[:m, :m] = np.diag(1.0 * p.KiT.any(1))  # 0 without integral gain
     A[m + q :, m : m + q], A[m + q :, m + q :] = -rate * np.eye(q), f * np.eye(q)
     B = np.vstack([-p.KiT @ p.C, p.C, rate * p.C])
-    out = np.hstack([np.eye(m), np.zeros((m, q)), -p.Kd])  # the command has I and D of now
+    out = np.hstack([np.eye(m), np.zeros((m, q)), -p.Kd])  # the command uses the updated I and D
     return lqr.Law(A, B, out @ A, out @ B - p.Kp @ p.C)
 
 
@@ -115,12 +116,12 @@ def target(params: Params, tick: Array) -> Float[Leaf, " n"]:
 
 
 def before(params: Params, tick: Array, estimate: Array) -> Float[Array, " m"]:
-    """Return the command of a tick below 0: none."""
+    """Return the command of a tick below 0: zero."""
     return jnp.zeros(params.Kp.shape[0])
 
 
 def start(params: Params, estimate: Array) -> PidState:
-    """Return what the law keeps before tick 0."""
+    """Return the memory before tick 0."""
     m, (q, n) = params.Kp.shape[0], params.C.shape
     return PidState(jnp.zeros(m), jnp.zeros(m), params.C @ estimate[:n], jnp.zeros(q))
 
@@ -128,14 +129,17 @@ def start(params: Params, estimate: Array) -> PidState:
 def command(
     params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: PidState
 ) -> tuple[Float[Array, " m"], PidState]:
-    """Return the command of now and what is kept."""
+    """Return the present command and the new memory."""
     y = params.C @ estimate[: params.C.shape[1]]
     e = params.C @ params.x_ref[now.tick] - y
     slope = params.filter * kept.slope + (1 - params.filter) * (y - kept.y) / params.T
-    wanted = kept.integral + params.KiT @ e
-    free = params.offset + params.Kp @ e + wanted - params.Kd @ slope
-    u = jnp.clip(free, -params.limit, params.limit)
-    new, decides = PidState(u, jnp.where(u == free, wanted, kept.integral), y, slope), now.tick % params.every == 0
+    integral = kept.integral + params.KiT @ e
+    unlimited = params.offset + params.Kp @ e + integral - params.Kd @ slope
+    u = jnp.clip(unlimited, -params.limit, params.limit)
+    new, decides = (
+        PidState(u, jnp.where(u == unlimited, integral, kept.integral), y, slope),
+        now.tick % params.every == 0,
+    )
     after = PidState(*(jnp.where(decides, a, b) for a, b in zip(new, kept, strict=True)))
     return after.u, after
 

@@ -1,14 +1,14 @@
-"""State feedback of the estimate about a set point, held between decisions.
+"""state-feedback: state feedback of the estimate about a set point, with held commands.
 
     c = offset + u_ref - K (xhat - x_ref), clipped to +-limit, every `period`
 
-x_ref and u_ref belong to the set points (`parts.set_points`). With `knows_delay` the law takes the state predicted to the time
-at which its command acts, under the inputs that are on their way, and the set point of that time:
+x_ref and u_ref are the state and input of the set points (`parts.set_points`). With `knows_delay` the law uses the state
+predicted to the time at which its command acts, under the inputs in transit, and the set point of that time:
 
     xhat(t + d) = Phi^d xhat(t) + sum_i Phi^(d-1-i) Gamma u(t + i),  i = 0 .. d - 1
 
-with d the mean delay to the plant in ticks. The loop is closed at t = 0: before, commands are 0. Of an estimate that has
-unknown inputs or parameters too, the states are taken.
+d is the mean delay to the plant in ticks. The loop is closed at t = 0; before, commands are 0. If an estimate contains
+unknown inputs or parameters, the law uses the states only.
 """
 
 from collections.abc import Callable
@@ -28,14 +28,14 @@ from pcbench.synthesis import lqr
 
 
 class Options(common.Options):
-    """The gain and what all laws have."""
+    """The gain, and the options of all laws."""
 
     K: Rows = Field(description="[m, n] gain")
     knows_delay: bool = Field(False, strict=True, description="use the state predicted to the arrival of the command")
 
 
 class Params(NamedTuple):
-    """n states, m inputs; T ticks from 0 on."""
+    """Parameters: n states, m inputs, T ticks from 0 on."""
 
     K: Leaf  # [m, n]
     x_ref: Leaf  # [T, n]
@@ -48,18 +48,18 @@ class Params(NamedTuple):
 
 
 def check(options: Options, sizes: Sizes) -> None:
-    """Raise UserError where the options do not fit the plant."""
+    """Raise UserError if the options do not fit the plant."""
     common.matrix(options.K, (sizes.m, sizes.n), "K", sizes)
     common.require_common(options, sizes)
 
 
 def prepare(options: Options, context: ControllerContext) -> Params:
-    """Return the law's numbers."""
+    """Return the parameters of the law."""
     return numbers(options, context, np.array(options.K, float))
 
 
 def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
-    """Return the numbers of a law with the gain K, for options that have what all laws have."""
+    """Return the parameters of a law with the gain K, for options that include those of all laws."""
     Phi, Gamma = context.tick
     aims = reference(options.set_point, context.states, (Phi, Gamma), context.dt, context.ticks + 1 + context.ahead)
     m = Gamma.shape[1]
@@ -77,12 +77,12 @@ def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
 
 
 def linear(options: Options, context: ControllerContext) -> lqr.Law:
-    """Return the law about its set point."""
+    """Return the law linearised about its set point."""
     return of_gain(np.array(options.K, float))
 
 
 def of_gain(K: np.ndarray) -> lqr.Law:
-    """Return state feedback as a linear law that keeps nothing."""
+    """Return state feedback as a linear law without memory."""
     m, n = K.shape
     return lqr.Law(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), -K)
 
@@ -93,26 +93,26 @@ def target(params: Params, tick: Array) -> Float[Leaf, " n"]:
 
 
 def before(params: Params, tick: Array, estimate: Array) -> Float[Array, " m"]:
-    """Return the command of a tick below 0: none."""
+    """Return the command of a tick below 0: zero."""
     return jnp.zeros(params.K.shape[0])
 
 
 def start(params: Params, estimate: Array) -> Float[Array, " m"]:
-    """Return the last command, before tick 0."""
+    """Return the last command before tick 0: zero."""
     return jnp.zeros(params.K.shape[0])
 
 
 def now_at(
     params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Return the command of now, twice: as it is, and as it is kept until the next decision."""
+    """Return the present command twice: as the command, and as the memory until the next decision."""
     return feedback_command(params, now, estimate[: params.K.shape[1]], now.tick, last)
 
 
 def predictive_command(
     params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Return the command of now, made from the state predicted to when it acts."""
+    """Return the present command twice, from the state predicted to the time at which it acts."""
 
     def step(i: Array, x: Array) -> Array:
         return params.Phi @ x + params.Gamma @ coming(i)
@@ -124,7 +124,7 @@ def predictive_command(
 def feedback_command(
     params: Params, now: Now, x: Float[Array, " n"], row: Array, last: Float[Array, " m"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Return the command made of x against the set point of a tick, or the last one between decisions; twice."""
+    """Return the command for x and the set point of tick `row`, or the last one between decisions; twice."""
     u = params.u_ref[row] - params.K @ (x - params.x_ref[row])
     u = jnp.where(now.tick % params.every == 0, jnp.clip(u, -params.limit, params.limit), last)
     return u, u
@@ -135,5 +135,5 @@ PREDICTIVE = Controller(target, before, predictive_command, start)
 
 
 def controller(options: Any) -> Controller:
-    """Return the law that the options ask for."""
+    """Return the control law for the options."""
     return PREDICTIVE if options.knows_delay else PLAIN

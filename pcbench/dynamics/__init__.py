@@ -1,1 +1,1 @@
-"""How a state moves: linear maps, their discretisation, integration of vector fields, observability."""
+"""Motion of states: linear maps, their discretisation, integration of vector fields, observability."""

@@ -1,7 +1,7 @@
-"""One tick and many: the Runge-Kutta step of a field, and exact powers of a linear map.
+"""One tick and many ticks: the Runge-Kutta step of a field, and exact powers of a linear map.
 
-Powers: any whole age is written with two digits to a base R, and its map is a product of one entry from each digit's table
-(`dynamics.linear.powers`). The age may be traced, so one compiled program serves every delay, and no e^{-As} is ever formed.
+A whole age is written with two digits to a base R. Its map is the product of one entry from each digit's table
+(`dynamics.linear.powers`). The age may be traced, so one compiled program serves every delay, without any e^{-As}.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ Field = Callable[[Array, PyTree], PyTree]  # (t [s], x) -> dx/dt; x an array, or
 
 
 def rk4(field: Field, t: Array, x: PyTree, h: Array) -> PyTree:
-    """Advance x, an array or a pytree of arrays, by one classical Runge-Kutta step of h seconds from time t."""
+    """Return x, an array or a pytree of arrays, after one classical Runge-Kutta step of h seconds from time t."""
 
     def ahead(by: Array, k: PyTree) -> PyTree:
         return jax.tree.map(lambda x, k: x + by * k, x, k)
@@ -28,13 +28,13 @@ def rk4(field: Field, t: Array, x: PyTree, h: Array) -> PyTree:
         return (k, jax.tree.map(lambda total, k: total + weight * k, total, k)), None
 
     zero = jax.tree.map(jnp.zeros_like, x)
-    # A loop, not four copies: what one stage leaves is stored, where the compiler would compute it anew for every use.
+    # A loop, not four copies: the result of a stage is stored, while the compiler would compute it again for every use.
     (_, total), _ = lax.scan(stage, (zero, zero), (jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0])))
     return ahead(h / 6, total)
 
 
 def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> Float[Array, "n n"]:
-    """The map x(t) -> x(t + h) of a linear time-varying field without input, by Runge-Kutta on each basis vector."""
+    """Return the map x(t) -> x(t + h) of a linear time-varying field without input, by Runge-Kutta on each basis vector."""
     small = h / substeps
 
     def column(x: Array) -> Array:
@@ -46,9 +46,9 @@ def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> F
 
 
 def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
-    """X carried over `age` ticks of a linear flow without input: e^{A age} x.
+    """Return x propagated over `age` ticks of a linear flow without input: e^{A age} x.
 
-    `age` must lie in 0 .. R^levels - 1; only an exported observer checks it.
+    `age` must be in 0 .. R^levels - 1; only an exported observer checks it.
     """
     for E in _chosen(powers, age):
         x = E @ x
@@ -61,14 +61,14 @@ def covariance_after(
     age: Int[Array, ""],
     P: Float[Array, "n n"],
 ) -> Float[Array, "n n"]:
-    """P carried over `age` ticks: E P E' + Q, with the process noise of as many ticks as each power in `noise`."""
+    """Return P propagated over `age` ticks: E P E' + Q, with the process noise of the ticks of each power in `noise`."""
     for E, Q in zip(_chosen(powers, age), _chosen(noise, age), strict=True):
         P = E @ P @ E.T + Q
     return P
 
 
 def _chosen(powers: Array, age: Array) -> list[Array]:
-    """One entry of each level's table, by the digits of `age`; taken together."""
+    """Return the entry of each level's table for the digits of `age`, in one gather."""
     levels, R, *shape = powers.shape
     age = within_room(age, age < R**levels)
     digits = [level * R + age // R**level % R for level in range(levels)]

@@ -1,7 +1,7 @@
-"""Exact discretisation of a linear model under a held input, and of the noise that drives it.
+"""Exact discretisation of a linear model with a held input, and of its process noise.
 
-Doublings: entry b belongs to 2^b ticks. Noise over 2^b ticks follows by Q_2b = E_b Q_b E_b' + Q_b from one short tick,
-never by one matrix exponential over a long interval, which overflows silently (Van Loan's at 0.6 s on the cart).
+Doublings: entry b is for 2^b ticks. The noise over 2^b ticks follows by Q_2b = E_b Q_b E_b' + Q_b from one short tick. One
+matrix exponential over a long interval would overflow silently (Van Loan's at 0.6 s on the cart).
 """
 
 from collections.abc import Callable
@@ -17,10 +17,10 @@ Matrix = NDArray[np.float64]
 
 
 class Model(NamedTuple):
-    """A linear model with a held input: x' = A x + B u, y = C x + D u; where `discrete`, x one tick later is A x + B u.
+    """A linear model with a held input: x' = A x + B u, y = C x + D u; if `discrete`, x one tick later is A x + B u.
 
-    A plant that an unknown input pushes too, x' = A x + B u + E f, has E; f = known(x) + input, where part of f is a known
-    function of the state.
+    A plant with an unknown input, x' = A x + B u + E f, has E. If a part of f is a known function of the state, f = known(x)
+    + input.
     """
 
     A: Matrix  # [n, n] 1/s (discrete: per tick)
@@ -29,7 +29,7 @@ class Model(NamedTuple):
     D: Matrix | None = None  # [q, m]; None: zero
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
-    # x [n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
+    # x [n] -> [r], a jax.tree_util.Partial with its arrays; None: no known part
     known: Callable[[Any], Any] | None = None
 
     @property
@@ -54,13 +54,13 @@ def discretize_zoh(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
-    whole = _exponential(block, h)
-    return whole[:n, :n], whole[:n, n:]
+    exponential = _exponential(block, h)
+    return exponential[:n, :n], exponential[:n, n:]
 
 
 @cached_by_value
 def _exponential(A: Matrix, h: float) -> Matrix:
-    """e^{A h}."""
+    """Return e^{A h}."""
     out: Matrix = expm(A * h)
     out.flags.writeable = False
     return out
@@ -72,7 +72,7 @@ def one_tick(model: Model, h: float) -> tuple[Matrix, Matrix]:
 
 
 def bits_for(ticks: int) -> int:
-    """Return how many doublings reach every age up to `ticks`."""
+    """Return the number of doublings for all ages up to `ticks`."""
     return max(int(ticks).bit_length(), 1)
 
 
@@ -97,7 +97,8 @@ def _doublings(one: Matrix, discrete: bool, h: float, bits: int) -> Matrix:
 def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     """Return int_0^h e^{As} Qc e^{A's} ds for one tick, by Van Loan's exponential; Qc is an intensity, per second.
 
-    A tick in which a fast mode dies is halved until |A| h is at most 1, for e^{-Ah} would overflow, and doubled again.
+    If a fast mode decays within the tick, e^{-Ah} would overflow. So the tick is halved until |A| h is at most 1, and the
+    result is doubled again.
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978).
     """
     return _noise_over_tick(A, Qc, h).copy()
@@ -122,8 +123,8 @@ def _noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
 def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = None) -> Matrix:
     """Return the covariance [n, n] that white noise through the input adds over a tick of h seconds.
 
-    `intensity` is per second, and so is `last` [r], of noise on the last r states. A discrete model has no time within a
-    tick: there the noise is held over it.
+    `intensity` is per second, and so is `last` [r], of noise on the last r states. For a discrete model, the noise is held
+    over the tick.
     """
     Q = intensity * model.B @ model.B.T
     if last is not None and len(last):
@@ -132,7 +133,7 @@ def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = 
 
 
 def noise_doublings(model: Model, Q: Matrix, h: float, bits: int) -> Matrix:
-    """Return the covariance over 2^b ticks of noise that adds Q [n, n] a tick, b = 0 .. bits - 1, as [bits, n, n]; cached."""
+    """Return the covariance over 2^b ticks of noise that adds Q [n, n] per tick, b = 0 .. bits - 1, [bits, n, n]; cached."""
     return _noise_doublings(model.A, model.discrete, Q, h, bits)
 
 
@@ -170,7 +171,7 @@ def _powers(A: Matrix, discrete: bool, h: float, ticks: int) -> Matrix:
 
 
 def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
-    """Return the covariance of noise that adds Q [n, n] a tick over as many ticks as each of `powers`, [2, R, n, n]; cached."""
+    """Return the noise covariance over the ticks of each of `powers`, [2, R, n, n], for Q [n, n] per tick; cached."""
     return _noise_powers(model.A, model.discrete, Q, h, ticks)
 
 
@@ -190,7 +191,7 @@ def _noise_powers(A: Matrix, discrete: bool, Q: Matrix, h: float, ticks: int) ->
 
 
 def over(doubled: Matrix, ticks: int) -> Matrix:
-    """Return e^{A h ticks} as the product of its doublings."""
+    """Return e^{A h ticks} as a product of doublings."""
     E = np.eye(doubled.shape[1])
     for b in range(doubled.shape[0]):
         if ticks >> b & 1:
@@ -199,7 +200,7 @@ def over(doubled: Matrix, ticks: int) -> Matrix:
 
 
 def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
-    """Return the process noise covariance over any number of ticks from its doublings."""
+    """Return the process noise covariance over `ticks` ticks from its doublings."""
     Q = np.zeros_like(doubled[0])
     for b in range(doubled.shape[0]):
         if ticks >> b & 1:
@@ -220,7 +221,7 @@ def with_unknown_input(model: Model) -> Model:
 
 
 def with_input_bias(model: Model) -> Model:
-    """Return the model with one more state per input: a constant bias b, x' = A x + B (u + b), y = C x + D (u + b), b' = 0."""
+    """Return the model with a constant bias b per input as a state: x' = A x + B (u + b), y = C x + D (u + b), b' = 0."""
     n, m = model.B.shape
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[:n, n:] = model.A, model.B

@@ -1,16 +1,16 @@
-"""Which modes of a plant do its outputs not show? One test for every rank decision of this kind, whatever the units.
+"""Unobservable modes of a plant, and ranks, by one test that does not depend on units.
 
-Of one output y = c x the states are first scaled: state i by its weight o_i in what that output may show,
+For one output y = c x the states are first scaled. State i has the weight o_i in the output:
 
     o = sum over k < n of |c| |A|^k / rho(|A|)^k        (0: no path leads from the state to the output)
 
-A change of units x -> D x, D diagonal, changes o and nothing that follows. Then the Hessenberg form of (A', c') is taken, by
-orthogonal maps: where its subdiagonal vanishes at the scale of A, what comes after it is not shown by c. The next output
-is asked about that part alone, and so on; the modes of what is left are unobservable. Unlike a test at each eigenvalue, this
-finds a multiple mode in any coordinates, whose computed eigenvalues differ by the root of a rounding error.
+A change of units x -> D x, D diagonal, changes o but no later result. Then (A', c') is transformed to Hessenberg form by
+orthogonal maps. Where its subdiagonal vanishes at the scale of A, the following states are not observable through c. The next
+output is tested on these states only, and so on; the modes that remain are unobservable. Unlike a test at each eigenvalue,
+this detects a multiple mode in any coordinates. (Its computed eigenvalues differ by the root of a rounding error.)
 
 A plant is detectable if every unobservable mode decays: Re lam < 0, or |lam| < 1 for a discrete plant.
-Source: staircase form (Van Dooren 1981; Paige 1981); the scaling is ours.
+Source: staircase form (Van Dooren 1981; Paige 1981); the scaling is this project's.
 """
 
 import numpy as np
@@ -20,12 +20,12 @@ from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import UserError
 from pcbench.value_cache import cached_by_value
 
-RANK = 1e-11  # a singular value, or a coupling, below this part of the largest is zero
-ROUNDING = 1e-14  # of A, in its modes; the m-th root of it where m of them may be one
+RANK = 1e-11  # a singular value or a coupling below this, relative to the largest, counts as zero
+ROUNDING = 1e-14  # relative rounding error of a mode; its m-th root for m modes that may be equal
 
 
 def rank(M: Matrix) -> int:
-    """Return the rank of a matrix whose rows may each have a unit of its own, and its columns another."""
+    """Return the rank of a matrix whose rows and columns may have different units."""
     M = np.array(M, float)
     for _ in range(3):
         for axis in (1, 0):
@@ -35,7 +35,7 @@ def rank(M: Matrix) -> int:
 
 
 def unobservable(A: Matrix, C: Matrix) -> list[complex]:
-    """Return the modes of A [n, n] that C [q, n] does not see; cached, as grid points of a study have few plants."""
+    """Return the modes of A [n, n] that are unobservable through C [q, n]; cached, as grid points share plants."""
     return list(_unobservable(np.asarray(A), np.asarray(C)))
 
 
@@ -50,18 +50,18 @@ def _unobservable(A: Matrix, C: Matrix) -> tuple[complex, ...]:
 
 
 def _exact(mode: complex, noise: float) -> complex:
-    """Return a mode without what rounding adds: real, imaginary, or of size 1, if it is nearly that."""
+    """Return a mode without rounding errors: real, imaginary, or of absolute value 1, if it nearly is."""
     mode = complex(0.0 if abs(mode.real) <= noise else mode.real, 0.0 if abs(mode.imag) <= noise else mode.imag)
     return mode / abs(mode) if abs(abs(mode) - 1) <= noise else mode
 
 
 def _rate(A: Matrix) -> float:
-    """Return the spectral radius of |A|, a size of A that no change of units changes."""
+    """Return the spectral radius of |A|, a size of A that does not depend on units."""
     return float(np.abs(np.linalg.eigvals(np.abs(A))).max(initial=0.0))
 
 
 def _hidden(A: Matrix, C: Matrix, output: int) -> tuple[Matrix, Matrix]:
-    """Restrict A and C to the states that one output does not show."""
+    """Restrict A and C to the states that are unobservable through one output."""
     reach, size = np.abs(C[output]), np.abs(A)
     rate = _rate(A) or 1.0
     weight = np.zeros_like(reach)
@@ -74,7 +74,7 @@ def _hidden(A: Matrix, C: Matrix, output: int) -> tuple[Matrix, Matrix]:
     pair = np.zeros((k + 1, k + 1))
     pair[1:, 0], pair[1:, 1:] = C[output, seen] / o, (A[np.ix_(seen, seen)] * o[:, None] / o).T
     H, Q = hessenberg(pair, calc_q=True)
-    coupling = np.abs(np.diag(H, -1))  # of c to the first direction, of each to the next
+    coupling = np.abs(np.diag(H, -1))  # of c with the first direction, and of each direction with the next
     least = RANK * max(float(np.linalg.norm(pair[1:, 1:], 2)), 1e-300)
     shown = next((i for i in range(1, k) if coupling[i] <= least), k)
     basis = block_diag(Q[1:, 1 + shown :] / o[:, None], np.eye(len(A) - k))
@@ -84,20 +84,20 @@ def _hidden(A: Matrix, C: Matrix, output: int) -> tuple[Matrix, Matrix]:
 
 
 def product(*factors: Matrix) -> Matrix:
-    """Return the product of matrices, less the entries that are what rounding leaves of larger terms."""
-    whole, terms = factors[0], np.abs(factors[0])
+    """Return the product of matrices, with 0 for entries that are rounding errors of larger terms."""
+    result, terms = factors[0], np.abs(factors[0])
     for each in factors[1:]:
-        whole, terms = whole @ each, terms @ np.abs(each)
-    return np.where(np.abs(whole) > RANK * terms, whole, 0.0)
+        result, terms = result @ each, terms @ np.abs(each)
+    return np.where(np.abs(result) > RANK * terms, result, 0.0)
 
 
 def decays(mode: complex, discrete: bool) -> bool:
-    """Say whether a mode dies out by itself."""
+    """Return whether a mode decays without correction."""
     return abs(mode) < 1 if discrete else mode.real < 0
 
 
 def require_observable(model: Model, where: str) -> None:
-    """Raise UserError naming a mode that no output shows."""
+    """Raise UserError with the first unobservable mode."""
     for mode in unobservable(model.A, model.C):
         raise UserError(
             f"{where}: got a plant whose mode {format_mode(mode)} is unobservable, expected an observable one; measure "
@@ -106,7 +106,7 @@ def require_observable(model: Model, where: str) -> None:
 
 
 def require_detectable(model: Model, where: str) -> None:
-    """Raise UserError naming a mode that no output shows and that does not decay by itself."""
+    """Raise UserError with the first unobservable mode that does not decay."""
     for mode in unobservable(model.A, model.C):
         if not decays(mode, model.discrete):
             raise UserError(
@@ -117,5 +117,5 @@ def require_detectable(model: Model, where: str) -> None:
 
 
 def format_mode(mode: complex) -> str:
-    """A mode as a person writes it."""
+    """Return a mode as text."""
     return f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"

@@ -116,6 +116,6 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
         problem = f"a disturbance of relative degree {degree} with {n} states"
     states = f"{longest}" if longest is not None else "n"
     raise UserError(
-        f"{where}: got {problem}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, and "
-        f"one input or unknown input that acts on its derivative of order {states} first; take kf."
+        f"{where}: got {problem}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, "
+        f"and one input or unknown input that acts on its derivative of order {states} first; take kf."
     )

@@ -87,8 +87,8 @@ def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
         outcome = f"SciPy said '{first_sentence(error)}'"
     if outcome != "F is stable":
         raise DesignError(
-            f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({outcome}), expected process noise "
-            "on every mode that does not decay; give option q, or take gain = 'poles'."
+            f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({outcome}), expected process "
+            "noise on every mode that does not decay; give option q, or take gain = 'poles'."
         )
     return K
 

@@ -65,8 +65,8 @@ def _whole_samples(setting: DesignContext, where: str) -> int:
     if len(periods) > 1:
         seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
         raise UserError(
-            f"{where}: got sampling periods of {seconds} s, expected the same for all channels, because it computes once per sample; "
-            "give one period, or take kf."
+            f"{where}: got sampling periods of {seconds} s, expected the same for all channels, because it computes "
+            "once per sample; give one period, or take kf."
         )
     period = periods.pop()
     times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(setting.delay)}

@@ -56,9 +56,8 @@ def split(model: Model, where: str) -> Split:
     given = _require_assumptions(model, where)
     n, p, r = len(model.A), len(model.C), given.shape[1]
     C, rows = model.C, _unit(model.C)
-    E = given / np.linalg.norm(
-        C @ given, axis=0
-    )  # f scaled so that each moves y by 1, for a pseudo-inverse independent of units
+    # f scaled so that each moves y by 1, for a pseudo-inverse independent of units
+    E = given / np.linalg.norm(C @ given, axis=0)
     E2, back = C @ E, np.linalg.pinv(C @ E)
     N = _basis(np.eye(n) - np.linalg.pinv(rows) @ rows, n - p)
     Tp = np.vstack([_basis(np.eye(p) - E2 @ back, p - r), _basis(E2 @ back, r)])
@@ -116,7 +115,7 @@ def require_rate(certificate: Certificate, rate: float, where: str) -> Certifica
 
 
 def enough(rate: float) -> float:
-    """Return the rate [1/s] that must be certified for a required rate: slightly less, because an optimum is on the boundary."""
+    """Return the rate [1/s] that must be certified for a required rate: slightly less, as an optimum is on the boundary."""
     return rate * (1 - SHORT)
 
 

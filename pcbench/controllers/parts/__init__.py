@@ -1,1 +1,1 @@
-"""What control laws share: what they are told of a cell, their common options, their set points."""
+"""Shared parts of control laws: their design context, common options and set points."""

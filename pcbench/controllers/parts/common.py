@@ -1,9 +1,4 @@
-"""The options that all laws have, and the types of theirs.
-
-What a control law's numbers are made from.
-
-Whether the numbers of a law's options fit a plant: one sentence where they do not.
-"""
+"""Options of all control laws and their types, the inputs of a law's design, and checks that options fit a plant."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -19,12 +14,12 @@ from pcbench.errors import UserError, brief_repr, unknown
 from pcbench.protocols import Delay
 
 Rows = list[list[Number]]
-Weight = Number | list[Number] | Rows  # one for all, a diagonal, or a matrix
+Weight = Number | list[Number] | Rows  # one number for all, a diagonal, or a matrix
 COST = "weight of the metric `lq_cost`; default: no such metric"
 
 
 class Options(BaseModel):
-    """What all laws have."""
+    """Options of all laws."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     period: Positive | None = Field(
@@ -68,7 +63,7 @@ class ControllerContext(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """A plant's states by name, its inputs and outputs by number, and what a sentence calls the place."""
+    """Names of a plant's states, numbers of inputs and outputs, and the place that error messages name."""
 
     states: tuple[str, ...]
     m: int
@@ -83,7 +78,7 @@ class Sizes(NamedTuple):
 
 
 def matrix(given: Any, shape: tuple[int, int], name: str, sizes: Sizes) -> NDArray[np.float64]:
-    """Return rows of numbers as a matrix; a number or a flat list are the diagonal of a square one."""
+    """Return rows of numbers as a matrix; a number or a flat list is the diagonal of a square one."""
     if not isinstance(given, list):
         given = [given] * shape[0]
     flat = not any(isinstance(row, list) for row in given)
@@ -120,7 +115,7 @@ def weight(given: Weight, many: int, name: str, sizes: Sizes, definite: bool = F
 def vector(
     given: float | list[float] | None, default: float, many: int, name: str, sizes: Sizes
 ) -> NDArray[np.float64]:
-    """Return one number for all of `many` inputs, or one for each."""
+    """Return an array [many]: one number for all inputs, or one for each."""
     each = [default if given is None else given] * many if not isinstance(given, list) else given
     if len(each) != many:
         raise UserError(
@@ -130,7 +125,7 @@ def vector(
 
 
 def require_common(options: Options, sizes: Sizes, definite: bool = False) -> None:
-    """Raise UserError where what all laws have (period, limit, offset, set points, cost weights) does not fit."""
+    """Raise UserError unless period, limit, offset, set points and cost weights fit the plant."""
     if options.period is not None:
         ticks = options.period / sizes.dt
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
@@ -145,7 +140,7 @@ def require_common(options: Options, sizes: Sizes, definite: bool = False) -> No
             raise unknown(f"{sizes.where}.set_point", "state", name, sizes.states)
     if (options.Q1 is None) != (options.Q2 is None):
         one, other = ("Q1", "Q2") if options.Q2 is None else ("Q2", "Q1")
-        raise UserError(f"{sizes.where}: got {one} without {other}, expected both, or neither: there is no cost then.")
+        raise UserError(f"{sizes.where}: got {one} without {other}, expected both, or neither, without a cost.")
     if options.Q1 is not None and options.Q2 is not None:
         weight(options.Q1, sizes.n, "Q1", sizes)
         weight(options.Q2, sizes.m, "Q2", sizes, definite)

@@ -1,11 +1,12 @@
-"""Set points of states over time, and the state and input that belong to them.
+"""Set points of states over time, and the corresponding states and inputs of the plant.
 
-A set point gives some states a value r(t). The others, and the input, are those under which the plant rests, as well as it can:
+A set point gives some states a value r(t). The other states and the input are those at which the plant rests, in the
+least-squares sense:
 
-    x_ref of a chosen state = r,    (x_ref elsewhere, u_ref) = argmin |(Phi - I) x_ref + Gamma u_ref|, the least of all such
+    x_ref of a chosen state = r,    (x_ref elsewhere, u_ref) = argmin |(Phi - I) x_ref + Gamma u_ref|, of least norm
 
-Directions in which the plant moves by no more than the rounding of Phi are taken not to move it: a position cannot rest at a
-velocity of 0.5, and is not led to 1e14 for it.
+Directions in which the plant moves by less than the rounding error of Phi count as directions without motion. So a position,
+which cannot rest at a velocity of 0.5, does not get a reference of 1e14.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,7 @@ ROUNDING = 16 * float(np.finfo(np.float64).eps)  # of an entry of Phi, as a part
 
 
 class SetPoint(BaseModel):
-    """One state's set point: a step, a sine, or a table; one of them."""
+    """The set point of one state: either a step, a sine, or a table."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     step: Number | None = Field(None, description="value from the time `at` on, 0 before")
@@ -40,8 +41,8 @@ class SetPoint(BaseModel):
         kinds = [kind for kind in ("step", "sine", "table") if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"one of step, sine, table, not {' and '.join(kinds) or 'none'}")
-        beside = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
-        for key in self.model_fields_set - beside - set(kinds):
+        allowed = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
+        for key in self.model_fields_set - allowed - set(kinds):
             raise ValueError(f"no {key} beside {kinds[0]}")
         times = [t for t, _ in self.table or ()]
         if sorted(set(times)) != times:
@@ -59,7 +60,7 @@ class SetPoint(BaseModel):
 
 
 def _step(given: object) -> object:
-    """A number is a step of that size at t = 0."""
+    """Return a number as a step of that size at t = 0; anything else unchanged."""
     return {"step": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
 
 
@@ -67,7 +68,7 @@ SetPoints = dict[str, Annotated[SetPoint, BeforeValidator(_step)]]  # by state
 
 
 class Reference(NamedTuple):
-    """What a law leads the plant to, a row a tick from tick 0 on."""
+    """Reference state and input, one row per tick from tick 0 on."""
 
     x: NDArray[np.float64]  # [T, n]
     u: NDArray[np.float64]  # [T, m]
@@ -76,24 +77,24 @@ class Reference(NamedTuple):
 def rest(Phi: Matrix, Gamma: Matrix, chosen: list[int]) -> Matrix:
     """Return the map [n + m, r] from the set points of the chosen states to x_ref and u_ref."""
     n, m = Gamma.shape
-    whole, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in chosen]
+    system, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in chosen]
     out = np.zeros((n + m, len(chosen)))
     out[chosen, range(len(chosen))] = 1.0
-    size = float(np.linalg.norm(whole[:, free], 2))
-    rounding = ROUNDING * (n + m) * max(float(np.linalg.norm(Phi, 2)), 1.0)  # of Phi - I: what is below it is not known
+    size = float(np.linalg.norm(system[:, free], 2))
+    rounding = ROUNDING * (n + m) * max(float(np.linalg.norm(Phi, 2)), 1.0)  # of Phi - I
     if size > rounding:
-        out[free] = np.linalg.lstsq(whole[:, free], -whole[:, chosen], rcond=rounding / size)[0]
+        out[free] = np.linalg.lstsq(system[:, free], -system[:, chosen], rcond=rounding / size)[0]
     return out
 
 
 def reference(
     given: Mapping[str, SetPoint], states: tuple[str, ...], tick: tuple[Matrix, Matrix], dt: float, rows: int
 ) -> Reference:
-    """Return x_ref and u_ref of set points by state, at `rows` ticks of dt seconds from tick 0 on; of none, zeros."""
+    """Return x_ref and u_ref for set points by state, at `rows` ticks of dt seconds from tick 0 on; zeros without any."""
     t, (Phi, Gamma) = dt * np.arange(rows, dtype=float), tick
     n, m = Gamma.shape
     if not given:
         return Reference(np.zeros((rows, n)), np.zeros((rows, m)))
     r = np.stack([point.at_times(t) for point in given.values()], 1)
-    both = r @ rest(Phi, Gamma, [states.index(name) for name in given]).T
-    return Reference(both[:, :n], both[:, n:])
+    joint = r @ rest(Phi, Gamma, [states.index(name) for name in given]).T
+    return Reference(joint[:, :n], joint[:, n:])
