@@ -8,8 +8,8 @@ tau(sigma) = t.
 * feedforward: u_ff are the voltages with which the plant, with the present estimates of the viscosities, follows the path at
   sigma.
 * predictor: the law uses the state predicted to sigma and Td(sigma) instead of z and Td(t). The prediction has Runge-Kutta
-  steps of the model from the estimate, under the commands given so far. If it needs the command that is being computed, it uses
-  the preceding one. The last step ends at sigma.
+  steps of the model from the estimate, under the inputs of all commands so far. If it needs the command that is being
+  computed, it uses the preceding one. The last step ends at sigma.
 
 Commands before t = 0 are the same law at the estimate of t = 0, without prediction. The path is an array with one row per
 tick.

@@ -1,6 +1,6 @@
-"""`pcbench design`: one design with its certificate, the same as a study that can be run, and trade-offs.
+"""Functions of `pcbench design`: one design with its certificate, the same design as a study, and trade-offs.
 
-The theorems by which gains are found are in `synthesis`; an observer's `design` calls them.
+The theorems are in `synthesis`; an observer's `design` calls them.
 """
 
 from collections.abc import Sequence
@@ -26,37 +26,37 @@ from pcbench.toml_text import TomlTable
 if TYPE_CHECKING:
     import pandas as pd
 
-FEW = 6  # entries of an array that a row of a trade-off shows
-NOTHING = 1e-15  # of an array's size: 0
-BACK = 0.999  # part of a decay that is asked when a gain is read back: a proof of all of it stands on an edge
-HIDDEN = ("P", "P1", "P2", "shared_P")  # what proves, not what is promised
+FEW = 6  # largest array in a row of a trade-off
+NOTHING = 1e-15  # relative to an array's largest entry; smaller entries are 0
+BACK = 0.999  # fraction of a decay rate that is required of a gain given as a number, because it barely has that rate
+HIDDEN = ("P", "P1", "P2", "shared_P")  # numbers of a certificate that a trade-off does not show
 
 
 def design(
     scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> tuple[Study, Cell, Design]:
-    """Return an observer's design in a scenario's one cell; `gain` is one of the observer's ways to find gains.
+    """Return an observer's design in the one cell of a scenario; `gain` is one of the observer's design methods.
 
-    Raises UserError for another word, DesignError where the gains are not certified.
+    Raises UserError for another method, and DesignError if the gains are not certified.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     label = label_of(observer)
     if gain is not None:
         entry = cell.entry(label)
         if not (way := _way_of(entry)):
-            raise UserError(f"--gain: got '{gain}', but {label} has one way to find its gains; leave it out.")
+            raise UserError(f"--gain: got '{gain}', but {label} has one design method; leave it out.")
         valid = get_args(entry.options.model_fields[way].annotation)
         if gain not in valid:
-            raise unknown("--gain", f"way to find gains of {label}", gain, valid)
+            raise unknown("--gain", f"design method of {label}", gain, valid)
         study, cell = one_cell(replace_options(study, label, {way: gain}), [label], [])
     return study, cell, run_design(label, cell.entry(label), setting(slowed(cell, label)), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> TomlTable:
-    """Return a design as a study, as TOML writes it: with the gains as numbers where options can hold them.
+    """Return a design as a study, as TOML writes it, with the gains as numbers if options exist for them.
 
-    Under [resolved.certificate] stands what proves them; a study that is read leaves it aside. What is returned has been
-    designed anew from these options, so it can be run.
+    [resolved.certificate] contains the certificate; reading a study ignores it. These options have been designed again, so
+    the study can be run.
     """
     observer = label_of(observer)
     entry, options, c = cell.entry(observer), cell.options[observer], found.certificate
@@ -76,7 +76,7 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> TomlTabl
 
 
 def to_toml(written: TomlTable) -> str:
-    """Return a design as a study's TOML."""
+    """Return a study as TOML text."""
     return tomli_w.dumps(written)
 
 
@@ -101,11 +101,11 @@ def trade_off(
 
     Returns:
         A frame with one row per value: the option, `rate` [1/s] of the guaranteed decay (NaN: none), `margin`, `solver`,
-        `fallback`, `refused` (why there are no gains; empty: there are), `certified`, and the certificate's numbers, one
+        `fallback`, `refused` (the reason for no gains; empty: none), `certified`, and the certificate's numbers, one
         column for each entry.
 
     Raises:
-        UserError: there is no such option, or every value is refused.
+        UserError: the observer does not have this option, or every value is refused.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     observer = label_of(observer)
@@ -142,12 +142,12 @@ def replace_options(study: Study, observer: str, options: TomlTable) -> Study:
 
 
 def _way_of(entry: ObserverSpec) -> str | None:
-    """The option that says how an observer's gains are found, if it has one."""
+    """Return the option that selects an observer's design method, or None."""
     return next((name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)), None)
 
 
 def _as_options(model: type[BaseModel], options: BaseModel, found: Design) -> TomlTable:
-    """The numbers of a certificate that an option of the same name can hold, where it was left open or named a way."""
+    """Return the certificate's numbers as options of the same names, for options that are None or a word."""
     out: TomlTable = {}
     for name, field in model.model_fields.items():
         is_open = getattr(options, name) is None or isinstance(getattr(options, name), str)
@@ -165,13 +165,13 @@ def _as_options(model: type[BaseModel], options: BaseModel, found: Design) -> To
 
 
 def _proven_again(study: Study, cell: Cell, observer: str, chosen: TomlTable) -> TomlTable | None:
-    """The options with these numbers, with as much of a decay as they can be proven to have; None where they are refused."""
+    """Return the options with the largest decay that can be certified for these numbers; None if they are refused."""
     slower = [chosen | {"decay": BACK * chosen["decay"]}] if chosen.get("decay") else []
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
-            here = replace_options(study.model_copy(update={"options": {}}), observer, each)
+            explicit = replace_options(study.model_copy(update={"options": {}}), observer, each)
             known = setting(slowed(cell, observer))
-            run_design(observer, cell.entry(observer), known, one_cell(here, [observer], [])[1].options[observer])
+            run_design(observer, cell.entry(observer), known, one_cell(explicit, [observer], [])[1].options[observer])
         except UserError:
             continue
         return each

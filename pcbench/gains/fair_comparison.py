@@ -1,4 +1,4 @@
-"""What gains of several origins are worth: on the runs they were tuned on, on others, and against the bound."""
+"""Comparison of gains of several origins: on the training runs, on other runs, and with the bound."""
 
 from pathlib import Path
 
@@ -17,29 +17,29 @@ from pcbench.toml_text import TomlTable
 
 
 def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
-    """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
+    """Return the result with its table `fair`, which compares all versions on training seeds, on other seeds and with the bound.
 
-    One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
-    square) with their standard errors, `training` of an exact tuning the expected value; `gap` is held_out less training,
-    `rms_efficiency` the bound over steady_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
-    `certified` is that of stats; `note` says where a start was kept, and why. With `out` the table stands there as
-    fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
+    It has one row per cell and version. `training` and `held_out` are means of the objective with their standard errors; for
+    a pooled objective they are roots of mean squares, and `training` of an exact tuning is the expected value. `gap` is
+    held_out minus training. `rms_efficiency` is the bound divided by steady_pooled_rmse on the study's seeds, with its
+    interval, or NaN without a bound. `certified` is that of stats. `note` is the reason if a start was kept. With `out`, the
+    table is written as fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
     if made.aim is None:
         return result
-    beside = None if out is None else f"{out}/training"
+    folder = None if out is None else f"{out}/training"
     training = run_study.execute(
-        parse.grid_of(trained_on(made.study), {}, []), beside, how._replace(until_se=None, max_seeds=None)
+        parse.grid_of(trained_on(made.study), {}, []), folder, how._replace(until_se=None, max_seeds=None)
     )
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
-        found = pa.Table.from_pandas(result.fair, preserve_index=False)
-        storage.put_table(storage.target(str(out)), FAIR, parquet_io.seal_table(found))
+        content = pa.Table.from_pandas(result.fair, preserve_index=False)
+        storage.put_table(storage.target(str(out)), FAIR, parquet_io.seal_table(content))
     return result
 
 
 def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_out: pd.DataFrame) -> pd.DataFrame:
-    """Return the table from the stats of the training runs and of the study's own."""
+    """Return the table from the stats of the training runs and of the study's own runs."""
     rows: list[TomlTable] = []
     for cell in held_out.cell.unique():
         for v in versions:
@@ -61,6 +61,6 @@ def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_
 
 
 def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> TomlTable:
-    mine = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
-    found: list[TomlTable] = stats[mine].to_dict("records")  # type: ignore[assignment]
-    return found[0] if found else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)
+    selected = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
+    rows: list[TomlTable] = stats[selected].to_dict("records")  # type: ignore[assignment]
+    return rows[0] if rows else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)

@@ -1,15 +1,15 @@
-"""Studies whose gains come about in several ways, and what each of them is worth: `tuning` of a study.
+"""Studies that compare gains of several origins: the key `tuning` of a study.
 
-    paper     as a scenario's source prints them (its options), with the study's own options over them
-    design    by the observer's own design for the noise and the delays as they are
-    tuned     by `tune`: the same budget for every observer, from the better of the two above on the training runs;
-              with `only` the options of those names, of each observer that has them
+    published   as a scenario's source prints them (its options), overridden by the study's own options
+    design      by the observer's own design for the true noise and delays
+    tuned       by `tune`: the same budget for every observer, from the better of the two above on the training runs;
+                `only` restricts it to options of those names
 
-Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
-the study's own, on which all are compared. Where [tune] is `exact` there are the study's own alone. Of a study with several
-cells gains are tuned in the first and run in all; with `cells = "all"` they are tuned in every cell for itself. Observers
-without a design of their own, or without free parameters, have fewer versions. The study returned has explicit options only,
-so any machine can run, verify and merge it.
+Three ranges of seeds are disjoint: the training runs, those that decide between a tuned gain and its start, and the study's
+own, on which all are compared. With `exact_objective` in [tune] there are only the study's own.
+In a study with several cells, gains are tuned in the first and run in all; with `cells = "all"` they are tuned separately in
+every cell. Observers without a design for the noise, or without free parameters, have fewer versions. The resulting study has
+explicit options only, so any machine can run, verify and merge it.
 """
 
 import itertools
@@ -46,26 +46,26 @@ class Version(NamedTuple):
     label: str  # in the tables
     observer: str  # as the study names it
     tuning: str
-    note: str = ""  # why its gains are not those found
+    note: str = ""  # why its gains are not the tuned ones
 
 
 class ExplicitStudy(NamedTuple):
-    """A study with every option explicit, and the versions that its labels stand for."""
+    """A study with explicit options, and the versions of its labels."""
 
     grid: Grid
-    versions: list[Version]  # empty: one tuning only, nothing to compare
+    versions: list[Version]  # empty: one tuning only
     aim: Objective | None = None
 
     @property
     def study(self) -> Study:
-        """Return the study itself."""
+        """Return the study."""
         return self.grid.study
 
 
 def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progress = SILENT) -> ExplicitStudy:
-    """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
+    """Return the study to run, with designed and tuned gains; tunings are stored in out/tuning, from which they continue.
 
-    Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
+    Raises UserError for several tunings, or tuned gains, in more than one scenario.
     """
     study = grid.study
     if study.tunings == ["published"]:
@@ -101,7 +101,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
             progress.note(f"tuning in cell {i + 1} of {len(points)}")
         gains.append(_gains_in(here, published, aim, folder, progress))
     versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
-    if len(study.tunings) == 1:  # no other version to be told from
+    if len(study.tunings) == 1:  # labels need no suffix
         gains = [each.renamed({v.label: v.observer for v in versions}) for each in gains]
         versions = [v._replace(label=v.observer) for v in versions]
     order = list(published)
@@ -130,7 +130,7 @@ class _Gains(NamedTuple):
 
     versions: list[Version]
     options: Options  # by label
-    found: Options  # by label, the options that tuning found; none where the start was kept
+    found: Options  # by label, the tuned options; empty if the start was kept
 
     def renamed(self, labels: dict[str, str]) -> "_Gains":
         """Return these gains under other labels; a label without a new one is left out."""
@@ -142,7 +142,7 @@ class _Gains(NamedTuple):
 
 
 def _gains_in(study: Study, published: Options, aim: Objective, folder: str | None, progress: Progress) -> _Gains:
-    """The gains of all versions in a study of one cell; what tuning leaves stands in `folder`."""
+    """Return the gains of all versions in a study of one cell; tunings are stored in `folder`."""
     gains = _Gains([], {}, {})
     for observer, paper in published.items():
         ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
@@ -160,7 +160,7 @@ def _gains_in(study: Study, published: Options, aim: Objective, folder: str | No
 
 
 def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
-    """The versions that there are in some cell. One that a cell lacks has the gains as printed there, and its note says so."""
+    """Return the versions of all cells; in a cell without a version, it has published gains and a note."""
     first: dict[str, Version] = {}
     for each in gains:
         first |= {v.label: v for v in each.versions if v.label not in first}
@@ -168,10 +168,10 @@ def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
     for label, version in first.items():
         notes = []
         for each in gains:
-            mine = [v.note for v in each.versions if v.label == label]
-            if not mine:
+            own_notes = [v.note for v in each.versions if v.label == label]
+            if not own_notes:
                 each.options[label] = each.options[f"{version.observer}-published"]
-            notes.append(mine[0] if mine else "nothing to tune, so gains as printed")
+            notes.append(own_notes[0] if own_notes else "nothing to tune, so gains as printed")
         at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
         several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
         out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else several))
@@ -186,21 +186,21 @@ def _with(
 
 
 def trained_on(study: Study) -> Study:
-    """Return the study on what gains are tuned on: the training runs, or expected values."""
+    """Return the study on the training runs, or with exact evaluation."""
     if study.tune.exact_objective:
         return study.model_copy(update={"evaluation": "exact"})
-    its = _training(study)
-    return study.model_copy(update={"first_seed": its.first, "seeds": its.many})
+    training = _training(study)
+    return study.model_copy(update={"first_seed": training.first, "seeds": training.many})
 
 
 def _require_other_seeds(study: Study) -> None:
-    """Raise UserError where the study's own seeds are among those it tunes on; of an exact objective there are none."""
-    mine = seed_range(study.first_seed, study.seeds)
-    for its in () if study.tune.exact_objective else (_training(study), VALIDATION):
-        if common(mine, its).many:
+    """Raise UserError if the study's own seeds overlap those of the tuning; an exact objective has none."""
+    own = seed_range(study.first_seed, study.seeds)
+    for tuning in () if study.tune.exact_objective else (_training(study), VALIDATION):
+        if common(own, tuning).many:
             raise UserError(
-                f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
-                "which gains are tuned; give another first_seed."
+                f"{study.name}: got seeds {own.first} .. {own.stop - 1}, expected none of {tuning.first} .. {tuning.stop - 1}, "
+                "on which gains are tuned; give another first_seed."
             )
 
 
@@ -209,28 +209,28 @@ def _training(study: Study) -> Seeds:
 
 
 def _require_own_folder(study: Study, out: str | Path | None, overwrite: bool) -> None:
-    """Raise UserError where a folder holds something else, before anything is written; `overwrite` removes earlier tunings."""
+    """Raise UserError if a folder has other contents, before writing; `overwrite` removes earlier tunings."""
     if out is None:
         return
     target = storage.target(str(out))
-    there, names = storage.text(target, TEXT), storage.names(target)
+    manifest, names = storage.text(target, TEXT), storage.names(target)
     others = [name for name in names if not name.startswith(BESIDE)]
-    if there is None and others:
+    if manifest is None and others:
         raise UserError(
             f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
         )
-    if there is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
+    if manifest is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
         raise UserError(
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --overwrite."
         )
-    ours = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
-    for name in [name for name in names if overwrite and ours.fullmatch(name)]:
+    tunings = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
+    for name in [name for name in names if overwrite and tunings.fullmatch(name)]:
         storage.remove(target, name)
 
 
 def _better(study: Study, versions: list[Version], options: Options, aim: Objective, progress: Progress) -> Options:
-    """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
+    """Return the start of each observer with free parameters: the options of its better version on the training runs."""
     free = {v.label: v for v in versions if _is_free(study, v, options[v.label])}
     if not free:
         return {}
@@ -247,7 +247,7 @@ def _better(study: Study, versions: list[Version], options: Options, aim: Object
 
 
 def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
-    """Say whether a version has free parameters that its gains depend on."""
+    """Return whether a version has free parameters that affect its gains."""
     observer = version.observer
     only = validation.only(study, observer)
     if not parameters.tunable(entry_in(study, observer)) or only == []:
@@ -266,7 +266,7 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
 def _tune_observer(
     study: Study, observer: str, start: TomlTable, folder: str | None, progress: Progress
 ) -> tuple[str, TomlTable]:
-    """Why the start is kept (empty: it is not), and the options found."""
+    """Return the reason why the start is kept (empty: it is not), and the tuned options."""
     how = study.tune
     seeds: TomlTable = {"training_seeds": _training(study), "validation_seeds": VALIDATION}
     changes = {"options": study.options | {observer: start}, "tuning": "published", "observers": [observer]}
@@ -287,7 +287,7 @@ def _tune_observer(
             **({} if how.exact_objective else seeds),
         )
     except tune.NoStart:
-        return "no start of it works on the training runs", {}
+        return "the start has no finite value on the training runs", {}
     except AnotherTuning as error:
         raise UserError(f"{str(error).removesuffix('.')}, or start over with --overwrite.") from None
     return found.kept_start, {} if found.kept_start else found.found

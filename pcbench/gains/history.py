@@ -1,4 +1,4 @@
-"""The points of a tuning so far, in a Parquet file: all that is needed to go on; and what it has found."""
+"""Evaluated points of a tuning, in a Parquet file from which a stopped tuning continues, and its result."""
 
 import hashlib
 import json
@@ -29,40 +29,40 @@ from pcbench.toml_text import TomlTable
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
 REFIT = "history-whole.parquet"  # of a second descent, on all data
-ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for what
-BASIS = b"pcbench.study"  # and the study in which, to say what has changed
-PAUSE = 2.0  # [s] between two writings
+ABOUT = b"pcbench.tuning"  # metadata key of the description of the tuning
+BASIS = b"pcbench.study"  # metadata key of its study, to report changes
+PAUSE = 2.0  # [s] least time between two writes
 
 
 class AnotherTuning(UserError):
-    """A folder holds the history of another tuning."""
+    """A folder contains the history of another tuning."""
 
 
 class Judgement(NamedTuple):
-    """An objective's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
+    """A metric of start and tuned gains over some seeds, without diverged runs (for a pooled metric, its mean square)."""
 
-    what: str  # training or validation; or exact: expected values, of no seeds
+    what: str  # training, validation, or exact (expected values, without seeds)
     seeds: Seeds
     start: float
     start_se: float
     tuned: float
     tuned_se: float
-    difference: float  # tuned less start, paired over the same draws
+    difference: float  # tuned minus start, paired over the same runs
     difference_se: float
-    diverged: tuple[int, int]  # runs, of start and tuned
+    diverged: tuple[int, int]  # number of diverged runs of start and tuned
 
 
 class Evaluation(NamedTuple):
-    """One point asked for."""
+    """One evaluated point."""
 
     at: tuple[float, ...]  # the free parameters
-    value: float  # of the objective over the training runs; infinite where the gains are refused or a run diverged
-    slope: tuple[float, ...]  # empty where none was asked for
+    value: float  # objective over the training runs; infinite if the gains are refused or a run diverged
+    slope: tuple[float, ...]  # gradient; empty without one
     seconds: float
 
 
 class History:
-    """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
+    """The points of a tuning in the order of evaluation; points of an earlier run are not evaluated again."""
 
     def __init__(self, target: storage.Target, about: str, names: list[str], basis: TomlTable, file: str = HISTORY):
         self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
@@ -71,7 +71,7 @@ class History:
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
-        """Return value and slope at a point: as an earlier run found them, if this was its next point, or else evaluated."""
+        """Return value and slope at a point: from the earlier run if this was its next point, otherwise evaluated."""
         key, number = tuple(map(float, at)), len(self.points)
         if number < len(self.before) and self.before[number].at == key:
             point = self.before[number]
@@ -81,18 +81,18 @@ class History:
             value, slope = evaluate(at)
             point = Evaluation(key, value, tuple(map(float, slope)), monotonic() - start)
         self.points.append(point)
-        works = isfinite(self.points[0].value)  # a start that fails leaves nothing
+        works = isfinite(self.points[0].value)  # a start without a finite value is not stored
         if number >= len(self.before) and works and monotonic() - self.written > PAUSE:
             self.write()
         return point.value, np.array(point.slope)
 
     @property
     def best(self) -> Evaluation:
-        """Return the point of the least value."""
+        """Return the point with the least value."""
         return min(self.points, key=lambda point: point.value)
 
     def write(self) -> None:
-        """Write the history: the objective is null where the gains were refused."""
+        """Write the history; the objective is null if the gains were refused or a run diverged."""
         points, float64 = self.points, pa.float64()
         columns: TomlTable = {"point": np.arange(len(points))}
         columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(self.names)}
@@ -107,12 +107,12 @@ class History:
 
 
 def basis_of(study: Study, cell: Cell) -> TomlTable:
-    """Return what a tuning depends on: its study with all options, and the digests of the files of users' code."""
+    """Return the inputs of a tuning: its study with all options, and digests of the files of users' code."""
     return json.loads(json.dumps({"study": resolve_study(study, [cell]), "files": stored_code.files_of(study)}))
 
 
 def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
-    """What an earlier run has seen; raise AnotherTuning where that was another tuning."""
+    """Return the points of an earlier run; raise AnotherTuning if they are those of another tuning."""
     content = storage.get(target, file)
     if content is None:
         if others := [name for name in storage.names(target) if name not in (HISTORY, FOUND)]:
@@ -123,7 +123,7 @@ def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> li
     try:
         table = parquet_io.parse_table(content)
         metadata = table.schema.metadata or {}
-        said, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
+        stored, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
         points = []
         for row in table.to_pylist():
@@ -134,68 +134,68 @@ def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> li
         raise UserError(
             f"{target.name}/{file}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
         ) from None
-    if said != about:
+    if stored != about:
         files = before.get("files", {}), basis["files"]
         changed = list(changes(before["study"], basis["study"], files)) if before else []
-        differs = f"{'; '.join(changed)}), expected the same study" if changed else f"{said}), expected {about}"
+        differs = f"{'; '.join(changed)}), expected the same study" if changed else f"{stored}), expected {about}"
         raise AnotherTuning(f"{target.name}: holds another tuning ({differs}; give another folder with --out.")
     return points
 
 
 def finish(target: storage.Target, about: str, tuned: Any) -> None:
-    """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
-    said: TomlTable = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
-    said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
-    said |= {"exact": True} if tuned.exact else {}
-    said |= {} if tuned.certified is None else {"certified": tuned.certified}
-    storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
+    """Write the result: a study that can be run, with the record of the tuning under [resolved.tuning]."""
+    record: TomlTable = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    record |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
+    record |= {"exact": True} if tuned.exact else {}
+    record |= {} if tuned.certified is None else {"certified": tuned.certified}
+    storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
 
 
-def load_finished(target: storage.Target, whole: str, about: str, basis: TomlTable) -> TomlTable | None:
-    """Return what an earlier run of the same tuning has found; None where there is none.
+def load_finished(target: storage.Target, task: str, about: str, basis: TomlTable) -> TomlTable | None:
+    """Return the result of an earlier run of the same tuning, or None without one.
 
-    `whole` describes the finished tuning, `about` and `basis` its history.
+    `task` describes the finished tuning, `about` and `basis` its history.
     """
     try:
         study = toml_text.parse(storage.text(target, FOUND) or b"")
-        said = study.pop("resolved")["tuning"]
-        if said.pop("about") != whole:
+        record = study.pop("resolved")["tuning"]
+        if record.pop("about") != task:
             return None
         judged = []
-        for each in said.pop("judged"):
+        for each in record.pop("judged"):
             first, many, (start, tuned) = each.pop("first"), each.pop("seeds"), each.pop("diverged")
             judged.append(Judgement(seeds=seed_range(first, many), diverged=(start, tuned), **each))
-        return said | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
+        return record | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
-        return None  # not there, or damaged: the history is read, and it is written anew
+        return None  # missing or damaged: the tuning continues from its history, and writes the result again
 
 
-def load_kept(target: storage.Target, whole: str, about: str, basis: TomlTable) -> None:
-    """Put what the cache has of the same tuning by the same code into a folder that is empty; damaged entries are left."""
-    place = _kept(whole, basis)
+def load_kept(target: storage.Target, task: str, about: str, basis: TomlTable) -> None:
+    """Copy the cached result of the same tuning by the same code into an empty folder; ignore damaged entries."""
+    place = _kept(task, basis)
     kept = storage.target(place)
     with suppress(UserError):
-        if not storage.names(target) and load_finished(kept, whole, about, basis):
+        if not storage.names(target) and load_finished(kept, task, about, basis):
             storage.make(target)
-            for name in (HISTORY, FOUND):  # in this order: a result without its history is none
+            for name in (HISTORY, FOUND):  # in this order, because a result without its history is invalid
                 storage.put(target, name, (place / name).read_bytes())
 
 
-def keep_result(target: storage.Target, whole: str, basis: TomlTable) -> None:
-    """Keep a finished tuning in the cache, where `load_kept` finds it."""
+def keep_result(target: storage.Target, task: str, basis: TomlTable) -> None:
+    """Store a finished tuning in the cache for `load_kept`."""
     for name in (HISTORY, FOUND):
-        cache.keep(_kept(whole, basis) / name, storage.get(target, name) or b"")
+        cache.keep(_kept(task, basis) / name, storage.get(target, name) or b"")
 
 
-def _kept(whole: str, basis: TomlTable) -> Path:
-    """The folder of a tuning in the cache, named by all that decides its numbers."""
-    said = f"{whole} {json.dumps(basis, sort_keys=True)} {_versions()}"
-    return cache.folder("gains", f"tuning-{hashlib.sha256(said.encode()).hexdigest()[:32]}")
+def _kept(task: str, basis: TomlTable) -> Path:
+    """Return the cache folder of a tuning, named by the hash of all inputs that determine its numbers."""
+    record = f"{task} {json.dumps(basis, sort_keys=True)} {_versions()}"
+    return cache.folder("gains", f"tuning-{hashlib.sha256(record.encode()).hexdigest()[:32]}")
 
 
 @lru_cache(maxsize=1)
 def _versions() -> str:
-    """What decides the bits of an objective besides what is asked: pcbench's own text, and the libraries that compute."""
+    """Return a digest of pcbench's source and the versions of numerical libraries, which affect the bits of an objective."""
     root = Path(__file__).parents[1]
     text = b"".join(path.read_bytes() for path in sorted(root.rglob("*.py")))
     return (
@@ -204,8 +204,8 @@ def _versions() -> str:
 
 
 def plain(judged: Judgement) -> TomlTable:
-    """Return a judgement as it is written: of its seeds the first, and how many."""
-    said = judged._asdict()
-    seeds = said.pop("seeds")
-    head = {"what": said.pop("what"), "first": seeds.first, "seeds": seeds.many}
-    return head | said | {"diverged": list(judged.diverged)}
+    """Return a judgement as it is written, with the first seed and the number of seeds."""
+    record = judged._asdict()
+    seeds = record.pop("seeds")
+    head = {"what": record.pop("what"), "first": seeds.first, "seeds": seeds.many}
+    return head | record | {"diverged": list(judged.diverged)}

@@ -1,4 +1,4 @@
-"""What tuning makes small: one metric of one signal, over the training runs."""
+"""Objective of a tuning: a metric of a signal, over the training runs."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ MEASURES = (*COMPARED, *POOLED)
 
 
 class Objective(NamedTuple):
-    """A metric of the tables and the signal it is of."""
+    """A metric of the tables, and its signal."""
 
     metric: str
     signal: int
@@ -26,12 +26,12 @@ class Objective(NamedTuple):
 
     @property
     def base(self) -> str:
-        """Return the metric of a run that it is a mean of."""
+        """Return the metric of a run whose mean is the objective."""
         return POOLED.get(self.metric, self.metric)
 
     @property
     def smooth(self) -> bool:
-        """Return whether it has a gradient."""
+        """Return whether the objective has a gradient."""
         return self.base.removeprefix("steady_") in reverse_mode.SMOOTH
 
     def of(self, mean: float) -> float:
@@ -39,29 +39,29 @@ class Objective(NamedTuple):
         return float(np.sqrt(mean)) if self.metric in POOLED else mean
 
     def mean(self, value: float) -> float:
-        """Return that mean from the objective."""
+        """Return the mean of the base from the objective."""
         return value**2 if self.metric in POOLED else value
 
     def slope(self, mean: float) -> float:
-        """Return the derivative of the objective by that mean."""
+        """Return the derivative of the objective with respect to the mean of its base."""
         return 0.5 / float(np.sqrt(mean)) if self.metric in POOLED and mean > 0 else 1.0
 
     def over(self, runs: NDArray[np.float64], diverged: NDArray[np.bool_]) -> float:
-        """Return the objective over runs [n] of its base; infinite where one of them diverged."""
+        """Return the objective from values [n] of its base over runs; infinite if a run diverged."""
         return float("inf") if diverged.any() else self.of(float(np.mean(runs)))
 
 
 def objective_of(objective: str, scenario: Scenario, signal: str | None, where: str) -> Objective:
-    """Return the objective of these names; the signal is by default the first that a closing table shows.
+    """Return an objective by names; the default signal is the first that the table of a study shows.
 
-    Raises UserError for an unknown one.
+    Raises UserError for unknown names.
     """
     ticks = to_ticks(scenario.duration, scenario)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
-    there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
-    there = [m for m in there if m not in OF_RUN]  # of no signal
-    if objective not in there:
-        raise unknown(f"{where}: --objective", "metric to tune for here", objective, there)
+    metrics = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
+    metrics = [m for m in metrics if m not in OF_RUN]  # those of a signal
+    if objective not in metrics:
+        raise unknown(f"{where}: --objective", "metric to tune for here", objective, metrics)
     names = [name for name, _ in signals_of(scenario)]
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)

@@ -1,8 +1,8 @@
-"""How the objective of a tuning is evaluated, by which optimizer: over training runs, or as its expected value.
+"""Evaluation of the objective of a tuning, over training runs or as its expected value, and the choice of the optimizer.
 
-The expected value is over all noise, with its gradient: no training runs, no validation runs. Value and derivatives along the
-directions in which free parameters move the gains are exact moments (`moments.gradients`); the directions come from the
-observer's own design by central differences, as those over runs do.
+The expected value is over all noise, without training and validation runs. It and its derivatives along the directions in
+which free parameters change the gains are exact moments (`moments.gradients`). As for runs, the directions are central
+differences of the observer's own design.
 """
 
 from collections.abc import Callable
@@ -32,18 +32,18 @@ METHODS = ("descent", "search")
 Evaluate = Callable[[Vector], tuple[float, Vector]]
 SQUARES = {"mse": ("square", 0), "steady_mse": ("square", 1)}
 SIZES = {"mae": ("absolute", 0), "steady_mae": ("absolute", 1)}
-SUMS = SQUARES | SIZES  # of `moments.error_sums`, and which of its two: over the horizon, or over the tail
+SUMS = SQUARES | SIZES  # field of `moments.error_sums`, and index: 0 over the horizon, 1 over the steady part
 OFFERED = (*SUMS, *POOLED)
 INSTEAD = "leave exact out, and it is tuned on runs"
 
 
 def check_estimates(p: Plan, aim: Objective, where: str) -> None:
-    """Raise UserError where the observer does not estimate the objective's signal."""
+    """Raise UserError if the observer does not estimate the objective's signal."""
     ((label, observer),) = p.layout.observers
-    found = jax.eval_shape(
+    shape = jax.eval_shape(
         lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
     )
-    if aim.signal >= found.shape[0] + p.layout.plant.scored:
+    if aim.signal >= shape.shape[0] + p.layout.plant.scored:
         raise UserError(
             f"{where}: --signal: got {aim.name}, which {p.labels[0]} does not estimate, expected one that it does; name "
             "another."
@@ -51,9 +51,9 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
 
 
 def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: str) -> str:
-    """Return descent where there is a gradient, as every exact objective has, or else search.
+    """Return "descent" if the objective has a gradient, as every exact objective has, otherwise "search".
 
-    Raises UserError where descent is asked for without one.
+    Raises UserError for descent without a gradient.
     """
     if asked not in (None, *METHODS):
         raise UserError(f"{where}: --optimizer: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
@@ -72,7 +72,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: s
 def evaluator(
     how: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Gains]
 ) -> Evaluate:
-    """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
+    """Return a function that evaluates a point; it returns infinity if the gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers
     back = optimizers.backwards(p, aim, root_seed, seeds)
 
@@ -90,18 +90,18 @@ def evaluator(
     def at(point: Vector) -> tuple[float, Vector]:
         try:
             return with_slope(point) if how == "descent" else alone(point)
-        except DigitsError:  # of an open loop whatever the gains, of a closed one because of them
+        except DigitsError:  # independent of the gains in an open loop, because of them in a closed one
             if p.layout.controller is None:
                 raise
             return float("inf"), np.full(len(point), np.nan)
-        except (UserError, ValidationError):  # its design refuses, or it is no option
+        except (UserError, ValidationError):  # the design refuses, or the option is invalid
             return float("inf"), np.full(len(point), np.nan)
 
     return at
 
 
 def require_exact_value(aim: Objective, where: str) -> None:
-    """Raise UserError where a metric has no exact value, whatever the cell."""
+    """Raise UserError if a metric never has an exact value."""
     if aim.metric not in OFFERED:
         why = stats_rows.RUNS_ONLY.get(aim.metric, "it is of runs alone")
         raise UserError(
@@ -111,13 +111,13 @@ def require_exact_value(aim: Objective, where: str) -> None:
 
 
 def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
-    """Return the cell as its moments move; raise UserError where its objective has no exact value."""
+    """Return the realisation of the cell for exact moments; raise UserError if its objective has no exact value."""
     require_exact_value(aim, where)
     one = gradients.single(p)
     if one is None:
         raise UserError(
-            f"{where}: exact: got runs with schedules or plants of their own, expected what all runs share, as a gradient "
-            f"is of one schedule; {INSTEAD}."
+            f"{where}: exact: got runs with different schedules or plants, expected the same for all runs, as a gradient "
+            f"is for one schedule; {INSTEAD}."
         )
     if aim.metric in SIZES and (one.layout.scattered or one.chance < 1):
         raise UserError(
@@ -130,9 +130,9 @@ def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
 def exact_evaluator(
     p: Plan, one: Realisation, aim: Objective, many: int, design: Callable[[Vector], Gains], where: str
 ) -> Evaluate:
-    """Return what evaluates a point of `many` free parameters: infinite where its gains are refused, or nothing is exact.
+    """Return a function that evaluates a point of `many` free parameters; it returns infinity without an exact value.
 
-    Raises UserError where nothing is exact at the first point: that is the observer's nature, not its gains'.
+    It raises UserError if there is no exact value at the first point, which is a property of the observer, not of its gains.
     """
     call, (kind, part) = gradients.build_gradients(p, one, many), SUMS[aim.base]
     count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
@@ -141,22 +141,22 @@ def exact_evaluator(
     def at(point: Vector) -> tuple[float, Vector]:
         lost = float("inf"), np.full(many, np.nan)
         try:
-            found = call(design(point), optimizers.directions(design, point))
-        except (UserError, ValidationError):  # its design refuses, or it is no option
+            moments = call(design(point), optimizers.directions(design, point))
+        except (UserError, ValidationError):  # the design refuses, or the option is invalid
             return lost
-        if why := refusal(found.cell, p.labels[0], INSTEAD):
+        if why := refusal(moments.cell, p.labels[0], INSTEAD):
             if not seen:
                 raise UserError(f"{where}: exact: {why}")
             return lost
         seen.append(point)
-        mean = float(getattr(found.cell.sums, kind)[part, aim.signal, 0]) / count
-        slope = getattr(found.slopes, kind)[part, aim.signal] / count
+        mean = float(getattr(moments.cell.sums, kind)[part, aim.signal, 0]) / count
+        slope = getattr(moments.slopes, kind)[part, aim.signal] / count
         return aim.of(mean), aim.slope(mean) * slope
 
     return at
 
 
 def exact_judgement(aim: Objective, start: float, tuned: float) -> Judgement:
-    """Return start and tuned as their expected values: no seeds, no errors."""
+    """Return the expected values of start and tuned as a judgement, without seeds and errors."""
     a, b = aim.mean(start), aim.mean(tuned)
     return Judgement("exact", seed_range(0, 0), a, 0.0, b, 0.0, difference=b - a, difference_se=0.0, diverged=(0, 0))

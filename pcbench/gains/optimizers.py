@@ -1,13 +1,11 @@
-"""Two ways down: L-BFGS on gradients, and Nelder and Mead's simplex where there are none.
+"""Optimizers of a tuning: L-BFGS with gradients, and the Nelder-Mead simplex without; and the gradients.
 
-The training draws are fixed, so the objective is a function without noise: curvature can be learnt from its gradients, which
-takes a third of the points that Adam needs. Both ask for the same points where they get the same answers, so a tuning that
-was stopped goes on by getting its earlier answers again.
+The training runs are fixed, so the objective is a deterministic function. L-BFGS estimates its curvature, and needs a third
+of the points that Adam needs. Both optimizers are deterministic, so a stopped tuning continues from its stored values.
 
-The gradient of an objective by an observer's free parameters.
-
-Through the simulator it is exact, by reverse mode, with respect to every number among the gains. From the free parameters to
-the gains leads the observer's own design, in NumPy: of so few numbers central differences are enough, good to 1e-9.
+The gradient of an objective with respect to every number among the gains is exact, through the simulator in reverse mode. The
+derivatives of the gains with respect to the free parameters are central differences of the observer's own design in NumPy,
+accurate to 1e-9.
 """
 
 from collections.abc import Callable
@@ -30,16 +28,16 @@ from pcbench.runtime import program_store, thread_pools
 from pcbench.simulation import reverse_mode
 from pcbench.simulation.types import GridPointParams
 
-FIRST = 0.1  # length of the first step, in free parameters,
-LONGEST = 1.0  # and of any, at first: where steps of that length go down, longer ones may be tried
-ENOUGH = 1e-4  # of the decrease that the slope promises
-SMALLEST = 1e-9  # step, of the free parameters
-SPREAD = 0.25  # the simplex' first edges
-Ask = Callable[[Vector], tuple[float, Vector]]  # value and slope; infinite where a point is refused
+FIRST = 0.1  # length of the first step, in free parameters
+LONGEST = 1.0  # initial limit of a step's length; it doubles after a successful step of that length
+ENOUGH = 1e-4  # required decrease, relative to that of the gradient
+SMALLEST = 1e-9  # least length of a step, in free parameters
+SPREAD = 0.25  # initial edges of the simplex
+Ask = Callable[[Vector], tuple[float, Vector]]  # -> value and gradient; infinite if a point is refused
 
 
 def descent(ask: Ask, start: Vector, budget: int) -> None:
-    """Ask for `budget` points at most, each step halved until it goes down enough; end where none does."""
+    """Evaluate at most `budget` points by L-BFGS; halve each step until the decrease suffices, and stop if none does."""
     import optax
 
     rule = optax.scale_by_lbfgs()
@@ -52,24 +50,24 @@ def descent(ask: Ask, start: Vector, budget: int) -> None:
         if fresh or slope @ step >= 0:
             step = -slope * FIRST / np.linalg.norm(slope)
         cut = min(1.0, longest / float(np.linalg.norm(step)))
-        step, tried, whole = step * cut, False, True
+        step, tried, full_step = step * cut, False, True
         while left > 0 and np.linalg.norm(step) > SMALLEST:
-            there, left, tried = ask(at + step), left - 1, True
-            if there[0] <= value + ENOUGH * (slope @ step) and np.isfinite(there[1]).all():
+            candidate, left, tried = ask(at + step), left - 1, True
+            if candidate[0] <= value + ENOUGH * (slope @ step) and np.isfinite(candidate[1]).all():
                 break
-            step, whole = step / 2, False
+            step, full_step = step / 2, False
         else:
             if fresh or not tried:
                 return
-            state, fresh = rule.init(at), True  # what was learnt of the curvature misleads here
+            state, fresh = rule.init(at), True  # the estimated curvature is wrong here
             continue
-        at, (value, slope), fresh = at + step, there, False
-        if whole and cut < 1:
+        at, (value, slope), fresh = at + step, candidate, False
+        if full_step and cut < 1:
             longest *= 2
 
 
 def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None:
-    """Ask for `budget` points at most of a simplex that shrinks towards the least."""
+    """Evaluate at most `budget` points by the Nelder-Mead simplex."""
     corners = np.vstack([start, start + SPREAD * np.eye(len(start))])
     how = {"initial_simplex": corners, "maxfev": budget, "xatol": 1e-4, "fatol": 0.0, "adaptive": len(start) > 3}
     from scipy.optimize import minimize
@@ -77,14 +75,14 @@ def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None
     minimize(value, start, method="Nelder-Mead", options=how)  # type: ignore[call-overload]
 
 
-LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
+LANES = 128  # runs per call; one call per core at a time
 STEP = 1e-5  # of a free parameter
-# the mean of an objective's base over runs, its derivative by each array of gains, whether a run is lost
+# mean of an objective's base over runs, its derivative with respect to each array of gains, whether a run diverges
 Slope = tuple[float, list[Vector], bool]
 
 
 def numbers(gains: Gains) -> list[Leaf]:
-    """Return the arrays of real numbers among gains: those to differentiate by."""
+    """Return the arrays of real numbers among the gains, which are differentiated."""
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
@@ -100,11 +98,11 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     ) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
-        whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
-        found = reverse_mode.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
-        peaks = found[label]["max_abs_error"]
+        problem = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
+        metrics = reverse_mode.metrics(layout, problem, n, tail, jnp.asarray(root_seed), seeds)
+        peaks = metrics[label]["max_abs_error"]
         lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
-        return jnp.sum(found[label][goal.base][goal.signal] * weights), lost
+        return jnp.sum(metrics[label][goal.base][goal.signal] * weights), lost
 
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
@@ -133,17 +131,17 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
 
 
 def chain(slopes: list[Vector], design: Callable[[Vector], Gains], at: Vector) -> Vector:
-    """Return the derivative by the free parameters, by the chain rule through `design`, from that by the gains."""
+    """Return the derivatives with respect to the free parameters, from those with respect to the gains."""
     each = directions(design, at)
     return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in each])
 
 
 def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vector]]:
-    """Return for each free parameter the derivatives of the gains' numbers by it, NaN where all around is refused."""
+    """Return the derivatives of the gains for each free parameter, NaN if the designs on both sides are refused."""
     out = []
     for step in STEP * np.eye(len(at)):
-        sides = [(sign, found) for sign in (1, -1) if (found := _try_design(design, at + sign * step)) is not None]
-        if len(sides) < 2:  # one side is refused: from the middle
+        sides = [(sign, gains) for sign in (1, -1) if (gains := _try_design(design, at + sign * step)) is not None]
+        if len(sides) < 2:  # one side is refused: use the middle
             sides.append((0, numbers(design(at))))
         (m, ahead), (n, behind) = sides[0], sides[-1]
         gap = (m - n) * STEP or np.nan
@@ -152,7 +150,7 @@ def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vecto
 
 
 def _try_design(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | None:
-    """The gains at a point as numbers; None where its design refuses."""
+    """Return the gains at a point as arrays, or None if the design refuses."""
     try:
         return numbers(design(at))
     except (UserError, ValidationError):

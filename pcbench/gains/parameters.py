@@ -1,9 +1,9 @@
-"""The free parameters of an observer: options that may be tuned, as numbers without bounds.
+"""Free parameters of an observer: its tunable options, as unbounded numbers.
 
-An option says so itself (`tunable`). A positive number is its logarithm here, one between two numbers its logit, a matrix its
-entries over their natural size, a covariance its Cholesky factor, whose diagonal is a logarithm too: so every vector of numbers
-is an option that may be written into a study, and a step means the same in all of them. Gains follow by the observer's own
-design, which certifies them or refuses.
+An option is declared with `tunable`. A positive number is represented by its logarithm, and one in an interval by its logit.
+A matrix is represented by its entries relative to their size. A covariance is represented by its Cholesky factor, with the
+logarithms of the diagonal. So every vector of numbers is a valid option for a study, and steps are comparable. The gains
+follow by the observer's own design, which certifies or refuses them.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,35 +22,35 @@ from pcbench.protocols import Leaf
 from pcbench.toml_text import TomlTable
 
 Vector = NDArray[np.float64]
-NOTHING = 1e-15  # of a matrix' size: 0
-MOVED, SAME = 0.1, 1e-9  # gains that differ by less of themselves when a parameter moves so far do not depend on it
-LEAST = 1e-12  # a positive number that is 0 by default starts here
-CLIPPED = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # of the logarithm of a standard deviation
+NOTHING = 1e-15  # relative to a matrix's size; smaller entries are 0
+MOVED, SAME = 0.1, 1e-9  # step of a parameter; relative change below which gains do not depend on it
+LEAST = 1e-12  # start of a positive number whose default is 0
+CLIPPED = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # range of the logarithm of a standard deviation
 
 
 class NothingFree(UserError):
-    """There is nothing to tune."""
+    """The observer has no free parameter."""
 
 
 class Free(NamedTuple):
-    """One option; its `size` numbers are `first` .. `first + size - 1` of all."""
+    """One option; its numbers have the indices `first` .. `first + size - 1` in the vector."""
 
     name: str
     kind: str  # positive, between, real or covariance
     shape: tuple[int, ...]
-    low: float  # of what lies between two numbers: the lower,
-    scale: float  # and how far above it the upper is; of a real: what 1 means
+    low: float  # lower end of an interval
+    scale: float  # length of an interval; unit of a real number
     first: int
 
     @property
     def size(self) -> int:
-        """Return how many numbers it is."""
+        """Return its number of entries in the vector."""
         many = int(np.prod(self.shape))
         return (many + self.shape[0]) // 2 if self.kind == "covariance" else many
 
 
 def tunable(entry: ObserverSpec) -> list[str]:
-    """Return the names of the options of an observer that may be tuned."""
+    """Return the names of an observer's tunable options."""
     return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
 
 
@@ -62,16 +62,16 @@ def start(
     names: list[str] | None,
     where: str,
 ) -> tuple[list[Free], Vector]:
-    """Return the free parameters and where they start.
+    """Return the free parameters and their start.
 
-    They start at their options' values, or where one is None or a word at the number of that name that was `designed`.
-    `names` None: every tunable option that has such a start. Raises UserError where a name is not of an
-    option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
+    The start is the value of each option. If that is None or a word, it is the number of the same name in `designed`. `names`
+    None: every tunable option with such a start. Raises UserError for a name of an option that is not tunable or has no
+    start, and NothingFree without any parameter.
     """
     allowed, free, values = tunable(entry), list[Free](), list[Vector]()
 
     def holds(one: Free, at: Vector) -> bool:
-        """Say whether the option can hold such a value: not where it asks for one number and gets one for each output."""
+        """Return whether the option accepts such a value, for example a list with one entry per output."""
         try:
             put(options, [one._replace(first=0)], at)
         except ValidationError:
@@ -87,7 +87,7 @@ def start(
         value = designed.get(name) if value is None or isinstance(value, str) else value
         if value is not None:
             one, at = _free(entry, name, value, sum(f.size for f in free))
-            if not one.shape and not holds(one, at):  # it takes a list, if only of one
+            if not one.shape and not holds(one, at):  # the option needs a list, here of one entry
                 one = one._replace(shape=(1,))
             if holds(one, at):
                 free.append(one)
@@ -98,14 +98,12 @@ def start(
                 f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
             )
     if not free:
-        raise NothingFree(
-            f"{where}: got an observer without free parameters, expected one that has some; tune another."
-        )
+        raise NothingFree(f"{where}: got an observer without free parameters, expected one with some; tune another.")
     return free, np.concatenate(values)
 
 
 def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Free, Vector]:
-    """One parameter, bounded as its option's declaration says, and its numbers at a value."""
+    """Return one parameter with the bounds of its option's declaration, and its unbounded numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
     bounds, edges = [*field.metadata, *_inside(field.annotation)], extra(field)[TUNABLE]
     positive = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
@@ -113,37 +111,37 @@ def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Fr
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
-    scale = high - low if high - low > LEAST else 1.0  # a gain of 0 says nothing of its size
+    scale = high - low if high - low > LEAST else 1.0  # a gain of 0 has no size
     one = Free(name, kind, number.shape, low, scale, first)
     return one, _to_unbounded(number, one).ravel()
 
 
-def sensitive_names(found: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
-    """Return the names of those that the `gains` depend on at a point; not all do in every way of finding them."""
-    here, out = gains(at), []
-    for f in found:
+def sensitive_names(free: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
+    """Return the names of the parameters that affect the `gains` at a point, which depends on the design method."""
+    nominal, out = gains(at), []
+    for f in free:
         try:
-            there = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
-        except (UserError, ValidationError):  # refused there: they depend on it
+            changed = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+        except (UserError, ValidationError):  # refused, so the gains depend on it
             out.append(f.name)
             continue
-        if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(here, there, strict=True)):
+        if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(nominal, changed, strict=True)):
             out.append(f.name)
     return out
 
 
 def entries(free: list[Free]) -> list[str]:
-    """Return a name for each number: of a matrix name[0], name[1], row by row."""
+    """Return a name for each number; for a matrix name[0], name[1], row by row."""
     return [f.name if f.size == 1 else f"{f.name}[{i}]" for f in free for i in range(f.size)]
 
 
 def put(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
-    """Return the options with the free parameters as the numbers say, checked as a study's are."""
+    """Return the options with the free parameters at a point, validated like those of a study."""
     return type(options).model_validate(options.model_dump() | written(free, at))
 
 
 def written(free: list[Free], at: Vector) -> TomlTable:
-    """Return the free parameters as a study's TOML writes them."""
+    """Return the free parameters as a study's TOML has them."""
     out = {}
     for f in free:
         part = at[f.first : f.first + f.size]
@@ -158,7 +156,7 @@ def _to_bounded(z: Vector, f: Free) -> Vector:
         return np.asarray(f.low + f.scale / (1 + np.exp(-z)))
     if (
         f.kind == "covariance"
-    ):  # L L', the logarithms of L's diagonal, below it parts of the diagonal entry of their row
+    ):  # L L'; logarithms of L's diagonal, and below it entries relative to their row's diagonal
         i, j = np.tril_indices(f.shape[0])
         L = np.zeros(f.shape)
         L[i, j] = np.where(i == j, 1.0, z)
@@ -181,7 +179,7 @@ def _to_unbounded(value: Vector, f: Free) -> Vector:
 
 
 def _inside(annotation: object) -> list[object]:
-    """The declarations of each type that an option's value, or an entry of it, may have."""
+    """Return the declarations of all types that an option's value, or an entry of it, may have."""
     declared = getattr(annotation, "__metadata__", ())
     own = [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
     return own + [m for kind in get_args(annotation) for m in _inside(kind)]

@@ -1,6 +1,6 @@
-"""One tuning: an observer's free parameters in a scenario, within a budget, judged on draws that it was not tuned on.
+"""Tuning of an observer's free parameters in a scenario, within a budget, validated on other seeds than those of the tuning.
 
-Or `exact`, of what infinitely many runs would give: then there are no draws, and nothing to be judged.
+With `exact_objective`, the objective is its expected value over all noise, without seeds and without validation.
 """
 
 from pathlib import Path
@@ -33,27 +33,27 @@ from pcbench.synthesis.certificate import Design, DesignContext, is_certified
 from pcbench.toml_text import TomlTable
 
 BUDGET = 60
-TRAINING = seed_range(3_000_000_000, 256)  # no study of the usual seeds meets them
+TRAINING = seed_range(3_000_000_000, 256)  # far from the usual seeds of studies
 VALIDATION = seed_range(3_500_000_000, 1024)
 
 
 class NoStart(UserError):
-    """A tuning's start does not work."""
+    """The start of a tuning has no finite objective."""
 
 
 class Tuning(NamedTuple):
-    """What a tuning found."""
+    """The result of a tuning."""
 
-    study: TomlTable  # the scenario and the observer with the options chosen: what tuned.toml says
-    start: TomlTable  # the free parameters as they were,
-    found: TomlTable  # and at the least value seen
-    kept_start: str  # why the start was kept; empty: what was found is chosen
+    study: TomlTable  # the scenario and the observer with the chosen options: the content of tuned.toml
+    start: TomlTable  # free parameters at the start
+    found: TomlTable  # free parameters at the least value
+    kept_start: str  # why the start is chosen; empty: `found` is chosen
     judged: list[Judgement]
     points: list[Evaluation]
     method: str
     objective: Objective
-    certified: bool | None = None  # whether something proves the gains chosen; None: there are none
-    exact: bool = False  # the objective is its expected value, and `judged` has that alone
+    certified: bool | None = None  # whether the chosen gains are certified; None: the observer has no gains
+    exact: bool = False  # whether the objective is its expected value; `judged` then contains only that
 
 
 def tune(
@@ -72,13 +72,13 @@ def tune(
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
 ) -> Tuning:
-    """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
+    """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and validate them on other seeds.
 
-    `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training_seeds` and `validation_seeds` are ranges of seeds, (first, one past the last). `exact_objective`
-    takes the expected value over all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With
-    `out`, a folder, the history is stored there, and a stopped call continues if repeated. A finished tuning is kept in the
-    cache, and found there by the same call of the same code. `progress` hears of each point.
+    `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is the largest number of points, each
+    of which simulates all training runs. `training_seeds` and `validation_seeds` are ranges of seeds, (first, one past the
+    last). `exact_objective` uses the expected value over all noise instead, without seeds. The default objective is rmse,
+    with `exact_objective` pooled_rmse. With `out`, a folder, the history is stored there, and a stopped call continues if
+    repeated. A finished tuning is cached for the same call of the same code. `progress` is notified of each point.
     Raises UserError for arguments that do not fit, a start without a value, and a folder with another tuning.
     """
     where = f"tune {observer}"
@@ -90,20 +90,21 @@ def tune(
         where = f"{where} in {cell.scenario.name}"
         aim = objective_of(objective or ("pooled_rmse" if exact_objective else "rmse"), cell.scenario, signal, where)
         draws = "exact" if exact_objective else f"seeds {training}"
-        how_far = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
-        mine = merge_options(study, cell.scenario, observer)
-        asked = own_options(study, observer)
-        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
-        whole = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
+        method = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
+        current = merge_options(study, cell.scenario, observer)
+        own_study = own_options(study, observer)
+        origin = f"{current or 'its defaults'}, {digest(own_study, [cell])[:12]}"
+        about = f"{where}: {aim.metric} of {aim.name} by {method}, from {origin}"
+        task = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
         target = storage.target(str(out) if out is not None else spare)
-        basis = history.basis_of(asked, cell)
-        history.load_kept(target, whole, about, basis)
-        if done := history.load_finished(target, whole, about, basis):
+        basis = history.basis_of(own_study, cell)
+        history.load_kept(target, task, about, basis)
+        if done := history.load_finished(target, task, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(planning.slowed(cell, observer))
         designed = planning.run_design(observer, cell.entry(observer), known, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
-            # a gain found for a rate stands at its edge, where another proof of the same rate may fail
+            # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
             study, cell = parse.one_cell(replace_options(study, observer, {"decay": BACK * decay}), [observer], [])
         options, entry = cell.options[observer], cell.entry(observer)
         every, start = free_parameters(observer, entry, known, options, designed, only, where)
@@ -143,8 +144,8 @@ def tune(
             certified=is_certified(planning.run_design(observer, entry, known, chosen).certificate._asdict()),
             exact=exact_objective,
         )
-        history.finish(target, whole, tuned)
-        history.keep_result(target, whole, basis)
+        history.finish(target, task, tuned)
+        history.keep_result(target, task, basis)
         return tuned
 
 
@@ -157,7 +158,7 @@ def free_parameters(
     only: list[str] | None,
     where: str,
 ) -> tuple[list[parameters.Free], Vector]:
-    """Return the free parameters that gains depend on here, and where they start; errors as of `parameters.start`."""
+    """Return the free parameters on which the gains depend, and their start; errors as of `parameters.start`."""
     numbers = designed.certificate.numbers
     every, at = parameters.start(observer, entry, options, numbers, only, where)
 
@@ -170,8 +171,8 @@ def free_parameters(
     if not used:
         names = ", ".join(f.name for f in every)
         raise parameters.NothingFree(
-            f"{where}: got free parameters ({names}) that its gains do not depend on as they are found here, expected one that "
-            "they do; change the way they are found, or tune another observer."
+            f"{where}: got free parameters ({names}) on which its gains do not depend with this design method, expected one "
+            "on which they do; change the design method, or tune another observer."
         )
     return parameters.start(observer, entry, options, numbers, used, where)
 
@@ -185,7 +186,7 @@ def descend(
     where: str,
     progress: Progress,
 ) -> None:
-    """Ask for points downhill from a start, and write their history; raise NoStart where there is no value at the start."""
+    """Evaluate points from a start on, and write their history; raise NoStart if the objective at the start is not finite."""
 
     def ask(at: Vector) -> tuple[float, Vector]:
         first = not trials.points
@@ -212,7 +213,7 @@ def _check(budget: int, training: Seeds, validation: Seeds, exact: bool, where: 
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
     if exact and (training, validation) != (TRAINING, VALIDATION):
         raise UserError(
-            f"{where}: --exact-objective: got seeds to train or judge on, expected none: an expected value needs no runs; "
+            f"{where}: --exact-objective: got training or validation seeds, expected none: an expected value needs no runs; "
             "leave --training-seeds and --validation-seeds out, or --exact-objective."
         )
     for name, seeds in (("--training-seeds", training), ("--validation-seeds", validation)):
@@ -221,13 +222,13 @@ def _check(budget: int, training: Seeds, validation: Seeds, exact: bool, where: 
     if common(training, validation).many:
         raise UserError(
             f"{where}: got training seeds {training} and validation seeds {validation}, which overlap; expected none "
-            "in common, for what is tuned on a draw cannot be judged on it; give others."
+            "in common, because a tuning cannot be validated on its own training runs; give others."
         )
 
 
 def with_options(study: Study, observer: str, chosen: TomlTable) -> TomlTable:
-    """Return the study with the observer's options put in, as TOML writes it."""
+    """Return the study as TOML writes it, with the options `chosen` for the observer."""
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     options = raw.get("options", {})
-    mine = options.get(observer, {}) | chosen
-    return raw | ({"options": options | {observer: mine}} if mine else {})
+    merged = options.get(observer, {}) | chosen
+    return raw | ({"options": options | {observer: merged}} if merged else {})

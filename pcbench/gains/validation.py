@@ -1,6 +1,6 @@
-"""Start against tuned, on the training runs and on runs that no gradient has seen: the tables' own numbers.
+"""Validation of a tuning: start and tuned gains on the training runs and on other runs, by the numbers of the tables.
 
-What a study's `tune.only` names of each observer, and whether the labels of its versions are free.
+Also checks of a study's `tune.only`, and of the labels of its versions.
 """
 
 from pcbench.dataset import run_study
@@ -16,16 +16,16 @@ from pcbench.study import Study, merge_options, parse, scenarios_of
 from pcbench.study.labels import entry_in
 from pcbench.toml_text import TomlTable
 
-WORSE = 2.0  # standard errors that tuned may be worse than its start
+WORSE = 2.0  # standard errors by which the tuned gains may be worse than the start
 
 
 def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: dict[str, Seeds]) -> list[Judgement]:
-    """Run start and tuned on the same draws, for each range of seeds."""
+    """Run start and tuned gains with the same seeds, for each range of seeds."""
     base = base_of(observer) or observer
-    mine = merge_options(study, scenarios_of(study)[study.scenarios[0]], observer)
+    current = merge_options(study, scenarios_of(study)[study.scenarios[0]], observer)
     labels = f"{base}-start", f"{base}-tuned"
     options = {k: v for k, v in study.options.items() if k != observer or k == base}
-    options |= {labels[0]: mine, labels[1]: mine | found}
+    options |= {labels[0]: current, labels[1]: current | found}
     metric, out = POOLED.get(aim.metric, aim.metric), []
     for what, each in seeds.items():
         changes = {"observers": list(labels), "options": options, "first_seed": each.first, "seeds": each.many}
@@ -50,7 +50,7 @@ def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: 
 
 
 def against(judged: list[Judgement]) -> str:
-    """Return why what was found is not used (worse than its start on the validation runs); empty where it is."""
+    """Return why the tuned gains are rejected (worse than the start on the validation runs); empty if they are not."""
     (j,) = (each for each in judged if each.what == "validation")
     if j.diverged[1] > j.diverged[0]:
         return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, {j.diverged[0]} with the start"
@@ -64,21 +64,21 @@ def against(judged: list[Judgement]) -> str:
 
 
 def only(study: Study, observer: str) -> list[str] | None:
-    """Return the options of an observer that are tuned; None: all that may be."""
-    may = parameters.tunable(entry_in(study, observer))
-    return None if study.tune.only is None else [name for name in study.tune.only if name in may]
+    """Return the options of an observer that are tuned; None: all tunable ones."""
+    tunable = parameters.tunable(entry_in(study, observer))
+    return None if study.tune.only is None else [name for name in study.tune.only if name in tunable]
 
 
 def require_tunable(study: Study, observers: list[str]) -> None:
-    """Raise UserError where a name of `tune.only` is of an option that no observer of the study tunes."""
-    may = {name: None for o in observers for name in parameters.tunable(entry_in(study, o))}
+    """Raise UserError for a name of `tune.only` that is not a tunable option of any observer of the study."""
+    tunable = {name: None for o in observers for name in parameters.tunable(entry_in(study, o))}
     for name in study.tune.only or ():
-        if name not in may:
-            raise unknown(f"{study.name}: tune.only", "option that an observer of the study tunes", name, [*may])
+        if name not in tunable:
+            raise unknown(f"{study.name}: tune.only", "option that an observer of the study tunes", name, [*tunable])
 
 
 def require_free_labels(study: Study, scenario: Scenario, observers: list[str]) -> None:
-    """Raise UserError where the scenario has options for a version's label: they would be taken for its own."""
+    """Raise UserError if the scenario has options for the label of a version, which would override its own."""
     for observer in observers if len(study.tunings) > 1 else ():
         if taken := [label for t in study.tunings if (label := f"{observer}-{t}") in scenario.options]:
             raise UserError(

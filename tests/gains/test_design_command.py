@@ -197,7 +197,7 @@ def test_a_faster_promise_costs_something(observer):
 
 
 MISTAKES = {
-    ("--gain", "beauty"): "'beauty' is no way to find gains of pccebo; did you mean 'decay'?",
+    ("--gain", "beauty"): "'beauty' is no design method of pccebo; did you mean 'decay'?",
     ("--sweep", "decay"): "expected OPTION=A,B,...",
     ("--sweep", "beauty=1,2"): "'beauty' is no option",
     ("--set", "options.pccebo.period-range=[3.0,1.0]"): "expected a range: [lowest, highest]",
@@ -222,7 +222,7 @@ def test_mistakes_are_one_sentence(words, tmp_path):
 def test_an_observer_with_one_way_says_so():
     done = call("design", "cart/gaussian", "kf", "--gain", "h2")
     assert done.returncode == 2
-    assert "kf has one way to find its gains; leave it out" in done.stderr
+    assert "kf has one design method; leave it out" in done.stderr
 
 
 def test_a_sweep_of_what_the_gains_do_not_come_from_says_so():

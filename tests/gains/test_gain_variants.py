@@ -131,7 +131,7 @@ def test_a_cell_that_cannot_be_tuned_keeps_its_start_and_says_so(monkeypatch):
     made = prepared(**EVERY_CELL, observers=["kf"], tuning="tuned")
     assert made.grid.cells[0].options["kf"].R == 30.0
     assert made.grid.cells[1].told != made.grid.cells[0].told
-    assert made.versions[0].note == "at noise_std = 0.1: no start of it works on the training runs"
+    assert made.versions[0].note == "at noise_std = 0.1: the start has no finite value on the training runs"
 
 
 @pytest.mark.nightly

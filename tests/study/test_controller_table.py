@@ -37,7 +37,7 @@ def refusal(raw, out, **given):
         (LQR | {"K": [[1.0]]}, ["'K' is no option of lqr"]),
         (LQR | {"set_point": {"angel": 1.0}}, ["'angel' is no state", "did you mean 'angle'"]),
         (LQR | {"set_point": {"angle": {"step": 1.0, "sine": 2.0}}}, ["one of step, sine, table, not step and sine"]),
-        (LQR | {"set_point": {"angle": {"sine": 1.0, "at": 2.0}}}, ["no at beside sine"]),
+        (LQR | {"set_point": {"angle": {"sine": 1.0, "at": 2.0}}}, ["no at with sine"]),
         (LQR | {"set_point": {"angle": {"table": [[1, 2], [0, 3]]}}}, ["times that grow"]),
         (LQR | {"period": 0.013}, ["controller.period", "whole number of ticks", "write 0.01"]),
         (LQR | {"limit": [1.0, 2.0, 3.0]}, ["limit: got 3 numbers"]),

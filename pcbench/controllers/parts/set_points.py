@@ -43,7 +43,7 @@ class SetPoint(BaseModel):
             raise ValueError(f"one of step, sine, table, not {' and '.join(kinds) or 'none'}")
         allowed = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
         for key in self.model_fields_set - allowed - set(kinds):
-            raise ValueError(f"no {key} beside {kinds[0]}")
+            raise ValueError(f"no {key} with {kinds[0]}")
         times = [t for t, _ in self.table or ()]
         if sorted(set(times)) != times:
             raise ValueError("times that grow from row to row")
