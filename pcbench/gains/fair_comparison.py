@@ -17,7 +17,7 @@ from pcbench.toml_text import TomlTable
 
 
 def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
-    """Return the result with its table `fair`, which compares all versions on training seeds, on other seeds and with the bound.
+    """Return the result with its table `fair`, which compares versions on training seeds, on other seeds and with the bound.
 
     It has one row per cell and version. `training` and `held_out` are means of the objective with their standard errors; for
     a pooled objective they are roots of mean squares, and `training` of an exact tuning is the expected value. `gap` is

@@ -43,8 +43,8 @@ def find(
     """
     period, C, R = setting.period[0], setting.model.C, np.diag(setting.noise_variance)
     Phi, Q = _over_period(setting.model, setting.dt, q, setting.process_noise, period)
-    late = setting.delay[0]
-    ahead = linear.over(linear.doublings(setting.model, setting.dt, linear.bits_for(late)), late)
+    delay = setting.delay[0]
+    ahead = linear.over(linear.doublings(setting.model, setting.dt, linear.bits_for(delay)), delay)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
     S = riccati.near(riccati.prior_size(setting))

@@ -138,7 +138,7 @@ def test_what_has_no_exact_value_says_so_and_what_to_do():
     )
     assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training_seeds=(0, 8))
     random = refused("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
-    assert random.endswith("expected what all runs share, as a gradient is of one schedule; "
+    assert random.endswith("expected the same for all runs, as a gradient is for one schedule; "
                            "leave exact out, and it is tuned on runs.")  # fmt: skip
 
 

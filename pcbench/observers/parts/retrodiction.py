@@ -151,8 +151,8 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         """Return the innovation statistics of a sample that is used; empty if it is older than the stored posteriors."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
-        late = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
-        old = backward(gains, memory, late, retrodict(gains, memory, late.taken), zero)[1]
+        older = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
+        old = backward(gains, memory, older, retrodict(gains, memory, older.taken), zero)[1]
         new = linear_filter.surprise(gains, memory.posterior, sample)
         return select_memory(reached, old, new)
 

@@ -162,7 +162,7 @@ def room(setting: DesignContext, name: str) -> Room:
     if setting.error:
         raise UserError(
             f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
-            "clones the state when a sample is taken, whatever its timestamp; leave it out, or take kf."
+            "clones the state when a sample is taken and does not use its timestamp; leave it out, or take kf."
         )
     if setting.flight > MOST:
         raise UserError(
