@@ -269,7 +269,7 @@ def test_rewinding_loses_what_is_older_than_it_keeps_and_says_so():
 
 SINGULAR = linear.Model(np.diag([0.5, 0.0]), np.ones((2, 1)), np.eye(2), discrete=True)
 REFUSED = [
-    ("kf-cloning", KNOWN._replace(flight=17), {}, "up to 17 samples on their way at once, expected at most 16"),
+    ("kf-cloning", KNOWN._replace(flight=17), {}, "up to 17 samples in transit at once, expected at most 16"),
     ("kf-alexander", KNOWN._replace(error=2), {}, "assumed_delay_error of 0.04 s, expected 0"),
     ("kf-delayed-horizon", KNOWN, {"lag": 99.0}, "a lag of 99 s, expected at most the run's 3 s"),
     ("oosm-a1", setting(Case(SINGULAR, 5, 5, ticks=20)), {}, "discrete model whose A is singular"),
