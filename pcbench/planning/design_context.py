@@ -69,7 +69,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
         noise_std=tuple(belief.assumed_noise_scale * (a or b) for a, b in zip(noise, spare, strict=True)),
         noise_correlation=s.sampling.noise_correlation,
         send_threshold=() if s.sampling.try_once_discard else s.sampling.send_threshold,
-        in_loop=s.loop.controller is not None,
+        in_loop=bool(s.loop.controller),
         sensors=len(clocks),
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,

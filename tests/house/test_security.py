@@ -49,7 +49,7 @@ def test_code_of_others_is_run_in_one_place_and_pickles_are_read_in_one():
 
 def test_the_guide_says_the_same_and_names_the_page():
     paragraph = next(p for p in PAGE.split("\n\n") if p.startswith("**What code a study file can run.**"))
-    assert "[SECURITY.md](../../SECURITY.md)" in paragraph
+    assert "[Security](../../SECURITY.md)" in paragraph
     for text in (" ".join(paragraph.split()), " ".join(TEXT.split())):
         assert "any command given its `study.toml`" in text
         assert re.search("[Aa] name with a colon", text)

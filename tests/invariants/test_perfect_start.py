@@ -11,7 +11,7 @@ from harness import CART, CHAINS, ELSEWHERE, ODD, Case, problem, recorder, setti
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench.observers import LATE, NONLINEAR, OBSERVERS, finite_time
+from pcbench.observers import LATE, NONLINEAR, OBSERVERS, finite_time, interval
 from pcbench.protocols import Plant
 
 KNOWING = {
@@ -53,8 +53,13 @@ def test_no_error_for_any_period_and_delay(te, d, odd):
     observers = few | {"kfbo": {"sampled_innovation": True}}  # this variant of kfbo knows the schedule too
     found = error(trace(case, observers))
     gains = finite_time.design(setting(case), finite_time.Options()).gains
-    largest = max(np.abs(np.asarray(a)).sum(-1).max() for a in (gains.K, gains.H))
-    assert found.pop("finite-time") < 1e-15 * (10 + largest), "rounding times its gains, which reach 15,000 on the cart"
+    large = {
+        "finite-time": (gains.K, gains.H),
+        "interval": (interval.design(setting(case), interval.Options()).gains.L,),
+    }
+    for observer, matrices in large.items():  # gains reach 15,000 on the cart
+        largest = max(np.abs(np.asarray(a)).sum(-1).max() for a in matrices)
+        assert found.pop(observer) < 1e-15 * (10 + largest), f"rounding times the gains of {observer}"
     assert max(found.values()) < 1e-12
 
 

@@ -26,6 +26,7 @@ def submitted(monkeypatch):
     monkeypatch.setattr(solve, "MANY", 4)
     monkeypatch.setattr(solve, "WINDOW", 6)
     monkeypatch.setattr(solve, "bend", lambda p: 0.0)
+    monkeypatch.setattr(solve, "refusal_beforehand", lambda p: "")
     monkeypatch.setattr(solve, "shared_of", lambda problem, known: ())
     monkeypatch.setattr(solve, "width_of", lambda ones, wide: 4)
     mode = SimpleNamespace()

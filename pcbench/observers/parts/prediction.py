@@ -73,8 +73,9 @@ def snapshot(gains: Gains, memory: PyTree, now: Now) -> Float[Array, " n"]:
 def flow(gains: Gains, memory: PyTree, now: Now) -> PyTree:
     """Advance a memory with g, xhat and tick by one tick under the held input, as pccebo's (12)."""
     motion: Motion = gains.motion
-    g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + motion.Gamma @ now.u
-    return flow_of_estimate(gains, memory._replace(g=g), now)
+    pushed = motion.Gamma @ now.u
+    g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + pushed
+    return memory._replace(g=g, xhat=motion.Phi @ memory.xhat + pushed, tick=memory.tick + 1)
 
 
 def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
