@@ -1,6 +1,7 @@
-"""From a study to numbers ready to run: every cell with its gains, its schedule and its bound.
+"""From a study to arrays ready to run: every grid point with its gains, schedule and Kalman bound.
 
-All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
+All grid points with the same plant and duration share one compiled program. The ring and the arrival slots have room for the
+largest of them.
 """
 
 from pcbench.planning.build import alone, bound, draft, drafts, plan, samples_of, schedule_of, slowed, width

@@ -1,6 +1,6 @@
-"""`observers = "all"`: every observer of pcbench that can run in all cells of a study, and why each of the others cannot.
+"""`observers = "all"`: every observer of pcbench that can run at all grid points of a study, and the reason for each excluded.
 
-An observer is tried as a run would plan it, with its gains. What is refused in one cell is excluded from the study.
+Each observer is planned as for a run, with its gains. An observer that is refused at one grid point is excluded from the study.
 """
 
 from pcbench.errors import UserError
@@ -16,13 +16,13 @@ from pcbench.toml_text import TomlTable
 
 
 def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
-    """Return a study with its cells, as `parse.grid_of`; "all" among its observers becomes those that can run."""
+    """Return a study with its grid, as `parse.grid_of`; "all" is replaced by the observers that can run."""
     raw, where = parse.apply_changes(study, changes, overrides)
     return parse.grid(resolve_observers(raw, where), where, FROM_HERE)
 
 
 def resolve_observers(raw: TomlTable, where: str) -> TomlTable:
-    """Return a raw study with every observer that can run in place of "all", and with the reasons of the others."""
+    """Return a raw study with every observer that can run instead of "all", and the reasons for the excluded ones."""
     if not parse.names_all(raw):
         return raw
     given = raw["observers"]
@@ -45,7 +45,7 @@ def resolve_observers(raw: TomlTable, where: str) -> TomlTable:
 
 
 def _try(raw: TomlTable, where: str, label: str) -> None:
-    """Plan the one observer of a study in every cell, and by its own design if the study compares gains; or raise UserError."""
+    """Plan one observer at every grid point, with its own design if the study compares gains; or raise UserError."""
     grid = parse.grid(raw, where, FROM_HERE)
     grids, designed = [grid], entry_in(grid.study, label).designed
     if grid.study.tunings != ["published"] and designed:
@@ -58,7 +58,7 @@ def _try(raw: TomlTable, where: str, label: str) -> None:
 
 
 def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
-    """Return a study of these observers with its one cell, as `parse.one_cell`; "all" becomes those that can run."""
+    """Return a study of these observers with its one grid point, as `parse.one_cell`; "all" becomes those that can run."""
     if ALL not in observers:
         return parse.one_cell(study, observers, overrides)
     raw = raw_of(study, overrides, FROM_HERE)
@@ -67,7 +67,7 @@ def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tu
 
 
 def outline(what: str, overrides: list[str]) -> Study:
-    """Return the study that the user names, as `parse.outline`; "all" among its observers becomes those that can run."""
+    """Return the named study, as `parse.outline`; "all" among its observers becomes those that can run."""
     return parse.build_study(resolve_observers(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
 
 

@@ -1,6 +1,6 @@
-"""From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell.
+"""From a study to the arrays of a simulation: gains, inputs, schedules and bounds, one draft per grid point.
 
-The least error that any causal estimator can have in a cell.
+`bound` computes the smallest RMSE that any causal estimator can have at a grid point.
 """
 
 from collections.abc import Callable, Container, Iterable, Iterator
@@ -36,13 +36,16 @@ from pcbench.value_cache import key_of
 
 
 def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
-    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and normal noise and starts."""
+    """Return the Bayesian bound of the RMSE over the tail, [n], or None if it does not apply.
+
+    It applies to the true linear model with a deterministic schedule, Gaussian noise and Gaussian initial states.
+    """
     s = cell.scenario
-    uncertain = (  # of the plant, or looked for
+    uncertain = (  # of the plant, or estimated
         nonlinear(s) or s.truth.parameter_drift or differs(numbers_of(s), cell.parameters),
         s.truth.unknown_input or s.loop.command_std or len(s.belief.unknown_std) > 0,
     )
-    abnormal = (  # noise, or starts: a uniform one, or one that is not of the prior
+    abnormal = (  # not Gaussian, or initial states not drawn from the prior
         not all(s.sampling.noise_std) or s.sampling.outlier_probability or np.isfinite(s.sampling.student_t_dof),
         any(s.sampling.quantization_step) or cell.choices.initial_spread,
         cell.choices.random_initial_state and s.belief.initial_box,
@@ -50,7 +53,7 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
     clocks = cell.times.clocks
     if any(uncertain) or any(abnormal) or cell.times.random:
         return None
-    known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
+    known = known._replace(noise_std=s.sampling.noise_std)  # the true value, not the assumed one
     alike = key_of((known.model, known.dt, known.noise_covariance, s.truth.process_std))
     key = alike, key_of((known.ticks, known.noise_covariance, known.P0, cell.times.tail)), tuple(clocks)
     steps = ask("steps", alike, riccati.no_steps)
@@ -66,14 +69,14 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArr
 
 
 def _over_ticks(known: DesignContext, process_std: ProcessNoise) -> tuple[linear.Matrix, linear.Matrix]:
-    """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
+    """Return the transition and the noise of the true model over 2^b ticks."""
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     added = known._replace(process_std=process_std).process_noise
     return doubled, linear.noise_doublings(known.model, added, known.dt, len(doubled))
 
 
 def plan(study: Study) -> list[Plan]:
-    """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
+    """Return the plan of every grid point with all designs and arrays; raise UserError if a gain is not certified."""
     return padding.fit(list(drafts(cells_of(study), runs=lambda cell: study.seeds)))
 
 
@@ -85,12 +88,12 @@ def drafts(
     skip: int = 0,
     apart: bool = False,
 ) -> Iterator[Plan]:
-    """Yield a draft of every cell but the first `skip`; in a closed loop one for each observer, whose plant is its own.
+    """Yield a draft of every grid point except the first `skip`; in a closed loop one per observer, as each has its own plant.
 
-    If they are to be `apart`, each expensive observer has a draft of its own too; and each where processors have a speed.
+    If `apart`, each expensive observer also has its own draft. If processors have a limited speed, every observer does.
 
-    Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
-    `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
+    Grid points whose key is not in `wanted` (None: all are) are drafted without gains, to find the room that a program needs.
+    `ask` is a cache that grid points share. `runs` returns the number of runs of a grid point, which limits the width.
     """
     ask = ask or memo.once()
     most: dict[str, DesignContext] = {}
@@ -103,7 +106,7 @@ def drafts(
     for groups, found in zip(each[skip:], settings[skip:], strict=True):
         for cell, options in groups:
             known = found[tuple(cell.times.clocks)]
-            if cell.times.random:  # then room for all would cost more than a program
+            if cell.times.random:  # room for all would cost more than another program
                 known = known._replace(spare=power_of_2(known.overtaking))
             else:
                 known = known.roomier(most[cell.scenario.plant])
@@ -115,12 +118,12 @@ Group = tuple[Cell, dict[str, BaseModel]]
 
 
 def _groups(cell: Cell, ask: memo.Once, limited: bool, apart: bool, asked: bool) -> list[Group]:
-    """Return the options of the observers that share a program, each with the cell whose samples they have time for.
+    """Return groups of observers that share a program: the grid point with the samples they can process, and their options.
 
-    If some processor has a speed (`limited`), none is shared. If they are not `asked` for, there are no options.
+    With a processor of limited speed (`limited`) no program is shared. If not `asked`, the options are empty.
     """
     alone = limited or bool(cell.scenario.loop.controller)
-    own = [o for o in cell.options if alone or (apart and cell.entry(o).expensive)]  # each has a program of its own
+    own = [o for o in cell.options if alone or (apart and cell.entry(o).expensive)]  # each has its own program
     others = {o: given for o, given in cell.options.items() if o not in own}
     groups = [(cell, others), *((slowed(cell, o, ask), {o: cell.options[o]}) for o in own)]
     if not asked:
@@ -129,7 +132,7 @@ def _groups(cell: Cell, ask: memo.Once, limited: bool, apart: bool, asked: bool)
 
 
 def slowed(cell: Cell, label: str, ask: memo.Once = memo.anew) -> Cell:
-    """Return a cell with the samples that an observer has time for on its processor (`processor`)."""
+    """Return a grid point with the samples that an observer's processor has time for (`processor`)."""
     s, speed, usual = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
     if not isfinite(speed):
         return cell
@@ -145,10 +148,10 @@ def slowed(cell: Cell, label: str, ask: memo.Once = memo.anew) -> Cell:
 
 
 def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
-    """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same.
+    """Return the runs per call, fewer if a light grid point has few `runs`; this does not change any bit of the results.
 
-    Of observers whose bits depend on it, as many in every call (`Entry.lanes`). The definition has as many in all calls of a
-    program with the observers `labels`.
+    Observers whose bits depend on the width have a fixed one (`ObserverSpec.lanes`). The definition has one width for all
+    calls of a program with the observers `labels`.
     """
     if cell.engine == "definition":
         return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
@@ -163,7 +166,7 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
 def draft(
     cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: memo.Once = memo.anew
 ) -> Plan:
-    """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
+    """Return the plan of one grid point for the observers in `options`; `padding.fit` gives it a common shape later."""
     s, known = cell.scenario, known or setting(cell, ask)
     true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
@@ -174,7 +177,7 @@ def draft(
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers: TomlTable = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
     numbers |= cell.parameters
-    if "sensor_delay" in plant.numbers._fields:  # of samples [s]; the mean where it varies
+    if "sensor_delay" in plant.numbers._fields:  # of samples [s]; the mean if it varies
         clock = cell.times.clocks[0]
         numbers["sensor_delay"] = float((clock.period if clock.delay is None else clock.delay) + clock.later) * s.dt
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
@@ -211,7 +214,9 @@ def draft(
         tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
-    unlimited = cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell  # of any processor
+    unlimited = (
+        cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell
+    )  # without the limit of a processor
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
@@ -239,7 +244,7 @@ def draft(
 
 
 def _trigger(measured: Sampling) -> Trigger | tuple[()]:
-    """Return which samples are sent; (): every one."""
+    """Return which samples are sent; (): all of them."""
     if not measured.sensors_decide:
         return ()
     threshold = measured.send_threshold or (0.0,) * len(measured.delay)
@@ -247,11 +252,10 @@ def _trigger(measured: Sampling) -> Trigger | tuple[()]:
 
 
 def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:
-    """The input of an open loop as it is applied, [N+1, m]: 0 until the actuator's delay has passed.
+    """Return the applied input of an open loop, [N+1, m]: 0 until the actuator's delay has passed.
 
-    Where a controller gives it, one row of NaN: nothing may read it.
-
-    Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
+    - If a controller computes the input: one row of NaN, as nothing may read it.
+    - If the plant's output is C x + D u: zeros, as D is 0 in a closed loop.
     """
     s, m = cell.scenario, known.model.B.shape[1]
     if s.loop.controller:
@@ -273,7 +277,7 @@ def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.floa
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:
-    """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
+    """Return the schedule of a grid point and its packets in flight; for one run (root seed, seed) if it is random."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     error, channels = cell.times.error, len(s.sampling.delay)
     if s.sampling.continuous:
@@ -287,14 +291,14 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
 
 
 def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[common_times.Sample]:
-    """Return every sample of a cell, lost ones too; of one run (root seed, seed), where sampling is random."""
+    """Return every sample of a grid point, also lost ones; for one run (root seed, seed) if sampling is random."""
     clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
     random = run is not None and cell.times.random
     return random_times.draw_samples(clocks, n, channels, *run) if random and run else common_times.samples(clocks, n)
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:
-    """Return a cell laid out for one run: where sampling is random, on the schedule of that run."""
+    """Return the plan of a grid point for one run; if sampling is random, with the schedule of that run."""
     schedule, room = schedule_of(p.cell, (root_seed, seed))
     return p._replace(
         problem=p.problem._replace(schedule=schedule), layout=p.layout._replace(ring=max(room, p.layout.ring))

@@ -1,4 +1,4 @@
-"""What a designer is told of a cell: the model, the times, the noise."""
+"""The design context of a grid point: the assumed model, times and noise from which gains are designed."""
 
 from functools import partial
 
@@ -19,13 +19,13 @@ from pcbench.value_cache import key_of
 
 
 def prepare_params(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask: memo.Once) -> Params:
-    """Return a plant's numbers for the ticks of a horizon."""
+    """Return a plant's parameters, prepared for a number of ticks."""
     try:
         key = plant.prepare, key_of(numbers), dt, ticks
     except TypeError:
         return plant.prepare(numbers, dt, ticks)
 
-    def make() -> Params:  # jax's own arrays are fetched once, not for every cell
+    def make() -> Params:  # device arrays are copied to the host once instead of per grid point
         own = lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf  # noqa: E731
         return jax.tree.map(own, plant.prepare(numbers, dt, ticks))
 
@@ -33,7 +33,7 @@ def prepare_params(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask
 
 
 def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
-    """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
+    """Return the design context: the nominal model and the assumed delay and noise, independent of the true plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
@@ -48,7 +48,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
             delay[j] = (period[j] if clock.delay is None else clock.delay) + clock.later + cell.times.error
 
     def overtaking() -> int:
-        """How many newer samples may arrive before one; of one clock with samples of one age, none."""
+        """Return the largest number of newer samples that arrive before an older one; 0 for one clock with a constant delay."""
         if sampling.any_random(clocks):
             return random_times.overtaking(clocks, n)
         alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
@@ -94,7 +94,7 @@ def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
 
 
 def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
-    """The model that observers would be told with other parameters."""
+    """Return the model assumed by observers for other parameters."""
     known = parameters_in(s)
     for name in parameters:
         if name not in known:

@@ -1,15 +1,16 @@
-"""Whether a float64 resolves the errors of a run: the state may be so large that its rounding is not small beside them.
+"""Check that float64 resolves the errors of a run: the rounding of a large state may not be small relative to them.
 
-A float64 x is rounded to multiples of about EPS |x|. An observer computes xhat with the same rounding, so e = x - xhat has no
-digits left where EPS |x| is not small beside e, whatever the observer: it is that rounding, or its amplification by an unstable
-plant, or 0 where x and xhat agree in all digits. The largest state of an unstable plant is its last one, so that one is looked
-at: the errors of signal i are unresolved if, in most runs,
+A float64 x is rounded to multiples of about EPS |x|. An observer computes xhat with the same rounding. So e = x - xhat has no
+digits left if EPS |x| is not small relative to e, for any observer. The error is then that rounding, its amplification by an
+unstable plant, or 0 if x and xhat agree in all digits. An unstable plant has its largest state at the end. So the errors of
+signal i are unresolved if, in most runs,
 
-    EPS |x_i(N-1)|  >  PART mean |e_i| over the tail,
+    EPS |x_i(N-1)|  >  PART mean |e_i| over the tail
 
-and that rounding is no trifle: it is more than TRIFLE of the settling band of a signal, of the process noise of a state, or
-of the noise of an output. An error that decays to the rounding of a small state is 0 for every purpose.
-In a stabilised loop the state stays small, but observers that predict by the response to the input (`gains.motion`) keep it.
+and the rounding matters: it exceeds TRIFLE times the settling band of a signal, the process noise of a state, or the noise of
+an output. An error that decays to the rounding of a small state counts as 0.
+In a stabilised loop the state stays small. Observers that predict with the response to the input (`gains.motion`) do not
+benefit: they store that response.
 """
 
 import jax
@@ -32,7 +33,7 @@ Floats = NDArray[np.float64]
 
 
 def require(p: Plan, outcome: RunSums) -> None:
-    """Raise DigitsError where rounding decides the errors of an observer in most runs of a call."""
+    """Raise DigitsError if rounding decides the errors of an observer in most runs of a call."""
     tail = p.cell.times.ticks - p.cell.times.tail
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True) if np.size(outcome.actual) else ():
         steady_mae = np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail
@@ -42,9 +43,9 @@ def require(p: Plan, outcome: RunSums) -> None:
 
 def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
     """Raise DigitsError if rounding decides errors of mean size `steady_mae` [s, runs]; `actual` is [n + s, runs]."""
-    steady_mae = steady_mae[: len(actual)]  # without errors of a user's own
+    steady_mae = steady_mae[: len(actual)]  # without user-defined errors
     size = np.abs(actual[: len(steady_mae)])
-    overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a loop that is the estimate's doing
+    overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a closed loop the estimate may cause it
     lost = overflows | (np.isfinite(size) & (EPS * size > PART * steady_mae))
     share = lost.mean(-1)
     if share.max(initial=0.0) <= 0.5:
@@ -66,7 +67,7 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
 
 
 def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
-    """Raise DigitsError where rounding decides the errors of an observer of one run: x [N+1, n + s], estimates [N+1, m]."""
+    """Raise DigitsError if rounding decides an observer's errors in one run: x [N+1, n + s], estimates [N+1, m]."""
     last = p.cell.times.ticks
     for label, found in zip(p.labels, estimates, strict=True):
         error = np.abs(x[p.cell.times.tail : last, : found.shape[1]] - found[p.cell.times.tail : last])
@@ -75,18 +76,19 @@ def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
 
 
 def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
-    """Return the signals of a replay whose mean errors `steady_mae` [m] are rounding; `size` [m] is the largest of each.
+    """Return the signals of a replay whose mean errors `steady_mae` [m] are rounding; `size` [m] is the largest value of each.
 
-    `limits` are sizes and what their rounding is held against: settling bands of signals, noise of measured numbers.
+    `limits` are pairs of sizes and reference values: settling bands of signals, noise of measurements.
     """
     matters = any(_exceeds_trifle(each, least) for each, least in limits)
     return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
 def response_size(p: Plan, label: str) -> Floats | None:
-    """Return how large the response to the input since t = 0 gets, [n]; None for an observer in a loop that does not keep it.
+    """Return the size of the response to the input since t = 0, [n]; None if an observer does not store it in a closed loop.
 
-    In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
+    In a closed loop this response cancels the open-loop response to the initial state, so it is as large
+    (`observers.parts.prediction`).
     """
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     motion = getattr(p.problem.gains[names[label]], "motion", None)
@@ -99,7 +101,7 @@ def response_size(p: Plan, label: str) -> Floats | None:
 
 
 def describe_response(p: Plan, size: Floats, which: NDArray[np.bool_]) -> str:
-    """Return the middle of a sentence about the largest response among the states `which` [n]."""
+    """Return a clause about the largest response among the states `which` [n]."""
     i = int(np.argmax(np.where(which, size, 0.0)))
     name, unit = signals_of(p.cell.scenario)[i]
     reaches = amount(float(size[i]), unit)
@@ -107,7 +109,7 @@ def describe_response(p: Plan, size: Floats, which: NDArray[np.bool_]) -> str:
 
 
 def _require_response(p: Plan, label: str, steady_mae: Floats) -> None:
-    """Raise DigitsError where the response to the input that an observer in a loop keeps leaves too few digits."""
+    """Raise DigitsError if an observer's stored response to the input leaves too few digits in a closed loop."""
     size = response_size(p, label)
     if size is None:
         return
@@ -126,11 +128,11 @@ def amount(size: float, unit: str) -> str:
 
 
 def _matters(p: Plan, size: Floats) -> bool:
-    """Whether the rounding of signals [n + s] so large is no trifle beside all that the cell compares and draws."""
+    """Return whether rounding of signals [n + s] of this size matters for settling bands, or noise."""
     n = len(p.problem.x0)
     state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
     y = np.asarray(_MEASURED(p.layout, jax.tree.map(np.asarray, p.problem), state))
-    process = np.asarray(p.problem.process_std)  # [n] of a tick, [n, n] a root of its covariance, or [0]: none
+    process = np.asarray(p.problem.process_std)  # [n] std per tick, [n, n] a root of the covariance, or [0]: none
     process = np.sqrt(np.square(process).sum(-1)) if process.ndim == 2 else process
     return bool(
         (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
@@ -140,15 +142,15 @@ def _matters(p: Plan, size: Floats) -> bool:
 
 
 def _output(layout: Layout, p: GridPointParams, x: Float[Array, " n"]) -> Float[Array, " q"]:
-    """What is measured of a state at the last tick, without noise: [q]."""
+    """Return the noise-free measurement of a state at the last tick, [q]."""
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
 
 
 _MEASURED = program_cache.jit_with_limit(
     _output, static_argnums=0
-)  # it is asked after each call of a cell: compiled once
+)  # called after each call of a grid point, so compiled once
 
 
 def _exceeds_trifle(size: Floats, std: Floats) -> bool:
-    """Whether the rounding of some number is no trifle beside its noise, of those that have any."""
+    """Return whether the rounding of any number exceeds TRIFLE times its noise, among those with noise."""
     return bool(((EPS * size[: len(std)] > TRIFLE * std) & (std > 0)).any())

@@ -1,4 +1,4 @@
-"""What closes a loop: the controller with its numbers, the way of its commands, and room for what a schedule can ask for."""
+"""The setup of a closed loop: controller parameters, actuator or network, and room for the delays of a schedule."""
 
 from typing import NamedTuple
 
@@ -21,29 +21,29 @@ from pcbench.study.grid import Cell
 
 
 class Reach(NamedTuple):
-    """Ticks that a loop looks back and ahead."""
+    """How many ticks a closed loop needs before and after a run."""
 
-    back: int  # commands it keeps
+    back: int  # stored commands
     ahead: int
 
 
 def options(cell: Cell) -> BaseModel:
-    """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
+    """Return the options of a closed loop's controller: the scenario's, overridden by the study's."""
     s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
     return controllers.entry_of(s).options.model_validate(dict(s.loop.control) | chosen)
 
 
 def controller(cell: Cell) -> Controller | None:
-    """Return the control law of a cell; None of an open loop."""
+    """Return the controller of a grid point; None for an open loop."""
     s = cell.scenario
     return controllers.law_of(controllers.entry_of(s), options(cell)) if s.loop.controller else None
 
 
 def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
-    """Return the ticks of commands to keep behind and beyond.
+    """Return the ticks of commands to store.
 
-    `back`: so that inputs since the oldest sample that may still be used again can be read, the actuator's delay included.
-    `ahead`: past the end, until the last command acts.
+    - `back`: enough to read all inputs since the oldest sample that may still be used, including the actuator's delay.
+    - `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     known = oldest(cell, overtaking, ticks)
@@ -53,8 +53,8 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
 
 
 def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
-    """Return how many ticks back an observer may ask for an input: to the oldest sample that may still be used again."""
-    if cell.scenario.sampling.sensors_decide:  # the newest sample that was sent may be any
+    """Return the largest age [ticks] of an input that an observer may read, as old as the oldest usable sample."""
+    if cell.scenario.sampling.sensors_decide:  # the last sample sent may have any age
         found = ticks
     elif cell.times.random:
         found = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)
@@ -64,7 +64,7 @@ def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
 
 
 def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
-    """Return what the designer of a law knows of a cell, with room for `reach`."""
+    """Return the design context of a controller at a grid point, with room for `reach`."""
     s, plant = cell.scenario, entry_of(cell.scenario)
     params = plant.prepare(numbers_of(s), s.dt, ticks)
     return controller_table.controller_context(s)._replace(
@@ -77,9 +77,9 @@ def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerC
 
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network.Line]:
-    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end.
+    """Return the parameters of controller and actuator line, from `reach.back` ticks before 0 to `reach.ahead` past the end.
 
-    Raises UserError where a law of a user's own does not keep to the protocol.
+    Raises UserError if a user-defined controller violates the protocol.
     """
     s, known = cell.scenario, make_controller_context(cell, reach, ticks)
     entry, name = controllers.entry_of(s), s.loop.controller
@@ -104,13 +104,13 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
 
 
 def pending(cell: Cell) -> int:
-    """Return the room of the network to the plant; 0 where all runs share an actuator line."""
+    """Return the number of commands that the network to the plant can hold; 0 for an actuator delay common to all runs."""
     numbers = network(cell)
     return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0
 
 
 def network(cell: Cell) -> command_network.Numbers | tuple[()]:
-    """Return the numbers of the network to the plant; () where there is none."""
+    """Return the parameters of the network to the plant; () if there is no network."""
     s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
         return ()
@@ -125,7 +125,7 @@ def network(cell: Cell) -> command_network.Numbers | tuple[()]:
 
 
 def weights(cell: Cell) -> metrics.Weights | tuple[()]:
-    """Return the weights of the cost; () of an open loop, and of one whose effort no table shows."""
+    """Return the weights of the cost; () for an open loop, or if no table shows the cost."""
     s = cell.scenario
     if not controller_table.has_generic_controller(s):
         return ()

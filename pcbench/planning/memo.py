@@ -1,7 +1,7 @@
-"""What a study's cells have in common is computed once, and known by what it was computed from.
+"""Cache of values that the grid points of a study share, and the design of an observer's gains.
 
-A design belongs to its cell. What is expensive in one is remembered by the numbers that it is computed from
-(`synthesis.solvers.solve_or_load`, `synthesis.riccati.multirate`), so that cells which differ in nothing it reads share it.
+Each grid point has its own design. The expensive parts of a design are cached by the numbers they depend on
+(`synthesis.solvers.solve_or_load`, `synthesis.riccati.multirate`), so that grid points with the same numbers share them.
 """
 
 import inspect
@@ -16,21 +16,21 @@ from pcbench.errors import UserError, describe_exception, is_ours, line_of
 from pcbench.observers import ObserverSpec
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
-ROOM = 256  # of each kind: as many schedules of 10,000 ticks are 100 MB,
-DESIGNS = 4096  # and as many gains; with more of them the first are found again when their tasks are drawn
+ROOM = 256  # entries of each kind: this many schedules of 10,000 ticks take 100 MB
+DESIGNS = 4096  # entries of designs; if a study has more, the oldest are recomputed when their tasks are drafted
 EXPECTED = "expected Design(gains, Certificate)"
 T = TypeVar("T")
 
 
 class Once(Protocol):
-    """A function that makes things, each once."""
+    """A function that returns a cached value or computes it."""
 
     def __call__(self, kind: str, key: Hashable, make: Callable[[], T], /) -> T:
-        """Return what `make` makes; `key` says from what it is made, among things of one kind."""
+        """Return the value of `make()`; `key` has everything it depends on, among values of one `kind`."""
 
 
 def once() -> Once:
-    """Return what makes things, and gives out what it has made before; of each kind the last used are kept."""
+    """Return a cache that keeps the most recently used values of each kind."""
     kept: dict[str, OrderedDict[Hashable, Any]] = {}
 
     def ask(kind: str, key: Hashable, make: Callable[[], T]) -> T:
@@ -46,12 +46,12 @@ def once() -> Once:
 
 
 def anew(kind: str, key: Hashable, make: Callable[[], T]) -> T:
-    """Make a thing, whatever was made before."""
+    """Compute the value without a cache."""
     return make()
 
 
 def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: BaseModel) -> Design:
-    """Return an observer's gains with their certificate; raise UserError where its design refuses, or is not as it must be."""
+    """Return an observer's gains with their certificate; raise UserError if the design fails or does not return a Design."""
     code = getattr(inspect.unwrap(entry.design), "__code__", None)
     where = f", {os.path.basename(code.co_filename)} line {code.co_firstlineno}" if code else ""
     try:

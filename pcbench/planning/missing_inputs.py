@@ -1,8 +1,8 @@
-"""Past inputs that a user's own observer asks for although its closed loop no longer stores them.
+"""Find past inputs that a user-defined observer reads although its closed loop no longer stores them.
 
 A loop stores the inputs since the oldest sample that may still be used (`planning.loop_setup.oldest`). For an older one
-`past_u` returns NaN: the estimate is NaN from there on, and all runs count as diverged. To name the cause, one run is simulated
-by the definition with observers that report each NaN that `past_u` returns.
+`past_u` returns NaN. The estimate is then NaN to the end, and all runs count as diverged. To report the cause, one run is
+simulated by the definition, with observers that report each NaN that `past_u` returns.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,10 +29,10 @@ Report = Callable[[Array, Array], None]  # (age [ticks], whether the input of th
 
 
 def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Iterator[str]:
-    """Yield a sentence for each own observer whose runs all diverged because it asked for an input that is not stored.
+    """Yield a sentence for each user-defined observer whose runs all diverged because it read an input that is not stored.
 
-    `stats()` returns the statistics of the study's runs; it is called only if the study has own observers in closed loops. Of
-    each scenario and observer the first cell is simulated in which all runs diverged.
+    `stats()` returns the statistics of the study's runs; it is called only if a closed loop has a user-defined observer. For
+    each scenario and observer, the first grid point at which all runs diverged is simulated.
     """
     cells = {cell.key: cell for cell in grid.cells if cell.scenario.loop.controller and cell.own}
     if not cells:
@@ -51,7 +51,7 @@ def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Itera
 
 
 def oldest_missing_input(cell: Cell, label: str, study: Study) -> int | None:
-    """Return the age [ticks] of the oldest input that an observer asks for in one run and does not get; None: it gets all."""
+    """Return the age [ticks] of the oldest input that is read but not stored in one run; None: all are stored."""
     planned = next(p for p in padding.fit(list(drafts([cell]))) if label in p.labels)
     p: Plan = alone(planned, study.root_seed, study.first_seed)
     ages: list[int] = []
@@ -68,7 +68,7 @@ def oldest_missing_input(cell: Cell, label: str, study: Study) -> int | None:
 
 
 def _reporting(o: Observer, report: Report) -> Observer:
-    """Return an observer with the same numbers that reports the inputs it asks for and does not get."""
+    """Return an observer with the same estimates that reports each read of an input that is not stored."""
 
     def watch(now: Now) -> Now:
         def past_u(age: Array) -> Array:

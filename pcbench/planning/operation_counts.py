@@ -1,12 +1,15 @@
-"""What an observer costs: multiplications of a sample and of a tick, counted from its own functions at one lane, and bytes.
+"""The multiplications of an observer per sample and per tick, counted from its functions for one run, and its memory in bytes.
 
-A sample costs `snapshot`, `on_sample` where there is one, and `jump`; a tick `flow` and `estimate`. Counted are the products of
-floats: each of a matrix product (with its addition), each entry multiplied, divided, or put through a root, a power or another
-function. Additions, comparisons and what is only moved are free. A loop counts as often as it goes round, for the last sample
-of a run whose samples are a period apart and of the believed age; of the branches of a choice that one runs, where it is made
-by an index. So whole numbers that an observer remembers (ticks, places in a ring) are those of the end, for loops over a window
-that is not full yet are shorter; floats are those of the start, and a loop that depends on them is counted as it goes there.
-Not claimed: time. What a processor does with so many products is for a clock to say.
+- Per sample: `snapshot`, `on_sample` if defined, and `jump`. Per tick: `flow` and `estimate`.
+- Counted are products of floats: each product of a matrix product (with its addition), and each entry that is multiplied,
+  divided, or passed to a root, a power or another function.
+- Additions, comparisons and copies are not counted.
+- A loop counts as often as it runs for the last sample of a run with a constant period and the assumed delay. Of the branches
+  of a choice by index, the one that runs is counted.
+- Integers in an observer's memory (ticks, ring positions) have their values at the end of the run, as loops over a window that
+  is not yet full are shorter. Floats have their values at the start, also those that decide how often a loop runs.
+
+Not claimed: computing time, which must be measured.
 """
 
 from collections.abc import Callable, Container, Sequence
@@ -28,20 +31,20 @@ from pcbench.simulation.types import GridPointParams, present
 
 ONCE = {"mul", "div", "rem", "sqrt", "rsqrt", "cbrt", "square", "integer_pow", "pow", "exp", "exp2", "expm1", "log"}
 ONCE |= {"log1p", "logistic", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
-Value = Callable[[], ArrayLike]  # computed when it is asked for
-CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as it solves
+Value = Callable[[], ArrayLike]  # computed on demand
+CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as the solution takes
 
 
 class Cost(NamedTuple):
-    """What one lane of an observer costs."""
+    """The cost of one observer in one run."""
 
     sample: int  # multiplications
     tick: int
-    memory: int  # bytes between ticks; what it notes travels with the sample
+    memory: int  # bytes of memory between ticks; the snapshot, which travels with the sample, is not included
 
 
 def costs(p: Plan) -> dict[str, Cost]:
-    """Return the cost of every observer of a cell by label."""
+    """Return the cost of every observer of a grid point by label."""
     clocks = p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     period = max(clock.period for clock in clocks)
@@ -49,7 +52,7 @@ def costs(p: Plan) -> dict[str, Cost]:
 
 
 def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
-    """Return the cost of an observer of a cell over the age of samples and the ticks between them; it is traced once."""
+    """Return a function (age of samples, ticks between them) -> Cost of an observer; the observer is traced once."""
     problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains, q, ticks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.ticks
     one, start = jnp.ones(q), jax.tree.map(jnp.asarray, jax.jit(o.init)(gains, problem.xhat0))
@@ -70,7 +73,9 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
     of_sample = jax.make_jaxpr(sample)(gains, start, one, k, k, snapshot(start, k))
     of_tick = jax.make_jaxpr(tick)(gains, start, k)
     size = sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(start))
-    clock = count_multiplications(lambda k: present(problem, k, True).t, k)  # not the observer's
+    clock = count_multiplications(
+        lambda k: present(problem, k, True).t, k
+    )  # of the time t, which is not part of the observer
 
     @cache
     def cost(age: int, period: int) -> Cost:
@@ -89,7 +94,7 @@ def _arrival(value: Array, age: Array, snapshot: PyTree) -> Arrival:
 
 
 def _worn(o: Observer, p: GridPointParams, gains: Gains, start: Memory, q: int) -> Callable[[int, int, int], Memory]:
-    """The memory of the start, its whole numbers as they are before sample number `last` of an age and a period arrives."""
+    """Return a function for the initial memory with the integers that it has before sample `last` arrives."""
     leaves, tree = jax.tree.flatten(start)
     whole = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     if not any(whole):
@@ -131,9 +136,9 @@ def _constant_value(value: ArrayLike) -> Value:
 def _walk_jaxpr(
     jaxpr: Jaxpr, consts: Sequence[Value], args: Sequence[Value], only: Container[int] | None = None
 ) -> tuple[int, list[Value]]:
-    """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed.
+    """Return a program's multiplications and its outputs; only values that a loop or a choice depends on are computed.
 
-    Of `only` some of its equations, what the others make is not to be asked for.
+    With `only`, the other equations are skipped and their results must not be read.
     """
     env: dict[Any, Value] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
     left_out = _constant_value(np.nan)
@@ -163,7 +168,7 @@ def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
         return _while(eqn, given)
 
     @cache
-    def made() -> Sequence[ArrayLike]:  # what the operation makes, once somebody asks for it
+    def made() -> Sequence[ArrayLike]:  # the operation's results, computed on demand
         out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
         return out if eqn.primitive.multiple_results else [out]
 
@@ -177,7 +182,10 @@ def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
 
 
 def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
-    """Count a loop. Where all rounds cost the same, one is counted, and only what decides their number is computed."""
+    """Return a loop's multiplications and outputs.
+
+    If all rounds cost the same, one round is counted. Only the values that decide the number of rounds are then computed.
+    """
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, start = given[:first], given[first : first + second], given[first + second :]
     held, inside = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
@@ -203,7 +211,7 @@ def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
 
 
 def _chooses(jaxpr: Jaxpr) -> bool:
-    """Whether the cost of a program depends on numbers."""
+    """Return whether the cost of a program depends on the values of its inputs."""
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
         inner = jaxpr_compat.callee(eqn.params) if name in jaxpr_compat.CALLS else None
@@ -214,7 +222,7 @@ def _chooses(jaxpr: Jaxpr) -> bool:
 
 
 def _deciding(cond: Jaxpr, body: Jaxpr, first: int, second: int) -> tuple[set[int], set[int]]:
-    """Return which places of a loop's state its condition depends on, and which equations of its body make them."""
+    """Return the entries of a loop's state that its condition depends on, and the equations of its body that compute them."""
 
     def needed(jaxpr: Jaxpr, places: set[int]) -> tuple[set[int], set[Any]]:
         equations, wanted = set[int](), {v for i in places if not _literal(v := jaxpr.outvars[i])}
@@ -240,7 +248,7 @@ def _literal(v: Any) -> bool:
 
 
 def _products(eqn: Eqn) -> int:
-    """How many products one operation takes."""
+    """Return the number of products of one operation."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     if not jnp.issubdtype(out.dtype, jnp.floating):
         return 0

@@ -1,8 +1,8 @@
-"""One shape for many cells: room for the largest of them, so that they share a compiled program.
+"""Padding to a common shape: room for the largest of many grid points, so that they share a compiled program.
 
-Room is what no number depends on: slots, rings, rows; and what some cells draw beside the noise, of which the others get a
-neutral one (outliers of probability 0, a quantization step of 0, infinitely many degrees of freedom) unless the definition
-simulates them. A cell's own numbers and everything else in its layout stay as drafted, so that alone it has the same bits as
+Padding does not change any number. It adds slots, ring entries and rows. Random effects that only some grid points have get
+neutral values in the others: outliers of probability 0, a quantization step of 0, infinitely many degrees of freedom. The
+reference definition has no such padding. All else in a layout stays as drafted. So a grid point has the same bits alone as
 among others.
 """
 
@@ -25,40 +25,42 @@ from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import Certificate, power_of_2
 
-# one for all runs, or numbers by which each run draws its own
+# one schedule for all runs, or parameters from which each run draws its own
 AnySchedule = common_times.Schedule | random_times.ClockParams
 
 
 class Plan(NamedTuple):
-    """A cell ready to run."""
+    """A grid point ready to run."""
 
     cell: Cell
     layout: Layout
     problem: GridPointParams
     certificates: dict[str, Certificate]
-    bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
-    predicts_unknown_input: dict[str, bool | None]  # by observer, of its prediction to now
-    labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
-    reach: loop_setup.Reach | None  # of a closed loop
+    bound: NDArray[np.float64] | None  # [n] smallest RMSE over the tail of any causal estimator; None: not available
+    predicts_unknown_input: dict[str, bool | None]  # by observer, for its prediction to the present
+    labels: tuple[
+        str, ...
+    ]  # of the layout's observers; in a closed loop the layout has their base names, to share a program
+    reach: loop_setup.Reach | None  # closed loop only
 
 
 class Capacity(NamedTuple):
-    """The room that the largest of some cells needs."""
+    """The room that the largest of some grid points needs."""
 
     slots: int = 1  # arrivals at one tick
-    due: int = 0  # samples of a run on a schedule of its own
-    shares: int = 0  # delays among which those of samples are drawn, each by itself
-    ring: int = 0  # packets on the network
-    early: int = 0  # packets on it at the start
-    notes: int = 0  # for which observers note what they need at one tick, besides the first
-    back: int = 0  # ticks a closed loop looks back
-    ahead: int = 0  # and ahead
+    due: int = 0  # samples per clock and run, if each run has its own schedule
+    shares: int = 0  # values of an independently drawn delay
+    ring: int = 0  # packets on the network at one time
+    early: int = 0  # packets from before tick 0
+    notes: int = 0  # snapshots at one tick, in addition to the first
+    back: int = 0  # ticks of stored commands in a closed loop
+    ahead: int = 0  # ticks past the end in a closed loop
     falls: int = 0  # jumps of the unknown input
-    pending: int = 0  # commands on their way over a network
-    outliers: bool = False  # some samples are outliers,
-    rounding: bool = False  # are rounded,
-    tail: bool = False  # have noise of Student's distribution
-    rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
+    pending: int = 0  # commands on a network at one time
+    outliers: bool = False  # there are outliers
+    rounding: bool = False  # samples are quantized
+    tail: bool = False  # noise is Student's t
+    rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its parameters
 
 
 def room_of(p: Plan) -> Capacity:
@@ -85,7 +87,7 @@ def room_of(p: Plan) -> Capacity:
 
 
 def larger(a: Capacity, b: Capacity) -> Capacity:
-    """Return room for both."""
+    """Return room that is enough for both."""
     rows = dict(a.rows)
     for key, many in b.rows:
         rows[key] = max(rows.get(key, 0), many)
@@ -93,11 +95,11 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
 
 
 def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
-    """Give a draft the shape that `room` asks for."""
+    """Return a draft padded to the shape of `room`."""
     drafted, rows = p.problem.schedule, dict(room.rows)
     _, schedule = ask(
         "fitted", (id(drafted), room), lambda: (drafted, _pad_schedule(drafted, room))
-    )  # alive: the id is its own
+    )  # the object is alive, so its id is unique
     leaves, tree = jax.tree.flatten(p.problem.params)
     for i, a in enumerate(leaves):
         if np.ndim(a) and len(a) == 1 < (many := rows[p.cell.scenario.plant, i]):
@@ -106,7 +108,7 @@ def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan
     if more := room.falls - len(falling):
         falling = np.pad(falling, (0, more), constant_values=common_times.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=falling)
-    if not p.layout.defined:  # what other cells draw, where this one has none: what changes no sample
+    if not p.layout.defined:  # neutral values for the random effects of other grid points
         no_outliers, no_step = Outliers(np.asarray(0.0), np.asarray(1.0)), np.zeros(len(problem.noise_std))
         problem = problem._replace(
             outliers=problem.outliers or (no_outliers if room.outliers else ()),
@@ -122,7 +124,7 @@ def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan
 
 
 def stack_schedules(each: list[common_times.Schedule]) -> common_times.Schedule:
-    """Return schedules of runs in one, every array with the runs first."""
+    """Return the schedules of several runs stacked, every array with the runs first."""
     room = Capacity(
         slots=power_of_2(max(s.arrive.shape[1] for s in each)),
         early=power_of_2(max(len(s.early) for s in each)),
@@ -140,7 +142,7 @@ def _pad_schedule(schedule: AnySchedule, room: Capacity) -> AnySchedule:
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
-    """Give drafts one shape, and check that their observers keep to the protocol."""
+    """Return drafts padded to one shape, after a check of their observers against the protocol."""
     room = required_capacity(drafts)
     return [fit_to_capacity(p, room) for p in check_drafts(drafts)]
 
@@ -151,9 +153,9 @@ def required_capacity(drafts: Iterable[Plan]) -> Capacity:
 
 
 def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
-    """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant.
+    """Yield drafts as they come; raise UserError if an observer violates the protocol on some kind of plant.
 
-    Asked only where an observer or a plant has code of a user's: the others keep to it by test.
+    Only user-defined observers and plants are checked. Those of pcbench are covered by tests.
     """
     seen: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
@@ -169,12 +171,12 @@ def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
 
 @lru_cache
 def _has_user_code(observer: Observer, plant: Plant) -> bool:
-    """Whether an observer or a plant has functions of a user's, themselves or in what `make_plant` makes of them."""
+    """Return whether an observer or a plant has user-defined functions, directly or in the result of `make_plant`."""
     parts = [part for part in (*observer, *plant) if callable(part)]
     return any(isinstance(part, PlantFunction) or not is_ours(part) for part in parts)
 
 
 def key_of(p: Plan) -> Hashable:
-    """Return what decides the compiled program of a fitted cell."""
+    """Return the key of a fitted grid point's compiled program."""
     leaves, tree = jax.tree.flatten(p.problem)
     return p.layout, tree, tuple(np.shape(a) for a in leaves)

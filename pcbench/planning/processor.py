@@ -33,9 +33,9 @@ from pcbench.study.times import Timing, times_of
 
 
 class Load(NamedTuple):
-    """The samples that a processor has time for."""
+    """The samples that a processor can process."""
 
-    wait: int  # ticks, computing time of a sample; NEVER: it does not end within a run
+    wait: int  # ticks, computing time of a sample; NEVER: longer than a run
     every: int  # m: every m-th sample is used
 
 
@@ -70,21 +70,21 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
 
 
 def slowed(times: Timing, load: Load) -> Timing:
-    """Return the times of a cell as an observer with this load of its processor has them."""
+    """Return the times of a grid point for an observer with this load of its processor."""
     if load == IDLE:
         return times
     return times._replace(clocks=[_slowed(clock, load, times.ticks) for clock in times.clocks])
 
 
 def _slowed(clock: Clock, load: Load, ticks: int) -> Clock:
-    if load.wait == NEVER:  # as if all samples were lost
+    if load.wait == NEVER:  # equivalent to the loss of all samples
         return clock._replace(outage=(0, ticks + 1))
     delay = clock.period if clock.delay is None else clock.delay
     return clock._replace(period=load.every * clock.period, delay=delay + load.wait, stride=load.every)
 
 
 def times_in(cell: Cell) -> tuple[float, int]:
-    """Return the computing time of a sample in a slowed cell [s] (inf: too long), and m if every m-th sample is used."""
+    """Return the computing time of a sample at a slowed grid point [s] (inf: too long), and m if every m-th sample is used."""
     (usual, mine), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
     if mine.outage == (0, N + 1):
         return inf, mine.stride

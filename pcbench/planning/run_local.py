@@ -1,4 +1,4 @@
-"""Running planned cells in this process: seeds in calls of one width, and the metrics of each run."""
+"""Run planned grid points in this process: seeds in calls of one width, and the metrics of each run."""
 
 from collections.abc import Hashable, Iterable, Iterator
 from typing import NamedTuple
@@ -15,12 +15,12 @@ from pcbench.simulation import metrics
 from pcbench.simulation.types import RunSums
 from pcbench.study import Study
 
-# by observer and metric: [what it estimates, seeds], of divergence [seeds]
+# by observer and metric: [signals, seeds], divergence [seeds]
 Results = dict[str, statistics.Results]
 
 
 class CellResults(NamedTuple):
-    """What the runs of one cell left."""
+    """The results of the runs of one grid point."""
 
     planned: Plan
     seeds: NDArray[np.int64]
@@ -28,7 +28,7 @@ class CellResults(NamedTuple):
 
 
 def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
-    """Cut a cell's seeds into jobs of one width."""
+    """Return the jobs of one width that cover a grid point's seeds."""
     each = planned.layout.defined and planned.cell.times.random
     for first in range(0, len(seeds), planned.layout.width):
         mine = seeds[first : first + planned.layout.width]
@@ -37,7 +37,7 @@ def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ru
 
 
 def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:
-    """Return the metrics that the outcomes of one cell's jobs hold, joined; raise DigitsError where rounding decides them."""
+    """Return the joined metrics of one grid point's jobs; raise DigitsError if rounding decides them."""
     parts: dict[str, list[statistics.Results]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
     falls = bool((planned.problem.jumps < n).any())
@@ -56,9 +56,9 @@ def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Re
 def execute(
     study: Study, planned: list[Plan], seeds: NDArray[np.int64] | None = None, devices: int | None = None
 ) -> Iterator[CellResults]:
-    """Run every planned cell in this process; yield its results, kept in memory, when its last run is in.
+    """Run every planned grid point in this process; yield its results, kept in memory, when its last run is complete.
 
-    `seeds` are seed indices, by default 0 .. study.seeds - 1. Cells of one shape come together, in their order.
+    `seeds` are seed indices, by default 0 .. study.seeds - 1. Grid points of one shape are run together, in their order.
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
     groups: dict[Hashable, list[Plan]] = {}

@@ -1,8 +1,10 @@
-"""The closed loop in a run: commands made of the estimate, the input that they become, and what is off the set point.
+"""The closed loop in a run: commands computed from the estimate, the input that follows, and the tracking error.
 
-In a closed loop there is one observer, with a plant of its own. A run that has diverged is frozen. Commands go to the plant on
-a line that is the same for all runs (`command_network`), or over a network with delays and losses of each run's own
-(`command_network`).
+A closed loop has one observer and its own plant. A run that has diverged is frozen. Commands reach the plant in one of two
+ways (`command_network`):
+
+- through an actuator delay that is the same for all runs
+- over a network that delays and loses the commands of each run at random
 """
 
 from typing import NamedTuple, TypeVar
@@ -20,7 +22,7 @@ Tree = TypeVar("Tree")
 
 
 class LoopState(NamedTuple):
-    """What a closed loop adds to the state before tick 0; empty where the loop is open."""
+    """The state that a closed loop adds before tick 0; empty for an open loop."""
 
     commands: PyTree = ()
     tracking: PyTree = ()
@@ -29,7 +31,7 @@ class LoopState(NamedTuple):
 
 
 def before(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
-    """Return commands of the time before 0, the stream of what is off the target, what the law keeps, the effort."""
+    """Return the commands before tick 0, the tracking-error sums, the controller's state and the control cost."""
     if layout.controller is None:
         return LoopState()
     ((label, observer),), controller = layout.observers, layout.controller
@@ -37,8 +39,10 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
     if layout.pending:
         commands: PyTree = command_network.empty(layout.commands, layout.pending, p.network.std.shape[0])
     else:
-        ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
-        commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a row at a time, not R copies
+        ticks = jnp.arange(-layout.commands, 0)  # tick n is in row n mod R
+        commands = lax.map(
+            lambda n: controller.before(p.control, n, xhat), ticks
+        )  # one row at a time instead of R copies
     return LoopState(
         commands,
         metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0]),
@@ -48,25 +52,25 @@ def before(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
 
 
 def add_command_noise(now: Now, commands: PyTree) -> Now:
-    """Return the present as it is for the plant: its input with the noise that no observer is told."""
+    """Return the present with the noisy input that the plant receives; observers do not see this noise."""
     return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 
 
 def aims(layout: Layout, p: GridPointParams, k: Array) -> Array:
-    """Return the set point of tick k, [r]; of an open loop [0]."""
+    """Return the set point of tick k, [r]; [0] for an open loop."""
     return layout.controller.target(p.control, k) if layout.controller else jnp.zeros(0)
 
 
 def off_target(controller: Controller, p: GridPointParams, k: Array, x: Array) -> Array:
-    """Return the set point less the state, of the states that are to follow it: [r]."""
+    """Return set point minus state for the states that follow it, [r]."""
     target = controller.target(p.control, k)
     return target - x[: target.shape[0]]
 
 
 def unless_diverged(watches: dict[str, metrics.SettlingState], new: Tree, old: Tree) -> Tree:
-    """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen.
+    """Return `old` for a closed-loop run that has diverged, else `new`.
 
-    Ticks and sample numbers go on: they are the same in all lanes, and loops over them are to stay shared.
+    The tick and sample numbers are not frozen: they are the same in all runs, so loops over them stay shared.
     """
     bad = jnp.any(jnp.stack([watch.first_bad >= 0 for watch in watches.values()])) if watches else jnp.asarray(False)
 

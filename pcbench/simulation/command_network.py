@@ -1,22 +1,23 @@
-"""The network from a controller to the plant: commands come late by times of each run's own, or never, and with noise.
+"""Commands on their way to the plant: over a network with random delay, loss and noise, or through an actuator delay.
 
-Decision j, of tick j p, is sent as c_j and arrives at tick j p + d + J_j, J_j uniform over 0 .. jitter, or is lost. Over tick k
-the plant is held at the newest decision that has arrived, with its noise (one that is overtaken is of no use):
+Network
+    Decision j is made at tick j p and sent as c_j. It is lost, or arrives at tick j p + d + J_j with J_j uniform over
+    0 .. jitter. Over tick k the plant's input is the newest decision that has arrived, with its noise:
 
-    u_k = c_j + std v_j,   j = max {i : decision i has arrived at tick k or before};   before the first 0
+        u_k = c_j + std v_j,   j = max {i : decision i arrived at tick k or before};   0 before the first arrival
 
-Observers know which command is held (the network acknowledges it), not its noise. Draws are addressed by run and decision,
-streams `command_jitter`, `command_loss` and `command`. Source: Schenato et al., Proc. IEEE 95 (2007), 163 (TCP-like).
+    A decision that arrives after a newer one is ignored. Observers receive the command in use (the network acknowledges it)
+    without its noise. Random numbers are addressed by run and decision, in the streams `command_jitter`, `command_loss` and
+    `command`. Source: Schenato et al., Proc. IEEE 95 (2007), 163 (TCP-like).
 
-The actuator line of a closed loop: commands on their way to the plant, kept in a ring, and the inputs they become.
+Actuator delay
+    Commands are stored in a ring. The input over tick n is the command at the middle of the tick minus the delay,
+    t_n + h/2 - tau(t_n + h/2), interpolated linearly between the commands c of the two neighbouring ticks:
 
-Over tick n the plant is held at the command of the time at which the line is read, the middle of the tick less the delay,
-t_n + h/2 - tau(t_n + h/2), by linear interpolation between the commands c of the ticks on both sides:
+        u_n = (1 - w_n) c[n - lag_n] + w_n c[n - lag_n + 1]
 
-    u_n = (1 - w_n) c[n - lag_n] + w_n c[n - lag_n + 1]
-
-With no delay at all u_n = c_n. Lags and weights are data, so one compiled program serves every delay. Inputs of the past are
-read from the same ring: it has room for what a schedule can ask for, and what is beyond it reads NaN, never another tick's.
+    Without a delay u_n = c_n. Lags and weights are data, so one compiled program covers every delay. Past inputs are read
+    from the same ring. A tick outside the ring reads NaN.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,7 @@ NEVER = float(2**30)  # the arrival of a lost command
 
 
 class Numbers(NamedTuple):
-    """Of the network; ticks."""
+    """Parameters of the network, in ticks."""
 
     every: Leaf  # p, between decisions
     delay: Leaf  # d
@@ -44,7 +45,7 @@ class Numbers(NamedTuple):
 
 
 class CommandDraws(NamedTuple):
-    """What a run draws for one decision."""
+    """The random numbers of one decision."""
 
     late: Leaf  # [1] uniform
     lost: Leaf  # [1] uniform
@@ -52,17 +53,17 @@ class CommandDraws(NamedTuple):
 
 
 class Commands(NamedTuple):
-    """Commands and inputs of a closed loop; R rows of the past, P decisions on their way, m inputs."""
+    """Commands and inputs of a closed loop: R ring rows, P decisions on their way, m inputs."""
 
-    sent: Array  # [R, m] tick n in row n mod R
-    held: Array  # [R, m] the input over tick n without its noise, likewise
-    waiting: Array  # [P, 2 m + 1] c, its noise, its tick of arrival; decision j in row j mod P
-    newest: Array  # tick of the decision that is held; -1: none
-    noise: Array  # [m] of what is held
+    sent: Array  # [R, m] command of tick n in row n mod R
+    held: Array  # [R, m] input over tick n without noise, in row n mod R
+    waiting: Array  # [P, 2 m + 1] command, noise, arrival tick; decision j in row j mod P
+    newest: Array  # tick of the decision in use; -1: none
+    noise: Array  # [m] noise of the decision in use
 
 
 def room(every: int, delay: int, jitter: int) -> int:
-    """Return how many decisions may be on their way."""
+    """Return the largest number of decisions on their way at one time."""
     return (delay + jitter) // every + 1
 
 
@@ -74,7 +75,7 @@ def empty(rows: int, waiting: int, inputs: int) -> Commands:
 
 
 def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], CommandDraws]:
-    """Return what draws the numbers [.., L] of the decision of tick k; at ticks without one they are of no use, and zero."""
+    """Return a function of the tick that draws the numbers [.., L] of its decision, or zeros at ticks without a decision."""
     late, lost, noise = (
         rng.run_keys(root_seed, seeds, stream, many)
         for stream, many in (("command_jitter", 1), ("command_loss", 1), ("command", p.std.shape[0]))
@@ -96,7 +97,7 @@ def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Arr
 def send(
     p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], drawn: CommandDraws
 ) -> Commands:
-    """Send the command of tick k where there is a decision, and hold what has arrived."""
+    """Send the command of tick k if there is a decision, and update the input with the newest arrival."""
     m, P, R = command.shape[0], commands.waiting.shape[0], commands.held.shape[0]
     number, decides = k // p.every, k % p.every == 0
     arrives = k + p.delay + jnp.floor(drawn.late * (p.jitter + 1))
@@ -122,14 +123,14 @@ def send(
 
 
 def input_at(commands: Commands, n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
-    """Return the input over tick n without its noise; that of a tick beyond the ring is NaN."""
+    """Return the noise-free input over tick n; NaN for a tick outside the ring."""
     R = commands.held.shape[0]
     row = lax.dynamic_index_in_dim(commands.held, jnp.minimum(n, newest) % R, 0, False)
     return jnp.where(n > newest - R, row, jnp.nan)
 
 
 class Line(NamedTuple):
-    """When the line is read: a row for each tick from -R on, R the ring's rows; empty in an open loop."""
+    """The position read from the ring, one row per tick from -R on, R ring rows; empty for an open loop."""
 
     lag: Leaf  # [R + N + 1 + ahead] ticks
     weight: Leaf  # [R + N + 1 + ahead] 0 .. 1
@@ -139,7 +140,7 @@ NONE = Line(np.zeros(0, int), np.zeros(0))
 
 
 def line(delay: Delay, dt: float, rows: int, ticks: int) -> Line:
-    """Return the line of a delay [s] of the time, 0 or at least half a tick, for ticks -`rows` .. `ticks`."""
+    """Return the `Line` of a delay [s] that is a function of time, 0 or at least half a tick, for ticks -`rows` .. `ticks`."""
     n = np.arange(-rows, ticks + 1)
     late = delay((n + 0.5) * dt) / dt
     read = n + 0.5 - late
@@ -149,18 +150,18 @@ def line(delay: Delay, dt: float, rows: int, ticks: int) -> Line:
 
 
 def held_line(late: int, rows: int, ticks: int) -> Line:
-    """Return the line whose input over a tick is the command of `late` ticks before, for ticks -`rows` .. `ticks`."""
+    """Return the `Line` whose input is the command of `late` ticks earlier, for ticks -`rows` .. `ticks`."""
     many = rows + ticks + 1
     return Line(np.full(many, max(late, 1)), np.full(many, float(late == 0)))
 
 
 def rows_needed(delay: Delay, dt: float, ticks: int, oldest: int) -> int:
-    """Return the rows of a ring from which inputs up to `oldest` ticks old can be read."""
+    """Return the number of ring rows needed to read inputs up to `oldest` ticks old."""
     return oldest + int(line(delay, dt, 0, ticks).lag.max()) + 2
 
 
 def read(line: Line, commands: Float[Array, "R m"], n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
-    """Return the input held over tick n, from commands up to that of tick `newest`; a later one is taken for the newest."""
+    """Return the input over tick n from commands up to tick `newest`; a later tick reads the newest command."""
     R = commands.shape[0]
     row = jnp.clip(n + R, 0, line.lag.shape[0] - 1)
     first, w = n - line.lag[row], line.weight[row]
@@ -171,5 +172,5 @@ def read(line: Line, commands: Float[Array, "R m"], n: Int[Array, ""], newest: I
 
 
 def write(commands: Float[Array, "R m"], k: Int[Array, ""], command: Float[Array, " m"]) -> Float[Array, "R m"]:
-    """Put the command of tick k on the line."""
+    """Store the command of tick k in the ring."""
     return lax.dynamic_update_index_in_dim(commands, command, k % commands.shape[0], 0)

@@ -1,18 +1,18 @@
-"""An observer that keeps, beside its memory, how far what arrived was from what it expected.
+"""Consistency statistics of an observer: normalized innovations over a run, and the normalized error at the last tick.
 
-What it does is unchanged: `sum_innovations` puts its memory into one that has two sums more, and every jump adds to them first.
+`sum_innovations` wraps an observer. The wrapper adds two sums to its memory and updates them before each jump. The estimates
+do not change.
 
-Does an observer know how wrong it is? Its error at the last tick against the covariance P that it believes it to have.
+    whole        e' P^-1 e / n at the last tick, P the observer's own error covariance, n the states of the plant
+    signal       e_i^2 / P_ii
+    innovation   sum of nu' S^-1 nu over all samples that the observer tests, and the sum of their dimensions
 
-    whole: e' P^-1 e / n,   by signal: e_i^2 / P_ii,   of the n states of the plant
-    of innovations: the sum of nu' S^-1 nu over all samples that it judges, over how many numbers these were
-    (`innovation_stats`)
+If P is correct and errors are Gaussian, n e' P^-1 e / n is chi-square with n degrees of freedom, and each signal with one. The
+innovation sum is chi-square with as many degrees of freedom as there were numbers.
 
-Where P is true and errors are Gaussian, n times the first is chi-square with n degrees of freedom, the second with one, and the
-sum with as many as there were numbers. A state whose standard deviation is believed to be below 1e-9 of its prior's is known
-for every purpose, and counts in neither of the first two. If P is singular, as when all states depend on one unknown number,
-the first takes the pseudo-inverse of P and divides by the rank: the number of eigenvalues of the correlation matrix above 1e-11
-of the largest one, which rounding does not reach.
+A state counts as known if its standard deviation in P is below 1e-9 of the prior's; it enters neither of the first two.
+If P is singular, `whole` uses the pseudo-inverse of P divided by the rank. The rank is the number of eigenvalues of the
+correlation matrix above 1e-11 of the largest, a limit that rounding does not reach.
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
 """
 
@@ -27,20 +27,20 @@ from pcbench.simulation.types import GridPointParams, Layout, present
 
 
 class StatsMemory(NamedTuple):
-    """An observer's memory, and the sums over all that has arrived."""
+    """An observer's memory with the sums over all arrivals."""
 
     memory: Memory
     so_far: InnovationStats
 
 
 def add_innovation_stats(layout: Layout) -> Layout:
-    """Return the layout with every observer judged that says what it expects of a sample."""
+    """Return the layout with innovation sums for every observer that defines `innovation`."""
     every = ((label, sum_innovations(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
     return layout._replace(observers=tuple(every))
 
 
 def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
-    """Return an observer that does the same and sums what its innovations amount to."""
+    """Return an observer with the same estimates that also sums its normalized innovations."""
 
     def init(gains: Gains, xhat0: Array) -> StatsMemory:
         return StatsMemory(o.init(gains, xhat0), InnovationStats(jnp.zeros(()), jnp.zeros(())))
@@ -80,27 +80,27 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
 
 
 def sums(memory: Memory) -> InnovationStats | None:
-    """Return the sums of an observer that was judged."""
+    """Return the innovation sums from a memory, or None if the observer has none."""
     return memory.so_far if isinstance(memory, StatsMemory) else None
 
 
-KNOWN = 1e-9  # part of the prior's standard deviation
-RANK = 1e-11  # part of a correlation matrix's largest eigenvalue
+KNOWN = 1e-9  # relative to the prior's standard deviation
+RANK = 1e-11  # relative to the largest eigenvalue of the correlation matrix
 
 
 class Squares(NamedTuple):
-    """Normalised squares of one run's error."""
+    """Normalized squared errors of one run."""
 
-    whole: Array  # over the rank of P among the states that count
-    signal: Array  # [n], NaN of a state that does not count
-    states: Array  # that rank
-    innovation: InnovationStats | None = None  # sums over the run, of an observer that says what it expects of samples
+    whole: Array  # e' P^-1 e over the states that count, divided by the rank of P
+    signal: Array  # [n], NaN for a state that does not count
+    states: Array  # the rank of P
+    innovation: InnovationStats | None = None  # sums over the run, if the observer defines `innovation`
 
 
 def covariances(
     layout: Layout, p: GridPointParams, k: Array, memories: PyTree, commands: PyTree = ()
 ) -> dict[str, Array]:
-    """Return what each observer of one lane believes of its error at tick k, of those that have a covariance."""
+    """Return the error covariance that each observer of one run reports at tick k, by label."""
     now = present(p, k, False, commands)
     return {label: f(p.gains[label], memories[label], now) for label, f in _able(layout).items()}
 
@@ -110,7 +110,7 @@ def _able(layout: Layout) -> dict[str, Covariance]:
 
 
 def normalize_error(e: Array, P: Array, prior: Array) -> Squares:
-    """Return the squares of e [n] by P [n, n] or larger; prior [n] standard deviations."""
+    """Return the normalized squares of the error e [n] by P [n, n] or larger; prior [n] standard deviations."""
     n = e.shape[0]
     P = P[:n, :n]
     variance = jnp.diagonal(P)

@@ -1,4 +1,4 @@
-"""Does a control law keep the protocol? Asked of its shapes alone, before anything is compiled or simulated."""
+"""Check the shapes that a controller's functions return, before anything is compiled or simulated."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from pcbench.protocols import Controller, Now, Params
 
 
 class Sizes(NamedTuple):
-    """n states, s unknowns that an estimate may have beside them, m inputs."""
+    """n states, s unknown inputs after the states, m inputs."""
 
     n: int
     s: int
@@ -19,10 +19,13 @@ class Sizes(NamedTuple):
 
 
 def check(label: str, law: Controller, params: Params, sizes: Sizes) -> None:
-    """Raise UserError, naming the law, the function, what was found and what was expected, where a shape is wrong.
+    """Raise UserError with controller, function, returned and expected shape if a shape is wrong.
 
-    `target` must return a vector of at most n, `before` and `command` [m], and a `command` that keeps something what `start`
-    returns: its structure, shapes and types. An estimate may have the plant's unknowns after the states.
+    - `target`: a vector of at most n
+    - `before`, `command`: [m]
+    - the memory of `command`: the structure, shapes and types that `start` returns
+
+    An estimate may contain the plant's unknown inputs after the states.
     """
     for length in sorted({sizes.n, sizes.n + sizes.s}):
         _check(label, law, params, sizes, length)
@@ -78,7 +81,7 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
 
 
 def _form(tree: PyTree) -> str:
-    """The structure of a tree with its shapes and types."""
+    """Return the structure of a tree with its shapes and types, as text."""
     if hasattr(tree, "shape"):
         return f"shape {tuple(tree.shape)} of {tree.dtype}"
     return str(jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree))

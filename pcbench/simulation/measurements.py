@@ -1,34 +1,36 @@
-"""The values of measurements and their noise, not when they arrive, which is decided in `simulation.schedule`.
+"""The values of measurements and their noise. Their times are in `simulation.schedule`.
 
-A run has the plant's states, the clean output of each channel at each tick, and its noise by sample. In an open loop no
-observer has a part in it: runs are simulated without any, and a sample is
+In an open loop, observers do not affect the plant, so runs are simulated without them. Sample i of channel j, taken at tick k:
 
-    y_j of sample i, taken at tick k  =  output(x_k)_j + noise_std_j v_j(i)
+    y_j  =  output(x_k)_j + noise_std_j v_j(i)
 
-A sample from before tick 0 has measured x(0). Where the noise of channels is correlated, v_j(i) = sum_l N_jl v_l(i) with
-N N' the correlation, before what follows.
+A sample from before tick 0 measures x(0). If channels are correlated, v_j(i) = sum_l N_jl v_l(i) with N N' the correlation
+matrix, before the steps below.
 
-The noise of samples before scaling, by channel and sample: normal, or Student's t of the same variance; and outliers.
+Noise and outliers
+    Noise before scaling is normal or Student's t of the same variance. Outliers follow a contaminated normal (Tukey 1960):
 
-    v = w with probability 1 - p, scale w with probability p,   w ~ N(0, 1)
+        v = w with probability 1 - p, scale w with probability p,   w ~ N(0, 1)
 
-(the contaminated normal: Tukey 1960). With n degrees of freedom w is replaced by
+    With n degrees of freedom w is replaced by
 
-    t sqrt((n - 2) / n),   t = w sqrt(n (e^(r/n) - 1) / r),   r = w^2 + z^2,   z ~ N(0, 1)
+        t sqrt((n - 2) / n),   t = w sqrt(n (e^(r/n) - 1) / r),   r = w^2 + z^2,   z ~ N(0, 1)
 
-which is Student's t exactly (Bailey, Math. Comp. 62 (1994), 779: in polar form its radius alone differs from the normal's), has
-the sign of w, and goes to w as n grows. w has the address of the sample's noise whether there are outliers or not, and which
-samples are outliers is drawn beside it: with and without them a study stands on the same draws.
+    t has exactly Student's distribution, the sign of w, and the limit w for large n. In polar form only its radius differs
+    from the normal's (Bailey, Math. Comp. 62 (1994), 779). The draw w does not depend on outliers, and the outlier indicator
+    is a separate draw. So results with and without outliers use the same random numbers.
 
-What comes out is rounded to whole steps D, where a channel has them, with subtractive dither d or with none:
+Quantization
+    A channel with a quantization step D is rounded, with subtractive dither d or without (d = 0):
 
-    D floor((y + d) / D + 1/2) - d,   d ~ U(-D/2, D/2)
+        D floor((y + d) / D + 1/2) - d,   d ~ U(-D/2, D/2)
 
-whose error is then uniform over one step, of variance D^2/12, whatever y is (Schuchman, IEEE Trans. Commun. Tech. 12
-(1964), 162).
+    With dither the error is uniform over one step for every y, of variance D^2/12 (Schuchman, IEEE Trans. Commun. Tech. 12
+    (1964), 162).
 
-A sensor may send only some of its samples (`send`): those that differ enough from the last that it sent, or of several outputs
-the one that differs most.
+Triggering
+    A sensor may send only some of its samples (`send`): those that differ enough from the last one sent, or of several
+    channels the one that differs most.
 """
 
 from collections.abc import Callable
@@ -42,50 +44,50 @@ from pcbench.protocols import Leaf
 from pcbench.simulation import rng
 from pcbench.simulation.types import GridPointParams
 
-# (channels j, index[j] of the sample of each) -> v [len(channels), L]; where samples are rounded as many uniform numbers after
+# (channels j, index[j]: sample of each channel) -> v [len(channels), L]; with quantization, as many uniform numbers follow
 Noise = Callable[[list[int], Any], Array]
 
 
 class Outliers(NamedTuple):
-    """Which samples are."""
+    """Parameters of outliers."""
 
-    probability: Leaf  # one, or [q] where channels differ
-    scale: Leaf  # of their noise; likewise
+    probability: Leaf  # one, or [q] if channels differ
+    scale: Leaf  # factor on their noise; one or [q]
 
 
 class Rounding(NamedTuple):
-    """How samples are rounded; q channels."""
+    """Quantization of samples; q channels."""
 
-    step: Leaf  # [q] D; 0: not at all
+    step: Leaf  # [q] D; 0: none
     dither: Leaf  # 1: with subtractive dither; 0: without
 
 
 class Trigger(NamedTuple):
-    """Which samples are sent; q channels."""
+    """Event-triggered sampling; q channels."""
 
-    threshold: Leaf  # [q] least change since the last sample sent; 0: any
-    largest: Leaf  # 1: of the channels of one time only the one with the largest change (try-once-discard); 0: all
+    threshold: Leaf  # [q] least change since the last sample sent; 0: none
+    largest: Leaf  # 1: of the channels of one tick send only the one with the largest change (try-once-discard); 0: all
 
 
 class Sensors(NamedTuple):
-    """What the sensors of one run keep."""
+    """State of the sensors in one run."""
 
     held: Array  # [q] the last value sent; NaN: none yet
-    taken: Array  # how many samples of channels were taken, and
-    sent: Array  # how many of them were sent
-    last: Array  # the last tick at which one arrived; 0: none yet
+    taken: Array  # number of samples taken, over all channels
+    sent: Array  # number of samples sent
+    last: Array  # the last tick with an arrival; 0: none yet
 
 
 def first_sensors(q: int) -> Sensors:
-    """Return the sensors before the first sample."""
+    """Return the sensor state before the first sample."""
     return Sensors(jnp.full(q, jnp.nan), jnp.zeros(()), jnp.zeros(()), jnp.asarray(0))
 
 
 def send(t: Trigger, sensors: Sensors, y: Array, taken: Array) -> tuple[Sensors, Array]:
-    """Return the sensors after samples y [q] of the channels `taken` [q], and y with NaN where it is not sent.
+    """Return the sensor state after samples y [q] of the channels `taken` [q], and y with NaN where it is not sent.
 
-    A channel that has sent nothing yet counts as changed without limit; of equal changes the first channel is sent. A change
-    that is the threshold but for rounding is sent.
+    A channel that has sent nothing yet has an infinite change. If changes are equal, the first channel is sent. A change equal
+    to the threshold within rounding is sent.
     """
     change = jnp.where(jnp.isnan(sensors.held), jnp.inf, jnp.abs(y - sensors.held))
     sent = taken & (change >= t.threshold * (1 - 1e-9))
@@ -96,16 +98,16 @@ def send(t: Trigger, sensors: Sensors, y: Array, taken: Array) -> tuple[Sensors,
 
 
 def quantize(r: Rounding, y: Array, uniform: Array) -> Array:
-    """Return samples [q] as they come out; `uniform` [q] in [0, 1) is what dither is drawn by, [0]: there is none."""
+    """Return quantized samples [q]; `uniform` [q] in [0, 1) draws the dither, [0]: no dither."""
     d = r.dither * r.step * (uniform - 0.5) if uniform.shape[0] else 0.0
     step = jnp.where(r.step > 0, r.step, 1.0)
     return jnp.where(r.step > 0, step * jnp.floor((y + d) / step + 0.5) - d, y)
 
 
 def students(w: Array, z: Array, n: Array) -> Array:
-    """Return what has Student's distribution with n degrees of freedom, scaled to variance 1, of two normal numbers.
+    """Return a number with Student's distribution of n degrees of freedom, scaled to variance 1, from two normal numbers.
 
-    It is w where n is infinite.
+    If n is infinite, it is w.
     """
     r, finite = w * w + z * z, jnp.isfinite(n)
     m = jnp.where(finite, n, 3.0)
@@ -113,15 +115,15 @@ def students(w: Array, z: Array, n: Array) -> Array:
 
 
 def _of_channels(a: PyTree, channels: list[int], ndim: int) -> PyTree:
-    """What some channels have, to go with noise whose first axis they are; as it is where it is one for all."""
+    """Return the values of some channels with shape for noise whose first axis is the channel; a common value is unchanged."""
     return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
 
 
 def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
-    """Return what draws the noise of samples of some channels.
+    """Return a function that draws the noise of samples of some channels.
 
-    With `apart` a compiler cannot fuse the noise with what uses it: a run then has the same bits with and without outliers of
-    probability 0.
+    With `apart`, the compiler cannot fuse the noise with the code that uses it. A run then has the same bits with and without
+    outliers of probability 0.
     """
     many = p.noise_std.shape[0]
     keys = rng.run_keys(root_seed, seeds, "measurement", many)

@@ -1,10 +1,11 @@
-"""Error metrics as streams: what is kept of e = x - xhat from tick to tick, and what is read from it at the end.
+"""Error metrics as running sums over e = x - xhat, and the metrics computed from them at the end.
 
-Errors are read after the jump of each tick, on ticks 0 .. N-1. Sums run over a *window* (the whole horizon is the sum
-of its windows; the last is the tail).
+Errors are taken after the jump of each tick, at ticks 0 .. N-1. Sums cover a *window*. The windows together cover the whole
+duration; the last windows are the tail.
 
-A new metric also touches `statistics.metric_matrix` (RUN_METRICS), `dataset.columns` (MEANING), `moments.stats_rows` (ORDER); a
-new sum also `external.score` and `simulation.reverse_mode`, which compute the sums on their own. CONTRIBUTING.md has the list.
+A new metric also changes `statistics.metric_matrix` (RUN_METRICS), `dataset.columns` (MEANING) and `moments.stats_rows`
+(ORDER). A new sum also changes `external.score` and `simulation.reverse_mode`, which compute the sums themselves.
+CONTRIBUTING.md has the list.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from pcbench.protocols import Leaf
 
 
 class ErrorSums(NamedTuple):
-    """What is kept of one run in one window; n states."""
+    """Error sums of one run in one window; n states."""
 
     absolute: Array  # [n] sum of |e|
     square: Array  # [n] sum of e^2
@@ -28,44 +29,46 @@ class ErrorSums(NamedTuple):
 
 
 class IntervalSums(NamedTuple):
-    """What is kept of the intervals of an observer that has bounds: at one tick, or summed over ticks; n signals."""
+    """Interval width and coverage of an observer with bounds, at one tick or summed over ticks; n signals."""
 
     width: Array  # [n] high - low
     inside: Array  # [n] 1 where low <= z <= high
 
 
 class SettlingState(NamedTuple):
-    """What is kept of one run over the whole horizon; n signals."""
+    """Settling and divergence state of one run over the whole duration; n signals."""
 
-    unsettled: Array  # [n] the tick after the last one at which |e| left its band
-    recovery: Array  # [n] ticks from a jump of the unknown input until |e| is in its band to stay, until the next; the largest
-    first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
-    interval: PyTree = ()  # IntervalSums of an observer that has bounds
+    unsettled: Array  # [n] the tick after the last one with |e| outside its band
+    recovery: (
+        Array  # [n] ticks from a jump of the unknown input to the last exit from the band before the next; the longest
+    )
+    first_bad: Array  # first tick with an error that was not finite or above the divergence threshold, or -1
+    interval: PyTree = ()  # IntervalSums of an observer with bounds
 
 
 class Weights(NamedTuple):
-    """Of the cost (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref), where there is one."""
+    """Weights of the cost (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref)."""
 
-    Q1: Leaf  # [n, n]; empty: there is no cost, the input alone is summed
+    Q1: Leaf  # [n, n]; empty: no cost, only u'u is summed
     Q2: Leaf  # [m, m]
-    x_ref: Leaf  # [T, n] by tick; [0, n]: no set point, so it is 0
-    u_ref: Leaf  # [T, m] the steady input of the set point, likewise
+    x_ref: Leaf  # [T, n] by tick; [0, n]: the set point is 0
+    u_ref: Leaf  # [T, m] steady input of the set point; [0, m]: 0
 
 
 class ControlCost(NamedTuple):
-    """What is kept of one run's input and cost in one window."""
+    """Input energy and cost of one run in one window."""
 
     cost: Array  # sum
     square: Array  # sum of u'u
 
 
 def start_effort() -> ControlCost:
-    """Return the effort of an empty window."""
+    """Return the control cost of an empty window."""
     return ControlCost(jnp.zeros(()), jnp.zeros(()))
 
 
 def spend(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -> ControlCost:
-    """Take the state x[n] and the input u[m] of tick k into the window."""
+    """Add the state x[n] and the input u[m] of tick k to the window."""
     cost, square = jnp.zeros(()), u @ u
     if np.size(weights.x_ref):
         x, u = x - jnp.asarray(weights.x_ref)[k], u - jnp.asarray(weights.u_ref)[k]
@@ -75,18 +78,18 @@ def spend(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -
 
 
 def start(n: int) -> ErrorSums:
-    """Return the stream of an empty window."""
+    """Return the error sums of an empty window."""
     return ErrorSums(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
 
 
 def start_watch(n: int, bounded: int = 0) -> SettlingState:
-    """Return the watch before the first tick, of an observer that bounds so many signals."""
+    """Return the settling state before the first tick, for an observer that bounds `bounded` signals."""
     interval = IntervalSums(jnp.zeros(bounded), jnp.zeros(bounded)) if bounded else ()
     return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0), interval)
 
 
 def update(stream: ErrorSums, e: Array) -> ErrorSums:
-    """Take the error e[n] of one tick into the window."""
+    """Add the error e[n] of one tick to the window."""
     size = jnp.abs(e)
     return ErrorSums(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
 
@@ -94,9 +97,9 @@ def update(stream: ErrorSums, e: Array) -> ErrorSums:
 def look(
     watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array, jumps: Array, interval: PyTree = ()
 ) -> SettlingState:
-    """Note when e[n] leaves its settling band, also after one of the `jumps` [J, ticks], and when it first leaves its bound.
+    """Update the settling state with the error e[n] of one tick, also since the last of the `jumps` [J, ticks].
 
-    `band` and `bound` are [n] or longer; a NaN leaves the bound. `interval` is that of the tick, where there are bounds.
+    `band` and `bound` are [n] or longer; a NaN exceeds the bound. `interval` has the sums of this tick, if there are bounds.
     """
     n = e.shape[0]
     size, now = jnp.abs(e), tick.astype(float)
@@ -125,19 +128,18 @@ def read(
     squares: PyTree = None,
     sent: NDArray | None = None,
 ) -> dict[str, NDArray]:
-    """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
+    """Return every metric by name, [n, L]. In `streams` [W, n, L] window 0 is before the tail, the others are the tail.
 
-    `final_error` is e of tick N-1.
-
-    `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
-    Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
-    Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
-    `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
-    `squares` [n, L] and [L] (`innovation_stats.Squares`) are those of an observer that says how wrong it is.
-    `interval_width` is the mean of high - low over ticks, `interval_coverage` the share of ticks with low <= z <= high.
-    `sent` [L] is the share of the samples that were sent, where sensors decide.
-    A diverged run has NaN for every metric; `diverged` [L] and `divergence_time` [L, s] (NaN where none) tell it apart.
-    `unsettled` [n, L]: not diverged, and outside the band in the tail.
+    - `final_error`: e of tick N-1.
+    - `settling_time` [s]: time of the last exit from the band; the duration if a run is outside the band at the end.
+    - `recovery_time` [s], if there are `jumps`: longest time from a jump to the last exit before the next jump.
+    - `tracking` [W, r, L], closed loop: gives the rms of set point minus state, for the first r states, [r, L].
+    - `effort` [W, L], closed loop: gives the rms input and, with `costs`, the mean cost, [1, L].
+    - `squares` [n, L] and [L]: `innovation_stats.Squares` of an observer with a covariance.
+    - `interval_width`: mean of high - low over ticks; `interval_coverage`: share of ticks with low <= z <= high.
+    - `sent` [L]: share of the samples that were sent, if sensors decide.
+    - `diverged` [L] and `divergence_time` [L, s] (NaN: none). A diverged run has NaN for every metric.
+    - `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
     whole = ErrorSums(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
     late = ErrorSums(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
@@ -163,7 +165,7 @@ def read(
         out["signal_nees"] = np.asarray(squares.signal)
         if (found := squares.innovation) is not None:
             square, degrees = np.atleast_2d(found.nis_sum), np.atleast_2d(found.dof)
-            with np.errstate(invalid="ignore"):  # of a run in which no sample was judged nothing is known
+            with np.errstate(invalid="ignore"):  # 0 / 0 in a run without a tested sample
                 out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_dof": degrees}
     if watch.interval:
         out["interval_width"] = np.asarray(watch.interval.width) / ticks

@@ -1,7 +1,7 @@
-"""Runs whose metrics can be differentiated backwards: the ticks of `simulate_runs`, in chunks.
+"""Metrics with a reverse-mode gradient: the ticks of `simulate_runs`, in chunks.
 
-A scan over chunks keeps the state at their edges only: going back, a chunk is computed again. So the memory of a gradient grows
-with the square root of the horizon, not with it.
+A scan over chunks stores the state at chunk edges only. The backward pass recomputes each chunk. So the memory of a gradient
+grows with the square root of the number of ticks.
 """
 
 from math import isqrt
@@ -17,16 +17,16 @@ from pcbench.simulation.metrics import ErrorSums
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, params_of
 
-SMOOTH = ("mae", "mse", "rmse", "max_abs_error")  # and each of them over the tail: what a gradient can be asked of
+SMOOTH = ("mae", "mse", "rmse", "max_abs_error")  # and each over the tail: the differentiable metrics
 
 
 def metrics(
     layout: Layout, p: GridPointParams, ticks: int, tail: int, root_seed: Array, seeds: Array
 ) -> dict[str, PyTree]:
-    """Return by observer label the smooth metrics of one run for each of seeds[L], [n, L], that the tables have.
+    """Return the smooth metrics of one run for each of seeds[L], by observer label, [n, L], as in the tables.
 
-    `ticks` is the horizon N, `tail` the tick at which the tail starts. All runs share one schedule. Where a run leaves all
-    bounds, its metrics are not finite.
+    `ticks` is the number of ticks N, `tail` the first tick of the tail. All runs share one schedule. The metrics of a run that
+    exceeds every bound are not finite.
     """
     layout, size = layout._replace(watch=False), isqrt(ticks) + 1
     p = p._replace(windows=np.array([[0, tail], [tail, ticks]]))
@@ -54,13 +54,13 @@ def metrics(
 
 
 def _over(stream: ErrorSums, window: int) -> ErrorSums:
-    """The sums over the windows from one on: the first ends where the tail starts."""
+    """Return the sums over the windows from `window` on; the first window ends where the tail starts."""
     return ErrorSums(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
 
 
 def _read(stream: ErrorSums, count: int, prefix: str) -> dict[str, Array]:
     mse = stream.square / count
-    still = mse > 0  # the root of 0 has no slope; an error that is 0 throughout has slope 0
+    still = mse > 0  # sqrt has no slope at 0; an error that is always 0 gets slope 0
     rmse = jnp.where(still, jnp.sqrt(jnp.where(still, mse, 1.0)), 0.0)
     values = {"mae": stream.absolute / count, "mse": mse, "rmse": rmse, "max_abs_error": stream.peak}
     return {prefix + name: value for name, value in values.items()}

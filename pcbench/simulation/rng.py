@@ -1,8 +1,8 @@
-"""Random numbers addressed by run: (root seed, seed index, stream, channel, sample index), and by nothing else.
+"""Random numbers addressed by (root seed, seed index, stream, channel, sample index) and nothing else.
 
-A draw never depends on the observer, the order of cells, the size of a block, the device or the worker: all observers
-see the same noise, and a run has the same numbers alone or among thousands. Threefry-2x32 in counter form (`threefry`),
-float64; no setting of jax or of the environment changes a draw.
+A draw does not depend on observer, order of grid points, block size, device or worker. All observers see the same noise, and a
+run has the same numbers alone or among thousands. The generator is Threefry-2x32 in counter form (`threefry`), float64. No
+setting of jax or of the environment changes a draw.
 """
 
 import jax
@@ -28,28 +28,28 @@ def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Ar
 
 
 def normals(keys: list[Array], index: PyTree) -> Array:
-    """Draw N(0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
+    """Draw N(0, 1) for sample index[j] of each channel j, one index for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
-    return draw(jnp.stack(keys), each)  # in one piece: the hash is compiled once, not once for each channel
+    return draw(jnp.stack(keys), each)  # stacked: the hash is compiled once instead of once per channel
 
 
 def uniforms_of(keys: list[Array], index: PyTree) -> Array:
-    """Draw a uniform number in [0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
+    """Draw a uniform number in [0, 1) for sample index[j] of each channel j, one index for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.uniform(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
     return draw(jnp.stack(keys), each)
 
 
 def words(root_seed: Array, seeds: Array) -> Array:
-    """Return two words of each run [2, L], for an observer that draws numbers itself; all of a run have the same."""
+    """Return two words of each run [2, L], for an observer that draws random numbers; all observers of a run get the same."""
     return jax.random.key_data(run_keys(root_seed, seeds, "observer", 1)[0]).T
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:
-    """Return the standard normal noise of one run, [channels, samples]: what every observer sees, before scaling.
+    """Return the standard normal noise of one run before scaling, [channels, samples], the same for every observer.
 
-    For users and tests; simulations draw the same numbers sample by sample (`measurements.noise_sampler`).
+    For users and tests. Simulations draw the same numbers sample by sample (`measurements.noise_sampler`).
     """
     keys = run_keys(jnp.asarray(root_seed), jnp.asarray([seed]), "measurement", channels)
     each = [

@@ -1,4 +1,4 @@
-"""Does an observer keep the protocol? Asked of its shapes alone, before anything is compiled or simulated."""
+"""Check the shapes that an observer's functions return, before anything is compiled or simulated."""
 
 from typing import Any
 
@@ -12,10 +12,11 @@ from pcbench.simulation.types import GridPointParams, present
 
 
 def check(label: str, observer: Observer, p: GridPointParams, continuous: bool = False) -> None:
-    """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
+    """Raise UserError with observer, function, returned and expected shape if a shape is wrong.
 
-    `estimate` must return [n], or [n + s] with the plant's unknowns, `snapshot` a vector, and `jump` and `flow` the memory's
-    own structure, shapes and types; and so must `field`, where measurements are `continuous`.
+    - `estimate`: [n], or [n + s] with the plant's unknown inputs
+    - `snapshot`: a vector
+    - `jump`, `flow`, and `field` if measurements are `continuous`: the structure, shapes and types of the memory
     """
     n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
     signals = len(p.band)

@@ -1,17 +1,17 @@
-"""The definition of a run: pure functions of one run, `lax.scan` over its ticks, and `jax.vmap` over many runs.
+"""The reference definition of a run: pure functions of one run, `lax.scan` over ticks, and `jax.vmap` over runs.
 
-A tick k = 0 .. N-1 goes in this order (design of a sampled loop with delayed measurements):
+Each tick k = 0 .. N-1 has this order:
 
-    1. sense      what is due is measured, y = output(x_k) + noise, and observers note what they will need of this tick
-    2. deliver    packets that arrive are used by the observers, the oldest first
-    3. estimate   errors e_k = z_k - xhat_k are taken into the sums of the window that k is in; z is x and its unknowns
-    4. control    in a closed loop the command of tick k is made of the estimate
+    1. sense      channels that are due are measured, y = output(x_k) + noise, and observers take a snapshot
+    2. deliver    observers use the packets that arrive, the oldest first
+    3. estimate   errors e_k = z_k - xhat_k are added to the sums of the window of k; z is x with the unknown inputs
+    4. control    in a closed loop the command of tick k is computed from the estimate
     5. flow       plant and observers move to tick k + 1 under the same input
 
-At the last tick there is no flow. Whatever else simulates in pcbench (`pcbench.engine`) is faster, and equal to this by test
-(`tests/simulation/test_definition.py`): to 1e-11 of the largest error.
+The last tick has no flow. The faster `pcbench.engine` agrees with this definition to 1e-11 of the largest error
+(`tests/simulation/test_definition.py`).
 
-n states, q outputs, W windows, E packets that are on the network at a time (`layout.ring`).
+n states, q outputs, W windows, E packets on the network at one time (`layout.ring`).
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ Tree = Any  # of arrays
 
 
 class Run(NamedTuple):
-    """What one run carries from tick to tick."""
+    """The state of one run between ticks."""
 
     x: Array  # [n]
     memories: Tree  # by observer
@@ -41,37 +41,39 @@ class Run(NamedTuple):
     streams: Tree  # by observer, `metrics.ErrorSums` [W, ...]
     watches: Tree  # by observer, `metrics.SettlingState`
     commands: Tree = ()  # of a closed loop
-    law: Tree = ()  # what its controller keeps
+    law: Tree = ()  # the controller's memory
     tracking: Tree = ()  # `metrics.ErrorSums` [W, ...]
     effort: Tree = ()  # `metrics.ControlCost` [W]
-    sensors: Tree = ()  # `measurements.Sensors`, where not every sample is sent
+    sensors: Tree = ()  # `measurements.Sensors`, if sensors decide which samples are sent
 
 
 class Shift(NamedTuple):
-    """What is added to packets, by their number, where it is asked what depends on them. P packets."""
+    """A change of packet values and snapshots by packet number, to find which results depend on them. P packets."""
 
     values: Array  # [P, q]
     notes: Array  # [P]
 
 
 class Draws(NamedTuple):
-    """The random numbers of one run; none of them depends on observers or on other runs."""
+    """The random numbers of one run, independent of observers and of other runs."""
 
-    start: Array  # [n] standard normal, of x(0)
-    box: Array  # [n] uniform, of xhat(0)
-    plant: PyTree  # [d] uniform, of the plant's own numbers
-    words: Array  # [2] for observers that draw numbers themselves
-    sample: Callable[[Array], Array]  # (sample number of each channel) -> [q] before scaling; then [q] for rounding
+    start: Array  # [n] standard normal, for x(0)
+    box: Array  # [n] uniform, for xhat(0)
+    plant: PyTree  # [d] uniform, for the plant's parameters
+    words: Array  # [2] for observers that draw random numbers
+    sample: Callable[
+        [Array], Array
+    ]  # (sample number of each channel) -> [q] noise before scaling; then [q] for quantization
     process: Callable[[Array], Array]  # (tick) -> [n] standard normal
-    command: Callable[[Array], PyTree]  # (tick) -> command_network.Drawn
+    command: Callable[[Array], PyTree]  # (tick) -> command_network.CommandDraws
 
 
 def simulate_runs(
     layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree = None
 ) -> RunSums:
-    """Return what the runs of seeds [L] leave, every array with L last.
+    """Return the sums of the runs of seeds [L], every array with L last.
 
-    `schedules` has a schedule for each run, every array with L first, if sampling is random; else all share `p.schedule`.
+    `schedules` has one schedule per run, every array with L first, if sampling is random. Else all share `p.schedule`.
     """
 
     def one(seed: Array, schedule: PyTree) -> RunSums:
@@ -81,14 +83,14 @@ def simulate_runs(
 
 
 def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> RunSums:
-    """Return what one run leaves."""
+    """Return the sums of one run."""
     layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     drawn = draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
     start = initial_run(layout, p, params, drawn)
     run, _ = lax.scan(lambda run, k: tick(layout, p, params, drawn, run, k), start, jnp.arange(last))
-    k = jnp.asarray(last, int)  # a bare number would take the type of what it meets
+    k = jnp.asarray(last, int)  # as an array: a Python number would take its type from the other operand
     run = estimate(layout, p, params, k, events(layout, p, params, drawn, k, run))
     if isinstance(p.weights, metrics.Weights):
         run = control(layout, p, k, run, drawn.command(k))
@@ -115,7 +117,7 @@ def tick(
     read: Callable[[Array, Run], Tree] = lambda k, run: None,
     shift: Shift | None = None,
 ) -> tuple[Run, Tree]:
-    """Return a run at tick k + 1, and what `read` finds at tick k once its command is given."""
+    """Return a run at tick k + 1, and the value of `read` at tick k after its command."""
     run = events(layout, p, params, drawn, k, run, shift)  # 1. sense, 2. deliver
     run = estimate(layout, p, params, k, run)  # 3. estimate
     return advance(layout, p, params, k, run, drawn.process(k), drawn.command(k), read)
@@ -131,9 +133,9 @@ def advance(
     command: PyTree,
     read: Callable[[Array, Run], Tree],
 ) -> tuple[Run, Tree]:
-    """Return a run at tick k + 1 from one at tick k after its events, and what `read` finds once the command is given.
+    """Return a run at tick k + 1 from one at tick k after its events, and the value of `read` after the command.
 
-    `w` [n] is the noise of the process, `command` what the network draws (`command_network.CommandDraws`).
+    `w` [n] is the process noise, `command` the random numbers of the network (`command_network.CommandDraws`).
     """
     run = control(layout, p, k, run, command)  # 4. control
     return flow(layout, p, params, k, run, w), read(k, run)  # 5. flow
@@ -142,7 +144,7 @@ def advance(
 def events(
     layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
-    """1. and 2., at a tick at which something is sampled or arrives."""
+    """Do steps 1 and 2 at a tick at which something is sampled or arrives."""
 
     def happen(run: Run) -> Run:
         return deliver(layout, p, k, sense(layout, p, params, drawn, k, run, shift))
@@ -151,7 +153,7 @@ def events(
 
 
 def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> Draws:
-    """Return the random numbers of one run, by their addresses (`rng`)."""
+    """Return the random numbers of one run by their addresses (`rng`)."""
     n, q, one = p.x0.shape[0], p.noise_std.shape[0], seed[None]
     normal = rng.normals(rng.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
     uniform = partial(rng.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
@@ -175,14 +177,14 @@ def initial_run(layout: Layout, p: GridPointParams, params: Params, drawn: Draws
     x = p.x0 + p.spread0 @ drawn.start if layout.random_initial_state else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
     run = run_from(layout, p, jnp.asarray(x), xhat0, drawn.words)
-    for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
+    for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they measure x(0)
         y = measure(layout, p, params, jnp.asarray(0, int), run.x, drawn.sample(p.schedule.early[number]))
         run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
     return run
 
 
 def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: Array) -> Run:
-    """Return a run before tick 0 from a state [n] and its estimate [n], with nothing sampled; `words` as in `Draws`."""
+    """Return a run before tick 0 from a state [n] and its estimate [n], without samples; `words` as in `Draws`."""
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     for label, o in layout.observers:
         if o.init_random:
@@ -211,7 +213,7 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
 
 
 def start_watches(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.SettlingState]:
-    """Return the watches before tick 0, of so many errors of each observer."""
+    """Return the settling states before tick 0, by observer with its number of errors."""
     if not layout.watch:
         return {}
     bounded = {label: sizes[label] - layout.plant.scored if o.bounds else 0 for label, o in layout.observers}
@@ -219,7 +221,10 @@ def start_watches(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.Se
 
 
 def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Array, v: Array) -> Array:
-    """Return what every channel measures at tick k, [q]; v is its noise, and what its rounding draws. A loop's y sees no u."""
+    """Return the measurement of every channel at tick k, [q], from its noise and quantization draws v.
+
+    In a closed loop y does not depend on u.
+    """
     y = layout.plant.output(params, present(p, k, True), x)
     if layout.continuous:
         return y
@@ -228,7 +233,7 @@ def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Arr
 
 
 def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
-    """Return what every observer notes at tick k, to use it when the sample of now arrives."""
+    """Return the snapshot of every observer at tick k, to be used when the sample of this tick arrives."""
     now = present(p, k, False, commands)
     return {label: o.snapshot(p.gains[label], memories[label], now) for label, o in layout.observers}
 
@@ -236,7 +241,7 @@ def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, com
 def sense(
     layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
-    """1. Take the sample of tick k, if there is one, note for it, and notify the observers that ask for it."""
+    """1. Take the sample of tick k, if there is one, with the snapshots; notify observers with `on_sample`."""
     plan = p.schedule
 
     def put(ring: Tree, number: Array, value: Tree) -> Tree:
@@ -261,7 +266,7 @@ def sense(
 
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) -> Tree:
-    """Return the memories after the observers that ask for it are notified which channels [q] take a sample and send it."""
+    """Return the memories after observers with `on_sample` are notified which channels [q] take and send a sample."""
     now = present(p, k, False, run.commands)
     return {
         label: o.on_sample(p.gains[label], run.memories[label], now, mask) if o.on_sample else run.memories[label]
@@ -282,7 +287,7 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
             came |= (number >= 0) & jnp.any(mask)
         arrival = partial(Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=since, silent=silent)
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
-        if p.trigger:  # nothing arrives where no channel has sent
+        if p.trigger:  # nothing arrives if no channel has sent
             hears = {label for label, o in layout.observers if o.uses_silence}
             memories = {
                 label: each if label in hears else select(jnp.any(mask), each, run.memories[label])
@@ -297,7 +302,7 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
 def jump(
     layout: Layout, p: GridPointParams, k: Array, run: Run, notes: Tree, arrival: Callable[[PyTree], Arrival]
 ) -> Tree:
-    """Return the memories after a packet that arrives at tick k: `arrival` makes it of what an observer noted."""
+    """Return the memories after a packet that arrives at tick k; `arrival` makes an Arrival from an observer's snapshot."""
     now = present(p, k, False, run.commands)
     return {
         label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label])) for label, o in layout.observers
@@ -305,7 +310,7 @@ def jump(
 
 
 def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
-    """Return e of every observer at tick k, of all that it estimates; then the plant's own errors, where it has some."""
+    """Return e of every observer at tick k for all that it estimates, followed by the plant's user-defined errors."""
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
     e = {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
@@ -316,7 +321,7 @@ def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Ru
 def intervals(
     layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run
 ) -> dict[str, metrics.IntervalSums]:
-    """Return the widths of the intervals of tick k, and whether z is in them, of observers that have bounds."""
+    """Return interval width and coverage of tick k, for observers with bounds."""
     able = [(label, o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds]
     z = truth(layout, params, present(p, k, True), run.x) if able else run.x
     inside = {label: (low <= z[: len(low)]) & (z[: len(low)] <= high) for label, (low, high) in able}
@@ -324,7 +329,7 @@ def intervals(
 
 
 def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
-    """Return the plant's own errors of every observer at tick k, [d]; empty where it has none."""
+    """Return the plant's user-defined errors for every observer at tick k, [d]; empty if it has none."""
     if layout.plant.errors is None:
         return {}
     now = present(p, k, False, run.commands)
@@ -333,7 +338,7 @@ def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run
 
 
 def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> Run:
-    """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
+    """3. Add the errors of tick k, and the tracking error of a closed loop, to the sums of its window."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
     found = intervals(layout, p, params, k, run) if run.watches else {}
@@ -349,7 +354,7 @@ def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: 
 
 
 def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
-    """4. Give the command of tick k in a closed loop, and add what it costs."""
+    """4. Compute the command of tick k in a closed loop, and add its cost."""
     if layout.controller is None:
         return run
     run = command(layout, p, k, run, drawn)
@@ -361,7 +366,7 @@ def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTre
 
 
 def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
-    """Return the run with the command of tick k, which its controller makes of the estimate of now."""
+    """Return the run with the command of tick k, which the controller computes from the present estimate."""
     controller: PyTree = layout.controller
     ((label, observer),) = layout.observers
     now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
@@ -383,7 +388,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTre
 
 
 def spend(layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metrics.ControlCost) -> metrics.ControlCost:
-    """Return the effort with what the input of tick k costs."""
+    """Return the control cost including the input of tick k."""
     u = closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u
     return metrics.spend(effort, p.weights, k, run.x, u)
 
@@ -419,7 +424,7 @@ def as_one_field(layout: Layout, p: GridPointParams, params: Params, now: Now, r
 def normalized_errors(
     layout: Layout, p: GridPointParams, k: Array, run: Run, e: dict[str, Array]
 ) -> dict[str, innovation_stats.Squares]:
-    """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
+    """Return the normalized errors of tick k, for observers that report a covariance."""
     prior, found = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {
         label: innovation_stats.normalize_error(e[label][: len(prior)], P, prior)._replace(
@@ -430,7 +435,7 @@ def normalized_errors(
 
 
 def freeze_diverged(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:
-    """Return `new`; if a closed loop has diverged, `old`: it is frozen."""
+    """Return `old` if a closed loop has diverged, else `new`."""
     return closed_loop.unless_diverged(run.watches, new, old) if layout.controller else new
 
 
@@ -440,6 +445,6 @@ def select(which: Array, new: Tree, old: Tree) -> Tree:
 
 
 def update_window(windows: Tree, window: Array, more: Callable[[Tree], Tree]) -> Tree:
-    """Return sums [W, ...] with those of one window updated by `more`."""
+    """Return sums [W, ...] with one window updated by `more`."""
     mine = more(jax.tree.map(lambda a: a[window], windows))
     return jax.tree.map(lambda a, new: a.at[window].set(new), windows, mine)

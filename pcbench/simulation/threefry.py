@@ -1,8 +1,7 @@
-"""The generator of jax.random that draws are made by: Threefry-2x32 with twenty rounds, in counter form.
+"""The random number generator: Threefry-2x32 with twenty rounds, in counter form, as in jax.random.
 
-It is put together here, so that draws are the same whatever jax's defaults are or become. A counter and a key of two words each
-become two words, modulo 2^32. jax.random has the same function; on a processor it goes through its rounds as a loop of small
-steps, which takes 20 times as long for a thousand lanes as all rounds at once.
+It is implemented here, so that draws do not depend on jax's defaults. A counter and a key of two words each give two words,
+modulo 2^32. On a CPU, jax.random runs its rounds as a loop of small steps. That takes 20 times as long for a thousand runs.
 
 Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011, with its constants.
 """
@@ -20,13 +19,13 @@ WORD = 32  # bits
 
 
 def key(seed: Array | int) -> Array:
-    """Return the generator's key for a whole number: no setting of jax, nor of its environment, is asked."""
+    """Return the generator's key for a whole number, independent of jax's settings and of the environment."""
     return jax.random.wrap_key_data(generators.threefry_prng_impl.seed(jnp.asarray(seed)), impl=_GENERATOR)
 
 
-@jax.jit  # a program of its own within others: its rounds are traced once for each shape
+@jax.jit  # jit inside other programs: its rounds are traced once per shape
 def threefry_2x32(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
-    """Return the two words of counters (high, low) of any one shape, uint32, under the words [2] of a key."""
+    """Return the two words of counters (high, low) of one shape, uint32, under the words [2] of a key."""
     keys = (words[0], words[1], words[0] ^ words[1] ^ jnp.uint32(PARITY))
     a, b = high + keys[0], low + keys[1]
     for block in range(5):
@@ -39,14 +38,14 @@ def threefry_2x32(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
 
 
 def _bits(words: Array, width: int, shape: tuple[int, ...]) -> Array:
-    """Random bits for each of a shape, from the two words at the counters (0, 0), (0, 1), ..."""
+    """Return random bits of a shape, from the two words at the counters (0, 0), (0, 1), ..."""
     low = jnp.arange(math.prod(shape), dtype=jnp.uint32).reshape(shape)
     high, low = threefry_2x32(words, jnp.zeros_like(low), low)
     return (high.astype(jnp.uint64) << 32) | low.astype(jnp.uint64) if width == 2 * WORD else high ^ low
 
 
 def _fold_in(words: Array, number: Array | int) -> Array:
-    """The key of a whole number under a key: the two words at the counter (0, number)."""
+    """Return the key of a whole number under a key: the two words at the counter (0, number)."""
     low = jnp.asarray(number).astype(jnp.uint32)
     return jnp.stack(threefry_2x32(words, jnp.zeros_like(low), low))
 

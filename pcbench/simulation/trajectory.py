@@ -1,4 +1,4 @@
-"""Runs with everything in sight: recorded at every tick 0 .. N, or at every so many. The ticks are `simulate_runs.tick`."""
+"""Record all signals of runs at every tick 0 .. N, or at every m-th tick. The ticks are `simulate_runs.tick`."""
 
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -17,32 +17,32 @@ from pcbench.simulation.types import GridPointParams, Layout, params_of, present
 class Recording(NamedTuple):
     """Every tick 0 .. N of one run."""
 
-    x: Array  # [N+1, n + s] the state, and what the plant has of unknowns
+    x: Array  # [N+1, n + s] the state and the plant's unknown inputs
     estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
     u: Array  # [N+1, m] the input held over the tick
-    arrived: Array  # [N+1, q] what arrived at this tick, the newest of each channel; NaN where nothing did
-    brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
+    arrived: Array  # [N+1, q] the newest arrival of each channel at this tick; NaN: none
+    brought: Array  # [N+1, S, q] the values of each packet that arrives; NaN: none
     target: Array  # [N+1, r] the set point of a closed loop
-    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if there is consistency
-    errors: dict[str, Array]  # [N+1, d] the plant's own errors; empty where it has none
-    bounds: dict[str, Array]  # [N+1, 2, n] ends of the intervals of observers that have them
+    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if consistency is on
+    errors: dict[str, Array]  # [N+1, d] the plant's user-defined errors; empty: none
+    bounds: dict[str, Array]  # [N+1, 2, n] interval ends of observers with bounds
 
 
 class Trajectories(NamedTuple):
-    """Every so many ticks of L runs on one schedule: K rows."""
+    """Every m-th tick of L runs on one schedule: K rows."""
 
     x: Array  # [K, n + s, L]
     estimates: dict[str, Array]  # [K, n or n + s, L]
-    held: Array  # [K, q, L] what has arrived and is held; NaN before
+    held: Array  # [K, q, L] the last arrival of each channel; NaN before the first
     target: Array  # [K, r] the set point of a closed loop
-    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if there is consistency
-    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
-    errors: dict[str, Array]  # [K, d, L] the plant's own errors; empty where it has none
-    bounds: dict[str, Array]  # [K, 2, n, L] ends of the intervals of observers that have them
+    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if consistency is on
+    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; if consistency is on
+    errors: dict[str, Array]  # [K, d, L] the plant's user-defined errors; empty: none
+    bounds: dict[str, Array]  # [K, 2, n, L] interval ends of observers with bounds
 
 
 def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
-    """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
+    """Record one run at every tick, tick N included; a `shift` changes its packets."""
     start, params, drawn = _init_run(layout, p, root_seed, seed)
 
     def read(k: Array, run: Run) -> Recording:
@@ -67,7 +67,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
 def record_some(
     layout: Layout, every: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array
 ) -> Trajectories:
-    """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
+    """Record ticks 0, every, 2 every ... of the runs seeds[L], `rows` of them; all runs share one schedule."""
     ticks = jnp.arange(every * (rows - 1) + 1)
 
     def one(seed: Array) -> Trajectories:
@@ -91,7 +91,7 @@ def record_some(
             run, held, table = carry
             run, row = simulate_runs.tick(layout, p, params, drawn, run, k, read)
             row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
-            place = jnp.where(k % every == 0, k // every, rows)  # the last row takes what is not kept
+            place = jnp.where(k % every == 0, k // every, rows)  # the last row takes the ticks that are not recorded
             put = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
             return (run, row.held, jax.tree.map(lambda a, v: put(a, v.astype(a.dtype)), table, row)), None
 
@@ -100,16 +100,16 @@ def record_some(
         end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
         return jax.tree.map(lambda a: a[:rows], end[2])
 
-    shared: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is that of all runs
+    shared: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is common to all runs
     return jax.vmap(one, out_axes=Trajectories(**shared))(seeds)
 
 
 def measure_runs(
     layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array, x: Array, ticks: Array, numbers: Array
 ) -> Array:
-    """Return what the runs seeds[L] measure, whose states are x[N+1, n, L]: [L, K, q], NaN where it is not sent.
+    """Return the measurements of the runs seeds[L] with states x[N+1, n, L]: [L, K, q], NaN where none is sent.
 
-    A row is a tick [L, K] and the numbers of its samples [L, K, q], -1: none; samples from before tick 0 have measured x(0).
+    Each row has a tick [L, K] and its sample numbers [L, K, q], -1: none. Samples from before tick 0 measure x(0).
     """
 
     def one(seed: Array, x: Array, ticks: Array, numbers: Array) -> Array:
@@ -136,14 +136,14 @@ def jit_measure_runs() -> Any:
 def _init_run(
     layout: Layout, p: GridPointParams, root_seed: Array, seed: Array
 ) -> tuple[Run, PyTree, simulate_runs.Draws]:
-    """A run before tick 0, the plant's numbers in it, and its draws."""
+    """Return a run before tick 0, its plant parameters and its random numbers."""
     drawn = simulate_runs.draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
 
 
 def sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, Array]:
-    """Return the standard deviations of their errors that observers report at tick k."""
+    """Return the standard deviations of the error that observers report at tick k."""
     if not layout.consistency:
         return {}
     found = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
@@ -151,20 +151,20 @@ def sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, A
 
 
 def _bounds(layout: Layout, p: GridPointParams, run: Run) -> dict[str, Array]:
-    """The ends of the intervals of observers that have them: [2, n]."""
+    """Return the interval ends of observers with bounds: [2, n]."""
     return {
         label: jnp.stack(o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds
     }
 
 
 def _brought(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Array:
-    """What each packet brings that arrives at tick k: [S, q], NaN where nothing."""
+    """Return the values of each packet that arrives at tick k: [S, q], NaN: none."""
     values = run.flight.values[p.schedule.arrive[k] % layout.ring]
     return jnp.where(p.schedule.mask[k], values, jnp.nan)
 
 
 def _newest(brought: Array) -> Array:
-    """What arrives at a tick, the newest of each channel: [q], NaN where nothing does."""
+    """Return the newest arrival of each channel at a tick: [q], NaN: none."""
     y = brought[0]
     for value in brought[1:]:
         y = jnp.where(jnp.isnan(value), y, value)

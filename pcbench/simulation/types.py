@@ -1,4 +1,4 @@
-"""What a run is made of: the layout that fixes its program, the numbers of its cell, its state, and the present of a tick."""
+"""Types of a run: the layout that fixes its program, the numbers of a grid point, its state, and the present of a tick."""
 
 from typing import Any, NamedTuple
 
@@ -10,119 +10,123 @@ from jaxtyping import PyTree
 from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Params, Plant
 from pcbench.simulation import command_network, metrics
 
-PerLane = (
-    Any  # a LaneArray where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
-)
+PerLane = Any  # a LaneArray if it differs between runs, else an Array; inside a function of one run, an Array
 Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
-Notes = dict[str, PerLane]  # by observer label: [r]
+Notes = dict[str, PerLane]  # snapshots by observer label: [r]
 
 
 class Layout(NamedTuple):
-    """What is compiled into the program, with the shapes and the structure of a `GridPointParams`, whose numbers are traced."""
+    """The static part of a program. Its numbers, and their shapes and structure, are in `GridPointParams`."""
 
     plant: Plant
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
-    width: int  # lanes
+    width: int  # runs per call
     ring: int  # packets the network can hold
     random_initial_state: bool  # x(0) = x0 + spread0 @ normal instead of x0
-    watch: bool = True  # settling time and divergence, besides the streams
-    continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
-    drifting: bool = False  # the plant's numbers are of each run's own
-    controller: Controller | None = None  # of a closed loop, which has one observer
-    commands: int = 0  # rows of the closed loop's ring of commands
+    watch: bool = True  # record settling time and divergence
+    continuous: bool = False  # plant and observers form one field, and y is measured at each of its stages
+    drifting: bool = False  # each run has its own plant parameters
+    controller: Controller | None = None  # closed loop only, with one observer
+    commands: int = 0  # rows in the ring of commands, closed loop only
     scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
-    pending: int = 0  # commands that a network on the way to the plant has room for; 0: there is an actuator line
-    defined: bool = False  # the program is `simulate_runs` itself, not the engine that is equal to it
-    consistency: bool = False  # errors are compared with the covariances that observers believe them to have
+    pending: int = 0  # room for commands on the network to the plant; 0: an actuator delay
+    defined: bool = False  # simulate by `simulate_runs` itself instead of the equivalent engine
+    consistency: bool = False  # compare errors with the covariances that observers report
 
 
 class GridPointParams(NamedTuple):
-    """The numbers of one cell, all traced: another cell of these shapes runs the same program.
+    """The numbers of one grid point, all traced: grid points of the same shapes share one program.
 
-    N ticks, n states, s unknowns beside them, m inputs, q outputs.
+    N ticks, n states, s unknown inputs, m inputs, q outputs.
     """
 
-    params: Params  # the plant's
+    params: Params  # of the plant
     gains: dict[str, Gains]  # by observer label
-    schedule: PyTree  # a Schedule, the same for every run; or ClockParams: then each run draws its own
-    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1); of a recording, InputWindow
+    schedule: PyTree  # a Schedule for all runs; or ClockParams, from which each run draws its own
+    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1); an InputWindow for a recording
     dt: Leaf  # [s]
-    x0: Leaf  # [n] the start, or its mean
+    x0: Leaf  # [n] the initial state, or its mean
     xhat0: Leaf  # [n]
-    spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
+    spread0: Leaf  # [n, n] a square root of the initial covariance, if the initial state is random
     noise_std: Leaf  # [q]
-    band: Leaf  # [n + s + d], d errors of a user's own: settling band of |e|
-    bound: Leaf  # [n + s + d] beyond it a run has diverged
+    band: Leaf  # [n + s + d] settling band of |e|, with d user-defined errors
+    bound: Leaf  # [n + s + d] divergence threshold of |e|
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
-    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
+    process_std: Leaf = np.zeros(
+        0
+    )  # [n] std of the noise added to each state at every tick, or an [n, n] root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
-    control: PyTree = ()  # the controller's numbers
+    control: PyTree = ()  # parameters of the controller
     line: command_network.Line = command_network.NONE
-    scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
-    network: PyTree = ()  # command_network.Numbers, where commands are sent over one
-    weights: PyTree = ()  # metrics.Weights of a closed loop whose input and cost are summed
-    outliers: PyTree = ()  # measurements.Outliers, where some samples are
-    rounding: PyTree = ()  # measurements.Rounding, where samples are rounded
-    tail: PyTree = ()  # degrees of freedom of the noise of samples, where that is Student's t
-    trigger: PyTree = ()  # measurements.Trigger, where not every sample is sent
-    noise_root: Leaf = np.zeros((0, 0))  # [q, q] lower root of its correlation between channels; [0, 0]: independent
+    scatter: Leaf = np.zeros(0)  # [n] of xhat(0), if it is random
+    network: PyTree = ()  # command_network.Numbers, if commands go over a network
+    weights: PyTree = ()  # metrics.Weights, if the input and cost of a closed loop are summed
+    outliers: PyTree = ()  # measurements.Outliers, if there are outliers
+    rounding: PyTree = ()  # measurements.Rounding, if samples are quantized
+    tail: PyTree = ()  # degrees of freedom of Student's t noise, if used
+    trigger: PyTree = ()  # measurements.Trigger, if sensors decide which samples are sent
+    noise_root: Leaf = np.zeros(
+        (0, 0)
+    )  # [q, q] lower root of the noise correlation between channels; [0, 0]: independent
 
 
 class InputWindow(NamedTuple):
-    """The inputs of some ticks in a row, in place of all: of a log, which may be longer than memory."""
+    """The inputs of some consecutive ticks, for a recording that may be larger than memory."""
 
     rows: Leaf  # [K, m]
-    first: Leaf  # the tick of the first of them
+    first: Leaf  # tick of the first row
 
 
 class Packet(NamedTuple):
-    """What travels together: one sampling instant."""
+    """The measurements of one sampling instant."""
 
-    values: PerLane  # [q] what was measured
+    values: PerLane  # [q] measured values
     notes: Notes
 
 
 class ArrivalInfo(NamedTuple):
-    """What an arrival has besides its values and notes; q outputs."""
+    """The data of an arrival in addition to its values and snapshots; q outputs."""
 
-    mask: PerLane  # [q]
-    age: PerLane  # [q] ticks, as assumed
-    number: PerLane  # [q]
+    mask: PerLane  # [q] the channels that arrive
+    age: PerLane  # [q] assumed age [ticks]
+    number: PerLane  # [q] sample number
     ticks_since_arrival: PerLane
 
 
 class State(NamedTuple):
-    """What a block of lanes carries from tick to tick."""
+    """The state of a block of runs between ticks."""
 
     x: PerLane  # [n]
-    drawn: PyTree  # numbers the run has drawn for its plant, [plant.drawn]; (): none
-    memories: PyTree  # Memories; between events on schedules of their own, packed
-    flight: PyTree  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
+    drawn: PyTree  # random numbers of the run's plant, [plant.drawn]; (): none
+    memories: PyTree  # Memories; packed between events if each run has its own schedule
+    flight: (
+        PyTree  # packets on the network, in rings; `engine.common_schedule` and `random_schedules` use different forms
+    )
     streams: dict[str, metrics.ErrorSums]
     watches: dict[str, metrics.SettlingState]
-    commands: PyTree = ()  # [R, m] of a closed loop; command_network.Commands where they are sent over a network
-    tracking: PyTree = ()  # metrics.ErrorSums of the set point less the state, in a closed loop
-    law: PyTree = ()  # what the controller keeps
+    commands: PyTree = ()  # [R, m] of a closed loop; command_network.Commands over a network
+    tracking: PyTree = ()  # metrics.ErrorSums of set point minus state, in a closed loop
+    law: PyTree = ()  # the controller's memory
     effort: PyTree = ()  # metrics.ControlCost of a closed loop
 
 
 class RunSums(NamedTuple):
-    """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
+    """Sums of a block of runs, by observer label; every array ends in runs [L]. n: signals that the observer estimates."""
 
     streams: dict[str, metrics.ErrorSums]  # [W, n, L]
     watches: dict[str, metrics.SettlingState]  # [n, L]
-    final: dict[str, Array]  # [n, L] the error at tick N-1
+    final: dict[str, Array]  # [n, L] error at tick N-1
     tracking: PyTree = ()  # ErrorSums [W, r, L] of a closed loop
     effort: PyTree = ()  # ControlCost [W, L] of a closed loop
-    consistency: PyTree = ()  # by observer label, innovation_stats.Squares of those that have a covariance
-    actual: PyTree = ()  # [n + s, L] what observers estimate, as it is at tick N-1
-    sent: PyTree = ()  # [L] share of the samples that were sent, where not every one is
+    consistency: PyTree = ()  # by observer label, innovation_stats.Squares of observers with a covariance
+    actual: PyTree = ()  # [n + s, L] true value of the estimated signals at tick N-1
+    sent: PyTree = ()  # [L] share of the samples that were sent, if sensors decide
 
 
 def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) -> Now:
-    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to snapshot and jump.
+    """Return the present at tick k. Plant and flow receive u_k (`decided`); snapshot and jump do not.
 
-    In a closed loop the inputs are those that the `commands` [R, m] become.
+    In a closed loop the inputs follow from the `commands` [R, m].
     """
 
     def past_u(age: Array) -> Array:
@@ -140,10 +144,10 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) 
 
 
 def params_of(layout: Layout, p: GridPointParams, drawn: PyTree) -> PyTree:
-    """Return the plant's numbers in the run that has `drawn` its own."""
+    """Return the plant's parameters in the run with the random numbers `drawn`."""
     return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
 
 
 def truth(layout: Layout, params: Params, now: Now, x: Array) -> Array:
-    """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
+    """Return the true values of all estimated signals: state and unknown inputs, [n + s]."""
     return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x

@@ -1,9 +1,8 @@
-"""The delayed sampler as integer data: which sample is taken and which arrives at every tick.
+"""A schedule of delayed samples as integer arrays: the samples taken and the packets that arrive at every tick.
 
-Everything is a whole number of ticks. One *packet* is one sampling instant: whatever channels are sampled at that tick
-travel under one number, each with a delay of its own, so a packet may arrive in parts. At a tick, arrivals are handed
-over one packet at a time, the oldest first; each has a slot. Where sampling is random, every run has a schedule of its own
-(`random_times`).
+All times are whole ticks. A *packet* is one sampling instant: all channels sampled at that tick share one packet number. Each
+channel has its own delay, so a packet may arrive in parts. The packets that arrive at one tick are used one at a time, the
+oldest first; each has a slot. If sampling is random, every run has its own schedule (`random_times`).
 """
 
 from collections.abc import Iterator
@@ -21,38 +20,38 @@ NEVER = 2**30  # the arrival of a lost sample
 
 
 class Schedule(NamedTuple):
-    """N + 1 ticks, q channels, S arrival slots a tick; -1 means nothing."""
+    """N + 1 ticks, q channels, S arrival slots per tick; -1: none."""
 
     sense: Ints  # [N+1] the packet taken at this tick
-    sample: Ints  # [N+1, q] which sample of its channel, from 0; -1 of a channel that is not in it
-    snapshot: Ints  # [N+1] the packet for which observers note what they will need
+    sample: Ints  # [N+1, q] sample number of each channel, from 0; -1: the channel is not sampled
+    snapshot: Ints  # [N+1] the packet for which observers take a snapshot
     arrive: Ints  # [N+1, S] the packets that arrive
-    believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
-    mask: Bools  # [N+1, S, q] the channels that arrive with it
-    number: Ints  # [N+1, S, q] which sample of its channel
+    believed: Ints  # [N+1, S] the timestamp: the assumed sampling tick
+    mask: Bools  # [N+1, S, q] the channels in the arrival
+    number: Ints  # [N+1, S, q] sample number of each channel
     ticks_since_arrival: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
-    early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
-    also: Ints  # [N+1, M] more packets for which observers note the same: their stamps say the same tick
+    early: Ints  # [E, q] sample number of each channel, in the packets taken before tick 0
+    also: Ints  # [N+1, M] further packets with the same timestamp, for which observers take the same snapshot
 
 
 class Sample(NamedTuple):
-    """One channel measured once."""
+    """One sample of one channel."""
 
     channel: int
-    number: int  # which sample of its channel, from 0
+    number: int  # sample number of the channel, from 0
     taken: int  # tick
-    arrives: int  # tick, not before `taken`; NEVER where it is lost
-    ahead: int = 0  # ticks by which its stamp is later than `taken`
+    arrives: int  # tick, not before `taken`; NEVER: lost
+    ahead: int = 0  # timestamp minus `taken` [ticks]
 
     def stamp(self, error: int) -> int:
-        """Return the tick at which observers assume it was taken, `error` ticks earlier; of one before tick 0 the true one."""
+        """Return the assumed sampling tick, `error` ticks earlier; for a sample from before tick 0 the true one."""
         return max(self.taken - error + self.ahead, 0) if self.taken >= 0 else self.taken
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
-    """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
+    """Return every sample of clocks without randomness, taken up to tick `ticks`, from tick 0 or before (`Clock.early`)."""
     out = []
     for clock in clocks:
         if clock.plain:
@@ -68,7 +67,7 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
                 arrives = NEVER if turn == LOST else arrives + turn
             if clock.early:
                 taken, arrives = taken - age(clock, taken), taken
-                if taken == last:  # as late as the time that has passed: nothing new comes
+                if taken == last:  # the delay grows as fast as time: no new sample arrives
                     continue
                 last = taken
             if clock.outage[0] <= taken < clock.outage[1]:
@@ -79,7 +78,7 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
 
 
 def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
-    """Return (arrival, taken, channel) of every one of the `samples`, [m, 3]; of plain clocks without a loop."""
+    """Return (arrival, taken, channel) of every one of the `samples`, [m, 3]; vectorized for plain clocks."""
     if not all(clock.plain for clock in clocks):
         return np.array([(s.arrives, s.taken, s.channel) for s in samples(clocks, ticks)], int).reshape(-1, 3)
     each = []
@@ -91,7 +90,7 @@ def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
 
 
 def overtaking(found: list[Sample]) -> int:
-    """Return how many newer samples may arrive before one: the places an observer needs to keep them in order."""
+    """Return the largest number of newer samples that arrive before an older one."""
     each = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
     taken, arrives = each.T
     counts, shift = np.zeros(len(each), int), 1
@@ -102,13 +101,12 @@ def overtaking(found: list[Sample]) -> int:
 
 
 def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -> Schedule:
-    """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
+    """Return the schedule of samples over ticks 0 .. `ticks`, without those taken or arriving later.
 
-    Samples that are taken at one tick have one stamp.
-
-    The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
-    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more. A sample taken
-    before tick 0 has measured the start, as if at tick 0.
+    - Samples taken at one tick have one timestamp.
+    - Observers assume that every sample is `error` ticks older than it is, but not taken before tick 0.
+    - They take a snapshot at the assumed sampling tick. A negative error must leave every age at 0 or more.
+    - A sample taken before tick 0 measures the initial state.
     """
     instants = sorted({s.taken for s in samples if s.taken <= ticks})
     packet = {tick: i for i, tick in enumerate(instants)}
@@ -143,7 +141,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
 
 
 def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
-    """Return a schedule of nothing, with room."""
+    """Return a schedule without events, with arrays of the given sizes."""
     n, q = ticks + 1, channels
     return Schedule(
         sense=np.full(n, -1, np.int32),
@@ -162,7 +160,7 @@ def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes:
 
 
 def with_events(out: Schedule) -> Schedule:
-    """Fill in at which ticks something happens."""
+    """Set `event` and `next_event` from the other arrays."""
     n = len(out.event)
     out.event[:] = (out.sense >= 0) | (out.snapshot >= 0) | (out.arrive >= 0).any(1)
     due = np.where(out.event, np.arange(n, dtype=np.int32), np.int32(n))
@@ -171,9 +169,9 @@ def with_events(out: Schedule) -> Schedule:
 
 
 def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]:
-    """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, and its packets `in_flight`.
+    """Return the `schedule` of one plain clock with a correct timestamp, and the packets `in_flight`; without Python loops.
 
-    It has no loops. What arrives with one delay is what arrives with none, later: one table for all delays of a period.
+    All delays of a period share one cached table. A delay shifts its arrivals.
     """
     n, late = ticks + 1, clock.period if clock.delay is None else clock.delay
     prompt = _prompt(clock.period, clock.stride, clock.channels, ticks, channels)
@@ -195,7 +193,7 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
 
 @lru_cache(16)
 def _prompt(period: int, stride: int, own: tuple[int, ...], ticks: int, channels: int) -> Schedule:
-    """The schedule of a plain clock without a delay; what arrives has N + 1 rows of nothing before [2 (N + 1)]."""
+    """Return the schedule of a plain clock without a delay, its arrivals preceded by N + 1 empty rows, [2 (N + 1)]."""
     n, q = ticks + 1, list(own)
     taken = np.arange(0, n, period, dtype=np.int32)
     packet, at = np.arange(len(taken), dtype=np.int32), n + taken
@@ -208,12 +206,12 @@ def _prompt(period: int, stride: int, own: tuple[int, ...], ticks: int, channels
     out.number[at[:, None], 0, q] = number[:, None]
     both = out._replace(sense=sent.sense, sample=sent.sample, snapshot=sent.snapshot, early=sent.early, also=sent.also)
     for table in both:
-        table.flags.writeable = False  # views of it are parts of many schedules
+        table.flags.writeable = False  # read-only: many schedules have views of it
     return both
 
 
 def at_every_tick(ticks: int, channels: int) -> Schedule:
-    """Take all channels at every tick and hand them over at once: `schedule` of period 1 and delay 0, without its loops."""
+    """Return the schedule of all channels at every tick without a delay: `schedule` of period 1 and delay 0, vectorized."""
     k = np.arange(ticks + 1, dtype=np.int32)
     row, each = k[:, None], np.repeat(k[:, None], channels, 1)
     return Schedule(
@@ -233,7 +231,7 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
 
 
 def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int, error: int) -> dict[int, list[int]]:
-    """The packets for which observers note at each tick what they will need."""
+    """Return the packets for which observers take a snapshot, by tick."""
     out: dict[int, set[int]] = {}
     for s in samples:
         if s.taken <= ticks and 0 <= s.taken - error + s.ahead <= ticks:
@@ -242,16 +240,16 @@ def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int
 
 
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
-    """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
+    """Return the schedule of channels j sampled every period[j] ticks from tick 0 on, each delayed by delay[j] ticks."""
     each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
     return schedule(samples(each, ticks), ticks, len(period))
 
 
 def oldest(found: list[Sample], overtaking: int) -> int:
-    """Return how old an input an observer may ask for.
+    """Return the largest age [ticks] of an input that an observer may need.
 
-    Of sample i in the order of taking: the latest arrival among samples 0 .. i, less the tick at which sample i - (2 K + 1) was
-    taken, K = `overtaking`; the largest over i.
+    For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
+    K = `overtaking`. The result is the maximum over i.
     """
     each = np.array(
         sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in found if s.arrives < NEVER}), int
@@ -263,7 +261,7 @@ def oldest(found: list[Sample], overtaking: int) -> int:
 
 
 def in_flight(plan: Schedule) -> int:
-    """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
+    """Return how many packets the network must hold so that none is overwritten before it arrives."""
     noted = np.concatenate([plan.snapshot[:, None], plan.also], 1)
     latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
@@ -271,7 +269,7 @@ def in_flight(plan: Schedule) -> int:
 
 
 def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
-    """Yield the newest packet that is still to arrive when an older one is noted, whose stamp is later; and that older one."""
+    """Yield (newest packet not yet arrived, older packet) whenever a snapshot of the older packet is taken later."""
     newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
     older = (noted >= 0) & (noted < newest)
     if not older.any():
@@ -286,21 +284,21 @@ def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
 
 
 def pad_early(plan: Schedule, packets: int) -> Schedule:
-    """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
+    """Pad with unused packets from before tick 0, so that schedules of one study have one shape."""
     if packets == len(plan.early):
         return plan
     return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
 
 
 def pad_notes(plan: Schedule, many: int) -> Schedule:
-    """Add room for notes of one tick, so that schedules of one study share a shape."""
+    """Pad the snapshots of each tick, so that schedules of one study have one shape."""
     if many == plan.also.shape[1]:
         return plan
     return plan._replace(also=np.pad(plan.also, [(0, 0), (0, many - plan.also.shape[1])], constant_values=-1))
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:
-    """Add empty arrival slots so that schedules of one study share a shape."""
+    """Pad with empty arrival slots, so that schedules of one study have one shape."""
     more = slots - plan.arrive.shape[1]
     if not more:
         return plan

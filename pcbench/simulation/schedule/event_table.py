@@ -1,4 +1,4 @@
-"""What happens in every run whose sampling is random, in order: packets that are taken, and arrivals."""
+"""The events of runs with random sampling, in order of time: packets taken and arrivals."""
 
 from typing import NamedTuple
 
@@ -12,24 +12,24 @@ from pcbench.simulation.schedule.random_times import ClockParams
 
 
 class EventTable(NamedTuple):
-    """What happens in every run: E rows, one per sample of each clock in the order they are taken; L runs, C clocks.
+    """Events of all runs: E rows, one per sample of each clock in sampling order; L runs, C clocks.
 
-    Samples of one tick are one packet, in the row of the first of them; of a packet what arrives at one tick is one arrival, in
-    the row of the first of those. The other rows are at NEVER.
+    Samples of one tick form one packet, in the row of the first of them. The parts of a packet that arrive at one tick form one
+    arrival, in the row of the first of them. All other rows are at NEVER.
     """
 
     taken: Array  # [E, L] tick of each packet
-    number: Array  # [C, E, L] which sample of each clock is in the packet; -1: none
-    believed: Array  # [E, L] tick at which the observers believe a packet was taken, which may be before 0
+    number: Array  # [C, E, L] sample number of each clock in the packet; -1: none
+    believed: Array  # [E, L] the timestamp of a packet: its assumed sampling tick, possibly before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
     which: Array  # [E, L] the row of the packet that arrives
-    brings: Array  # [C, E, L] whether each clock's sample is in the arrival
-    slot: Array  # [E, L] how many arrive before it at the same tick
+    brings: Array  # [C, E, L] whether the arrival contains each clock's sample
+    slot: Array  # [E, L] number of earlier arrivals at the same tick
     ticks_since_arrival: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
 
 
 def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
-    """Return what happens in every run, in order: at one tick the older packet arrives first."""
+    """Return the events of every run in order of time; at one tick the older packet arrives first."""
     each = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
     taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
     clock = jnp.concatenate([jnp.full_like(own, c) for c, (own, _) in enumerate(each)])
@@ -61,21 +61,21 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
 
 
 def _rows(like: Array) -> Array:
-    """The number of each row of a table [E, L]."""
+    """Return the number of each row of a table [E, L]."""
     return jnp.broadcast_to(jnp.arange(len(like))[:, None], like.shape)
 
 
 def _repeats(rows: Array) -> Array:
-    """Whether each row [E, L] equals the one before."""
+    """Return whether each row [E, L] equals the previous one."""
     return jnp.concatenate([jnp.zeros_like(rows[:1], bool), rows[1:] == rows[:-1]])
 
 
 def _first(repeats: Array) -> Array:
-    """The first row of the group of each row [E, L]; a group goes on where a row repeats the one before."""
+    """Return the first row of each row's group [E, L]; a group continues where a row repeats the previous one."""
     return lax.cummax(jnp.where(repeats, 0, _rows(repeats)), 0)
 
 
 def _by_clock(clocks: int, fill: PyTree, clock: Array, row: Array, values: PyTree) -> Array:
-    """A table [C, E, L] of values [E, L], each at its clock and row."""
+    """Return a table [C, E, L] with values [E, L], each at its clock and row."""
     table = jnp.full((clocks, *row.shape), fill)
     return table.at[clock, row, jnp.arange(row.shape[1])].set(values)

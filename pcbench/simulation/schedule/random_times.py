@@ -1,12 +1,16 @@
-"""Sampling that is random: for every run its own instants, arrivals and losses, from its own draws.
+"""Random sampling: each run draws its own sampling instants, arrivals and losses.
 
-A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay), one
-of `loss` and one of `delay_chain`, addressed as all draws are, under the clock's first channel: changing one choice leaves the
-other draws alone. Where its delay is a Markov chain over m values, the first sample's is drawn as often as it is there in the
-long run, and each next one is the same with a probability of its own, or any of the others alike. Where losses come in bursts
-the same number is held against another probability after a loss. How wrong a stamp is, is drawn under the tick at which its
-sample is taken, for all clocks alike.
-Everything is whole ticks. `ClockParams` is traced, so one compiled program serves every pattern, jitter, delay and loss.
+Sample i of clock c uses these uniform numbers, addressed as all draws are, under the clock's first channel:
+
+- stream `jitter`: three numbers, for its interval, its instant and its delay
+- stream `loss`: one number
+- stream `delay_chain`: one number
+- stream `stamp`: one number for the timestamp error, addressed by the sampling tick and common to all clocks
+
+So a change of one setting leaves the other draws alone. If the delay is a Markov chain over m values, the first sample is drawn
+from the stationary distribution. Each next sample keeps its value with a given probability; else all other values are equally
+likely. If losses come in bursts, the probability of a loss depends on whether the previous sample was lost.
+All times are whole ticks. `ClockParams` is traced, so one compiled program covers every pattern, jitter, delay and loss.
 """
 
 import math
@@ -29,29 +33,29 @@ from pcbench.simulation.schedule.sampling import Clock
 
 
 class ClockParams(NamedTuple):
-    """How C clocks take their samples: numbers, all traced. M samples a clock, q channels; ticks."""
+    """Parameters of C clocks, all traced. At most M samples per clock, q channels; times in ticks."""
 
-    due: Leaf  # [C, M+1] instants before jitter, of clocks whose intervals are not random
-    low: Leaf  # [C] the least random interval, and
-    high: Leaf  # [C] the largest; 0 where intervals are not random
-    delay: Leaf  # [C] -1: one interval
-    jitter: Leaf  # [C]
+    due: Leaf  # [C, M+1] instants before jitter, if intervals are not random
+    low: Leaf  # [C] smallest random interval
+    high: Leaf  # [C] largest random interval; 0: intervals are not random
+    delay: Leaf  # [C]; -1: one interval
+    jitter: Leaf  # [C] of the sampling instant
     spread: Leaf  # [C] jitter of the delay
-    steps: Leaf  # [C, m] a sample arrives later by one of them; m = 0: by none
-    many: Leaf  # [C] how many of the m steps a clock has
-    stay: Leaf  # [C, m] probability that the next sample has the same one; m = 0: no clock is a chain
-    share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; 0: a chain; m = 0: all are chains
-    loss: Leaf  # [C] probability
-    bursts: Leaf  # [C, 2] probability after a sample that was not lost, and after one that was; [C, 0]: the same
-    outages: Leaf  # [C, 2] a sample taken from the first tick on, but before the second, is lost; [C, 0]: none
-    channel: Leaf  # [C] the first channel: the address of the clock's draws
+    steps: Leaf  # [C, m] additional delays, of which each sample has one; m = 0: none
+    many: Leaf  # [C] how many of the m additional delays a clock has
+    stay: Leaf  # [C, m] probability that the next sample has the same additional delay; m = 0: no clock has a chain
+    share: Leaf  # [C, m] cumulative probability of independent additional delays; 0: a chain; m = 0: all are chains
+    loss: Leaf  # [C] probability of a loss
+    bursts: Leaf  # [C, 2] probability of a loss after a received and after a lost sample; [C, 0]: the same
+    outages: Leaf  # [C, 2] first tick and end of an outage, in which all samples are lost; [C, 0]: none
+    channel: Leaf  # [C] first channel: address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
-    error: Leaf  # the observers believe samples to be so much older than they are
-    stamp: PyTree = ()  # Stamp, where stamps are wrong
+    error: Leaf  # assumed age minus true age of a sample
+    stamp: PyTree = ()  # Stamp, if timestamps are wrong
 
 
 def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockParams:
-    """Return the numbers of clocks over a horizon."""
+    """Return the parameters of clocks for a number of ticks."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
     drawn, chains, shares = (any(map(attrgetter(name), clocks)) for name in ("steps", "stay", "share"))
@@ -85,19 +89,19 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
 def _rows(
     rows: list[tuple[float, ...]], wide: int, mode: Literal["constant", "edge"] = "constant"
 ) -> NDArray[np.float64]:
-    """Return rows of `wide` numbers, filled up with 0 or the last of each."""
+    """Return rows of `wide` numbers, padded with 0 or with the last number of each row."""
     return np.array([np.pad(row, (0, wide - len(row)), mode) if wide else () for row in rows], float)
 
 
 def _most(clock: Clock, ticks: int) -> int:
-    """The most samples a clock can take at ticks 0 .. `ticks`."""
+    """Return the largest number of samples that a clock takes at ticks 0 .. `ticks`."""
     if clock.profile == "uniform":
         return (ticks + clock.jitter) // sampling.uniform_range(clock.period)[0] + 1
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
 def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
-    """Add instants that never come, and to shares of delays the last again, so that the times of one study share a shape."""
+    """Pad with instants that never come and with repeated delay shares, so that the clocks of one study have one shape."""
     more = samples - t.due.shape[1]
     t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
     if not (many := t.share.shape[1]):
@@ -108,7 +112,7 @@ def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
 
 
 def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
-    """Return when every sample of clock c is taken and when it arrives (NEVER: lost), [M, L] each."""
+    """Return the sampling tick and the arrival tick (NEVER: lost) of every sample of clock c, [M, L] each."""
     count = t.due.shape[1]
     timing, losing = (
         rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
@@ -129,7 +133,7 @@ def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple
 
 
 def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
-    """Return which samples of clock c are lost, [M, L]: the first as often as any, each next by what became of the last."""
+    """Return which samples of clock c are lost, [M, L]; the probability depends on whether the previous sample was lost."""
     first = uniform < t.loss[c]
     if not t.bursts.shape[1]:
         return first
@@ -142,7 +146,7 @@ def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
 
 
 def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
-    """Return which of its steps every sample of clock c has, [M+1, L]."""
+    """Return the index of the additional delay of every sample of clock c, [M+1, L]."""
     uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
     if not t.share.shape[1]:
         return _chain(t, c, uniform)
@@ -151,14 +155,14 @@ def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array
 
 
 def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
-    """Return the steps that a Markov chain comes to by uniform numbers, [M+1, L]."""
+    """Return the states of a Markov chain driven by uniform numbers, [M+1, L]."""
     many, stay = t.many[c], t.stay[c]
     weights = jnp.where(jnp.arange(len(stay)) < many, 1 / (1 - stay), 0.0)
     ends = jnp.cumsum(weights / jnp.sum(weights))
     first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
 
     def following(now: Array, u: Array) -> tuple[Array, Array]:
-        left = (u - stay[now]) / (1 - stay[now])  # uniform again where it is left
+        left = (u - stay[now]) / (1 - stay[now])  # given that the chain leaves its state, uniform on [0, 1)
         other = (now + 1 + jnp.clip(_integers_below(left, many - 1), 0, jnp.maximum(many - 2, 0))) % many
         after = jnp.where(u < stay[now], now, other)
         return after, after
@@ -167,7 +171,7 @@ def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
 
 
 def timestamp(t: ClockParams, root_seed: Array, seeds: Array, taken: Array) -> Array:
-    """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
+    """Return the assumed sampling ticks of samples taken at the ticks `taken`, [E, L]."""
     if not t.stamp:
         return taken - t.error
     key = rng.run_keys(root_seed, seeds, "stamp", 1)
@@ -181,7 +185,7 @@ def _integers_below(uniform: Array, many: Array) -> Array:
 
 
 def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
-    """Return the samples of one run as `common_times.samples` does for clocks that are not random."""
+    """Return the samples of one run, as `common_times.samples` does for clocks without randomness."""
     t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
@@ -194,18 +198,19 @@ def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int,
 
 
 def room(clocks: Sequence[Clock], ticks: int, error: int) -> int:
-    """Return how many packets the network must be able to hold, whatever the draws."""
+    """Return an upper limit of the packets on the network at one time, for any draws."""
     back = 0
     while (more := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
-        back = more  # a note may be due for a sample that is taken so much behind the horizon, and whose stamp has drifted more
+        back = more  # a snapshot may be due for a sample taken this long after the last tick; timestamp errors grow
     longest = max(sampling.ages(c, ticks)[1] for c in clocks) + back
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
 
 def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
-    """Return the age that the sample before the newest, and before all that it may overtake, has when a sample arrives.
+    """Return an upper limit of the age [ticks] of an input that an observer may need, for any delays.
 
-    Where samples are lost, of as many in a row as are not seen in 1e12 samples.
+    It covers the sample before the newest and before all that may arrive out of sequence. If samples are lost, it covers the
+    longest burst in 1e12 samples.
     """
     age = max(sampling.ages(c, ticks)[1] for c in clocks)
     interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
@@ -216,12 +221,12 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:
-    """Return how many newer samples may arrive before one, whatever the draws; no more than all others of a run."""
+    """Return an upper limit of the newer samples that arrive before an older one, at most all others of a run."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
     wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
 
     def ahead(own: int, other: int) -> int:
-        if own == other:  # ages that differ by so much at most
+        if own == other:  # one clock: its ages differ by at most latest - earliest
             apart = clocks[own].latest - clocks[own].earliest
             return max(apart - 1, 0) // least[own]
         span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1 + wrong
