@@ -1,7 +1,7 @@
-"""Thousands of runs at once, faster than the definition in `pcbench.simulation` and equal to it by test.
+"""Simulate thousands of runs at once, faster than the definition in `pcbench.simulation` and tested to be equal to it.
 
-Which engine computes a grid point is decided when a study is planned (`study.grid.with_engine`), not here. `runner` takes a
-layout and jobs, and returns what their runs leave. A program is an `event_loop` over `steps`, which carry the functions of one
-run over all lanes, entry by entry (`interpreter`; `lane_forms` reads from a program what differs between lanes), on schedules
-that runs share (`common_schedule`) or do not (`random_schedules`).
+`study.grid.with_engine` decides which engine computes a grid point. `runner` takes a layout and jobs, and returns the sums of
+their runs. A *lane* is one run of a vectorized call. A program is an `event_loop` over `steps`, which apply the functions of
+one run to all lanes, entry by entry (`interpreter`). `lane_forms` finds the values that differ between lanes. Runs have a
+common schedule (`common_schedule`) or random ones (`random_schedules`).
 """

@@ -1,4 +1,4 @@
-"""Single primitives over lanes: elementwise, structural, folds, products, rows of a table."""
+"""Batching rules of single primitives: elementwise, structural, reductions, products, rows of a table."""
 
 from functools import cache, partial, reduce
 from typing import Any
@@ -18,7 +18,7 @@ FOLDS = dict(zip(jaxpr_compat.FOLDS, WAYS, strict=True))
 
 
 def entries_of(x: PyTree, shape: tuple[int, ...]) -> np.ndarray:
-    """The entries of an operand, an ordinary array's taken out one by one, broadcast to `shape`."""
+    """Return the entries of an operand broadcast to `shape`; an ordinary array is split into its entries."""
     if not is_lanes(x):
         flat = jax.lax.reshape(jnp.asarray(x), (np.size(x),))
         x = lanes_of(np.shape(x), [jax.lax.index_in_dim(flat, i, keepdims=False) for i in range(np.size(x))])
@@ -33,21 +33,23 @@ def elementwise(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     for i in np.ndindex(shape):
         entries = [p[i] for p in parts]
         width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
-        keep = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])  # a shared choice stays one scalar
+        keep = eqn.primitive.name == "select_n" and not jnp.ndim(
+            entries[0]
+        )  # a choice common to all lanes stays a scalar
         first = entries[:1] if keep else []
         out[i] = kernels.function_of(eqn)(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]))
     return LaneArray(out)
 
 
 def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
-    """Apply a primitive that moves numbers about, to their places."""
+    """Apply a primitive that moves numbers to the positions of the entries."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
     width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
     return [
         lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
         if moved.size
-        else jnp.zeros(moved.shape, v.aval.dtype)  # nothing is left that could differ
+        else jnp.zeros(moved.shape, v.aval.dtype)  # an empty result cannot differ between lanes
         for moved, v in zip(
             places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(shapes)), eqn.outvars, strict=True
         )
@@ -58,7 +60,7 @@ def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
 def places(
     primitive: PyTree, params: tuple[tuple[str, PyTree], ...], shapes: tuple[tuple[int, ...], ...]
 ) -> list[np.ndarray]:
-    """Return where each entry of each result comes from: the primitive applied to the entries' numbers."""
+    """Return the source entry of each entry of each result: the primitive applied to the entries' indices."""
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     with jax.ensure_compile_time_eval():
         numbers = [
@@ -69,7 +71,7 @@ def places(
 
 
 def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
-    """Fold numbers over axes."""
+    """Reduce numbers over axes."""
     parts, axes = args[0].parts, jaxpr_compat.fold_axes(eqn.params)
     rest = tuple(i for i in range(parts.ndim) if i not in axes)
     flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
@@ -78,7 +80,7 @@ def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
 
 
 def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
-    """Write a product of matrices out."""
+    """Write a matrix product as products and sums."""
     (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     out = eqn.outvars[0].aval.shape
@@ -101,13 +103,13 @@ def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
 
 
 def _both(apply: Any, a: PyTree, b: PyTree) -> PyTree:
-    """Apply a primitive to two entries, one of them perhaps the same in all lanes."""
+    """Apply a primitive to two entries, of which one may be common to all lanes."""
     width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
     return apply(jnp.broadcast_to(a, width), jnp.broadcast_to(b, width))
 
 
 def rows_of_table(eqn: Eqn, args: list[PyTree]) -> LaneArray:
-    """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
+    """Gather whole rows from a table common to all lanes, each lane its own rows, in one gather."""
     table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
     each = columns.at[:, jnp.stack(list(own.flat))]

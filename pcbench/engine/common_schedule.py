@@ -1,7 +1,7 @@
-"""Applies samples and arrivals where all runs share one schedule: at a tick every lane senses, or jumps, together.
+"""Samples and arrivals if all runs share one schedule: all lanes have the same events at a tick.
 
-Which measurement arrives when is decided in `simulation.schedule`. Its whole-number data (a `Schedule`) are traced, so one
-compiled program serves every period and delay. Packets in flight are kept in rings by packet number.
+`simulation.schedule` decides which measurement arrives when. Its integer arrays (a `Schedule`) are traced, so one compiled
+program covers every period and delay. Packets in flight are kept in rings by packet number.
 """
 
 from functools import partial
@@ -21,16 +21,16 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes
 
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
-    """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
+    """Return the function that applies a tick's events to a block of runs, and the state before tick 0."""
     noise = measurements.noise_sampler(p, root_seed, seeds, apart=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 
 
 def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> State:
-    """Make rings of ring + 1 packets, and put those on the network that were taken before tick 0: they have measured x(0).
+    """Return the state with rings of ring + 1 packets, including packets taken before tick 0, which measure x(0).
 
-    If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the snapshot of the start.
+    A packet whose assumed sampling tick is before tick 0 carries the snapshot of the initial state.
     """
     one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
@@ -47,10 +47,10 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
 
 
 def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: State) -> State:
-    """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
+    """Apply all events of tick k: sample and snapshot, then deliver, the oldest packet first.
 
-    Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
-    the ring's last place, which nothing reads.
+    Only one packet passes through a `cond`, never the ring, which `cond` would copy. If there is no packet, the last ring
+    entry is written, which nothing reads.
     """
     plan, channels = p.schedule, list(range(p.noise_std.shape[0]))
 

@@ -1,8 +1,8 @@
-"""Thousands of runs at once, from event to event, keeping sums only.
+"""Simulate many runs from event to event, keeping sums only.
 
-The loop is shaped like the hybrid system it simulates: at an event it *jumps* (samples are taken, packets arrive), then
-it *flows* tick after tick to the next event, so nothing is asked at a tick where nothing happens. Time is the same in
-all lanes; the events are shared by all, or each lane has its own.
+The loop follows the hybrid system: at an event it *jumps* (samples are taken, packets arrive), then it *flows* tick by tick to
+the next event. Ticks without an event need no checks. Time is common to all lanes. Events are common to all lanes, or each lane
+has its own.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ from pcbench.simulation.types import GridPointParams, Layout, Memories, RunSums,
 
 
 class Events(NamedTuple):
-    """What lets events happen, and how memories are packed between them."""
+    """The functions that apply events, and the packing of memories between them."""
 
     happen: steps.Happen
-    following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
+    following: Callable[[Array, State], Array]  # (tick, state after its events) -> tick of the next event
     whole: Callable[[PyTree], Memories] = lambda kept: kept  # packed -> the observers' memories
     moved: Callable[[Memories, PyTree], PyTree] = lambda after, kept: (
         after
@@ -50,10 +50,10 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
-        state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
+        state = events.happen(k, state)  # a window edge without an event changes nothing
         following = events.following(k, state)
-        stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
-        state = lax.fori_loop(k, stop, tick, state)  # two ticks a body would draw noise twice
+        stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick has events but no flow
+        state = lax.fori_loop(k, stop, tick, state)  # one tick per body: two would draw the noise twice
         return jnp.where(k < end, stop, k + 1), state
 
     def window(state: State, edges: Array) -> tuple[State, PyTree]:
@@ -62,8 +62,8 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
 
     state, sums = lax.scan(window, state, p.windows)
     state = state._replace(memories=events.whole(state.memories))
-    last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
-    if isinstance(p.weights, Weights):  # or its command, where the input counts
+    last = steps.score(layout, p, end, state)  # the last tick only needs its error
+    if isinstance(p.weights, Weights):  # and its command if the input is summed
         last = steps.control(layout, p, end, last, drawn(end).command)
     errors = steps.errors(layout, p, end, state)
     squares = steps.squares(layout, p, end, state, errors) if layout.consistency else ()
@@ -83,7 +83,7 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
 
 
 def _events(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
-    """The events of a block of runs, on a schedule that all share or on schedules of their own; and the state before tick 0."""
+    """Return the events of a block of runs, on a common schedule or random ones, and the state before tick 0."""
     if isinstance(p.schedule, ClockParams):
         each, state = random_schedules.prepare(layout, p, root_seed, seeds)
         form = each.form

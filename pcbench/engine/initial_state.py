@@ -1,4 +1,4 @@
-"""The state before tick 0: start, memories, what a run draws for itself; with whatever will differ between lanes spread."""
+"""The state before tick 0: initial state, memories and the random numbers of each run, broadcast where lanes will differ."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +20,7 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packe
 def tick_sampler(
     layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
 ) -> Callable[[Array], steps.TickNoise]:
-    """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
+    """Return a function of the tick that draws process noise, a standard normal per state, and the network's random numbers."""
     keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
     sent = command_network.command_sampler(p.network, root_seed, seeds) if layout.pending else lambda k: ()
 
@@ -33,7 +33,7 @@ def tick_sampler(
 def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:
     """Return the state before tick 0 of one lane for each of seeds[L].
 
-    `flight` is one packet, what the start would put on the network: events make rings of it.
+    `flight` is one packet with the snapshots of the initial state; the event modules build rings from it.
     """
     k = jnp.asarray(0)
     memories = _memories(layout, p, root_seed, seeds)
@@ -62,12 +62,12 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
 
 
 def _tables(commands: command_network.Commands) -> command_network.Commands:
-    """Commands with their rings as tables."""
+    """Return commands with their rings as tables."""
     return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
 
 
 def _plant(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PerLane:
-    """x(0) [n], random about x0 where the layout says so."""
+    """Return x(0) [n], random about x0 if the layout has a random initial state."""
     if not layout.random_initial_state:
         return p.x0
     n = p.x0.shape[0]
@@ -83,7 +83,7 @@ def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> PyTree:
 
 
 def first_estimate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PerLane:
-    """Return xhat(0) [n], random in a box where the layout says so."""
+    """Return xhat(0) [n], random in a box if the layout has a random estimate."""
     if not layout.scattered:
         return p.xhat0
     uniform = lane_array.split(rng.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
@@ -91,7 +91,7 @@ def first_estimate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: 
 
 
 def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PyTree:
-    """The observers' memories of xhat(0)."""
+    """Return the observers' memories at xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
     begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
     drawing = [(label, o.init_random) for label, o in layout.observers if o.init_random]
@@ -108,7 +108,7 @@ def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
 
 
 def _spread(layout: Layout, p: GridPointParams, state: State, drawn: steps.TickNoise) -> State:
-    """Spread whatever a tick that measures, notes and jumps makes different between lanes, in as many ticks as it takes."""
+    """Broadcast every value that a tick with sample, snapshot and jump makes different between lanes, to a fixed point."""
     q, k, width, random = p.noise_std.shape[0], jnp.asarray(0), layout.width, isinstance(p.schedule, ClockParams)
     row: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
     here: PyTree = jnp.asarray(True)  # whether a lane has an arrival
@@ -134,7 +134,9 @@ def _spread(layout: Layout, p: GridPointParams, state: State, drawn: steps.TickN
         return lane_forms.forms_of(tick, [*forms, *and_drawn[many:]])
 
     forms = lane_forms.spread(moved, given[:many])
-    long = [len(x.shape) > 0 and x.shape[0] >= lane_forms.MANY for x in leaves]  # whose tables keep their rows together
+    long = [
+        len(x.shape) > 0 and x.shape[0] >= lane_forms.MANY for x in leaves
+    ]  # leaves stored as tables with their rows together
     forms = [lane_array.TABLE if form and many else form for form, many in zip(forms, long, strict=True)]
     wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
     return jax.tree.unflatten(tree, wide)

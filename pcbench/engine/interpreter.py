@@ -1,10 +1,10 @@
-"""Carry a function written for one lane over many: its jaxpr is evaluated entry by entry.
+"""Apply a function of one lane to many lanes: its jaxpr is evaluated entry by entry.
 
-`jax.vmap` puts the batch axis of small vectors first and stacks what it computes; the compiled loop then transposes and
-copies. Here XLA sees nothing but elementwise arithmetic on arrays [L]. Measured on the cart with two observers, one core, 1024
-lanes: 59 M lane-ticks/s with vmap(-1, -1) over stacked vectors, 110 M so. One row of a table (`lax.dynamic_slice`,
-`lax.dynamic_update_slice` along the first axis, at an index that all lanes share) is read and written in place.
-Large products and unusual primitives fall back on vmap, lanes last; results are the same.
+`jax.vmap` stacks small vectors with the batch axis first; the compiled loop then transposes and copies. Here XLA only gets
+elementwise arithmetic on arrays [L]. On the cart with two observers, one core and 1024 lanes, this computes 110 M lane-ticks/s
+instead of 59 M with vmap(-1, -1) over stacked vectors. One row of a table (`lax.dynamic_slice`, `lax.dynamic_update_slice`
+along the first axis, at an index common to all lanes) is read and written in place.
+Large products and unusual primitives use vmap with lanes last. The results are the same.
 """
 
 import itertools
@@ -34,7 +34,7 @@ from pcbench.protocols import TOGETHER
 
 
 def vmap_entrywise(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
-    """Return `f` with any array in its arguments' pytrees allowed to be a LaneArray; what depends on one comes out as one."""
+    """Return `f` for arguments with LaneArrays in their pytrees; results that depend on one are LaneArrays."""
 
     def mapped(*args: PyTree) -> PyTree:
         flat = jax.tree.leaves(args, is_leaf=is_lanes)
@@ -81,7 +81,7 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
 
 
 def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
-    """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
+    """Apply a function as one unit by vmap; results common to all lanes stay so, long ones become tables."""
     differs = lane_forms.forms_of(closed, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
     apply = jax.vmap(
@@ -92,18 +92,20 @@ def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
 
 
 def _split_table(x: jax.Array) -> PyTree:
-    """A LaneArray from an array [*shape, L], a table where it has many rows."""
+    """Return a LaneArray from an array [*shape, L], as a table if it has many rows."""
     if x.ndim < 2 or x.shape[0] < lane_forms.MANY:
         return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)
     return lanes_of(x.shape[1:-1], [x[:, *i] for i in np.ndindex(x.shape[1:-1])], x.shape[0])
 
 
 def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
-    """Apply a scan by a scan over the same rows, its body evaluated entry by entry."""
+    """Apply a scan as a scan over the same rows, its body evaluated entry by entry."""
     scan = jaxpr_compat.scan(eqn.params)
     body, consts, carry = scan.body, scan.consts, scan.carry
     width, (forms, _) = _width(args), lane_forms.scan_forms(scan, list(map(form_of, args)))
-    rows = [LaneArray(table(a).parts) if is_lanes(a) else a for a in args[consts + carry :]]  # a row has entries
+    rows = [
+        LaneArray(table(a).parts) if is_lanes(a) else a for a in args[consts + carry :]
+    ]  # the scan splits it into rows
 
     def step(state: list[PyTree], row: list[PyTree]) -> tuple[list[PyTree], list[PyTree]]:
         out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
@@ -115,7 +117,7 @@ def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
 
 
 def _while(eqn: Eqn, args: list[PyTree]) -> list[PyTree] | None:
-    """Apply a while loop that ends for all lanes at once by one loop, its body evaluated entry by entry; else None."""
+    """Apply a while loop as one loop, entry by entry, if it ends for all lanes at once; else return None."""
     loop = jaxpr_compat.while_(eqn.params)
     first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
     asked, given, state, width = args[:first], args[first:second], args[second:], _width(args)
@@ -166,7 +168,7 @@ def _fallback(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
 
 
 def _apply_to_arrays(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
-    """Apply any primitive to what is the same in all lanes."""
+    """Apply any primitive to values common to all lanes."""
     if eqn.primitive.name in _RULES.keys() | STRUCTURAL:
         found = kernels.function_of(eqn)(*args)
         return list(found) if eqn.primitive.multiple_results else [found]

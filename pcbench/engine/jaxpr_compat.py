@@ -1,10 +1,9 @@
-"""What pcbench takes from jax's insides: names of primitives, and where their equations keep what the interpreter needs.
+"""Access to jax internals: names of primitives, and the equation parameters that the interpreter needs.
 
-jax promises none of this to last; nothing else in pcbench looks at an equation's parameters. Read against jax 0.10.0 to
-0.12.0 (`NEWEST`); with a newer one a study is computed by the definition, which needs nothing of this. Up to 0.10 a scan counts
-its constants and carries (`num_consts`, `num_carry`), from 0.11 on it has one tree of its operands in three parts (`ft_in`:
-constants, carries, rows). A release in which the tests of this file pass is fine; one that moves things fails here, in one
-sentence, and not with other numbers.
+jax does not guarantee these, so no other module of pcbench reads an equation's parameters. The module supports jax 0.10.0 to
+0.12.0 (`NEWEST`). With a newer jax a study is computed by the definition, which needs none of this. Up to 0.10 a scan counts
+its constants and carries (`num_consts`, `num_carry`). From 0.11 on it has one tree of operands in three parts (`ft_in`:
+constants, carries, rows). A release that changes the parameters raises an error here instead of giving wrong numbers.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -19,14 +18,14 @@ from pcbench.errors import UserError
 
 __all__ = ["ClosedJaxpr", "Jaxpr", "Literal", "generators", "jaxpr_as_fun"]  # of jax, for other modules
 
-Eqn: TypeAlias = Any  # a JaxprEqn, of which jax's types do not know that its variables have shapes
+Eqn: TypeAlias = Any  # a JaxprEqn; jax's types lack the shapes of its variables
 Atom: TypeAlias = Any  # a Var or Literal, likewise
 EqnParams = dict[str, Any]
-NEWEST = (0, 12)  # release of jax that this file was read against
+NEWEST = (0, 12)  # newest supported release of jax
 
 
 def is_known() -> bool:
-    """Return whether the jax that is installed is no newer than `NEWEST`."""
+    """Return whether the installed jax is not newer than `NEWEST`."""
     return tuple(jax.__version_info__[:2]) <= NEWEST
 
 
@@ -67,18 +66,18 @@ def value(literal: Any) -> np.ndarray:
 
 
 def callee(params: EqnParams) -> ClosedJaxpr:
-    """Return the program that one of CALLS applies, closed."""
+    """Return the closed program that one of CALLS applies."""
     found = params.get("jaxpr") or params["call_jaxpr"]
     return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
 
 
 def callee_name(params: EqnParams) -> str:
-    """Return the name of the function that one of CALLS applies; empty where it has none."""
+    """Return the name of the function that one of CALLS applies; empty if it has none."""
     return str(params.get("name", ""))
 
 
 def scan(params: EqnParams) -> Scan:
-    """Return what a scan's parameters say, in either form; raise UserError where they are of neither."""
+    """Return a scan's parameters, from either form; raise UserError for an unknown form."""
     if "num_consts" in params:
         consts, carry = params["num_consts"], params["num_carry"]
     elif "ft_in" in params:
@@ -93,17 +92,17 @@ def scan(params: EqnParams) -> Scan:
 
 
 def while_(params: EqnParams) -> While:
-    """Return what a while loop's parameters say."""
+    """Return a while loop's parameters."""
     return While(params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"], params["body_nconsts"])
 
 
 def branches(params: EqnParams) -> tuple[ClosedJaxpr, ...]:
-    """Return the programs that a cond chooses from by index, closed."""
+    """Return the closed programs that a cond chooses from by index."""
     return tuple(params["branches"])
 
 
 def slice_sizes(params: EqnParams) -> tuple[int, ...]:
-    """Return the shape of what a dynamic_slice takes."""
+    """Return the shape of the result of a dynamic_slice."""
     return tuple(params["slice_sizes"])
 
 
@@ -119,13 +118,13 @@ def products_of(params: EqnParams) -> tuple[Any, Any]:
 
 
 def products(eqn: Eqn) -> int:
-    """Return how many products a dot_general takes."""
+    """Return the number of products of a dot_general."""
     (contract, _), _ = products_of(eqn.params)
     return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
 def takes_rows(params: EqnParams, operand: tuple[int, ...], rank: int) -> bool:
-    """Say whether a gather takes whole rows of an `operand` of that shape, clipped, by indices of that `rank`."""
+    """Return whether a gather takes whole rows of an `operand` of that shape, clipped, by indices of that `rank`."""
     if params["mode"] != GatherScatterMode.CLIP:
         return False
     d, sizes = params["dimension_numbers"], params["slice_sizes"]
@@ -135,7 +134,7 @@ def takes_rows(params: EqnParams, operand: tuple[int, ...], rank: int) -> bool:
 
 
 def param(eqn: Eqn, name: str) -> Any:
-    """Return one of an equation's parameters; raise UserError, naming the primitive, if this release of jax has none such."""
+    """Return a parameter of an equation; raise UserError with the primitive's name if this release of jax lacks it."""
     if name not in eqn.params:
         raise UserError(
             f"jax: got {eqn.primitive.name} with the parameters {', '.join(sorted(eqn.params))}, expected {name} among "
@@ -145,7 +144,7 @@ def param(eqn: Eqn, name: str) -> Any:
 
 
 def expansion(eqn: Eqn) -> Any:
-    """Return the only program among an equation's parameters, closed, if it takes and returns what the equation does."""
+    """Return the only closed program among an equation's parameters if its arguments and results match the equation's."""
     programs = [p if hasattr(p, "consts") else ClosedJaxpr(p, ()) for p in inner(eqn.params)]
     if len(programs) != 1:
         return None
@@ -154,12 +153,12 @@ def expansion(eqn: Eqn) -> Any:
 
 
 def _types(x: Any) -> list[list[Any]]:
-    """Shapes and types of what an equation or a program takes and returns."""
+    """Return the shapes and types of the arguments and results of an equation or a program."""
     return [[(v.aval.shape, v.aval.dtype) for v in vs] for vs in (x.invars, x.outvars)]
 
 
 def parameter_items(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
-    """Return what an equation's parameters are, name by name."""
+    """Return an equation's parameters as (name, value) pairs."""
     return tuple(eqn.params.items())
 
 

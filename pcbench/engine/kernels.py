@@ -1,22 +1,22 @@
-"""Arithmetic of many lanes where what the compiler does by itself is too slow, or depends on what else is in a program.
+"""Arithmetic kernels for many lanes, used if the compiler's own code is too slow or depends on the rest of the program.
 
-Products. A compiler joins a product and a sum into one operation (FMA), which rounds once, if it finds both in one loop; what
-is in one loop depends on the whole program, so that the last bit of a run would depend on which other observers are simulated
-with it. Adding a zero that the compiler does not know makes every product round by itself, and costs nothing: what is joined
-then is the product and the zero. Without `separate_products` a product is what it is. Small products of matrices are written
-as products and sums, so that this holds for them too; also, the multiple-model filter takes a third of the time that it takes
-with `dot_general` under vmap.
+Products
+    A compiler may fuse a product and a sum into one operation with one rounding (FMA) if both are in one loop. Which operations
+    are in one loop depends on the whole program. So the last bit of a run would depend on the other observers in the program.
+    `separate_products` adds a zero that the compiler cannot see to every product, so each product is rounded by itself. Only
+    the product and that zero are fused, at no cost. Small matrix products are written as products and sums, for the same
+    reason. This also reduces the time of the multiple-model filter to a third of `dot_general` under vmap.
 
-Sine and cosine. XLA calls a scalar function for each lane: 5 ns a sine on one core of a server processor, 1 ns as written here,
-and 1.3 instead of 9.3 ns for sine and cosine of the same angle. Plants and observers keep `jnp.sin` and `jnp.cos`; the
-interpreter puts these in their place. An angle x is n quarter turns and a rest r, |r| <= pi/4: r = x - n pi/2, with pi/2 in
-three parts of 33 bits, so that n times each of the first two is exact (Cody and Waite). What rounding r leaves is t. On r, sine
-and cosine are polynomials in r^2.
+Sine and cosine
+    XLA calls a scalar function per lane: 5 ns per sine on one server core, against 1 ns here. Sine and cosine of one angle take
+    1.3 ns instead of 9.3 ns. Plants and observers use `jnp.sin` and `jnp.cos`, which the interpreter replaces by these.
+    An angle x is n quarter turns and a remainder r = x - n pi/2, |r| <= pi/4. pi/2 has three parts of 33 bits, so that n times
+    each of the first two is exact (Cody and Waite). t is the rounding error of r. Sine and cosine of r are polynomials in r^2.
 
-Accuracy: 1 unit in the last place for |x| up to 1e5, 2 up to 1.5e6; beyond, the error grows as 1e-16 |x|. Only an estimate that
-has diverged has angles above 1e12: they are taken as 1e12.
-Source: W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980; the coefficients of the polynomials are
-those of fdlibm (Sun Microsystems, 1993), of least error on [-pi/4, pi/4].
+Accuracy: 1 unit in the last place for |x| up to 1e5, 2 up to 1.5e6. Beyond, the error grows as 1e-16 |x|. Angles above 1e12,
+which only diverged estimates have, are replaced by 1e12.
+Source: W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980. The polynomial coefficients are those of
+fdlibm (Sun Microsystems, 1993), of least error on [-pi/4, pi/4].
 """
 
 from collections.abc import Callable, Iterator
@@ -50,7 +50,7 @@ COSINE = (
     -1.13596475577881948265e-11,
 )
 LARGEST = 1e12  # rad
-WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
+WRITTEN_OUT = 128  # products in one dot_general; larger ones use vmap, which compiles faster and runs as fast
 
 
 _ZERO: ContextVar[Array | None] = ContextVar("zero", default=None)
@@ -58,7 +58,7 @@ _ZERO: ContextVar[Array | None] = ContextVar("zero", default=None)
 
 @contextmanager
 def separate_products(number: Array) -> Iterator[None]:
-    """Let every product round by itself where a program is traced; `number` is any finite one that it has as an argument."""
+    """Round every product separately in programs traced in this context; `number` is any finite argument of the program."""
     token = _ZERO.set(0.0 * number)
     try:
         yield
@@ -78,7 +78,7 @@ def is_written_out(eqn: Eqn) -> bool:
 
 
 def dot(a: Array, b: Array, dimension_numbers: Any) -> Array:
-    """Return what `lax.dot_general` returns: [batch, rest of a, rest of b]."""
+    """Return the result of `lax.dot_general`: [batch, rest of a, rest of b]."""
     (ca, cb), (ba, bb) = dimension_numbers
     free_a = [i for i in range(a.ndim) if i not in (*ba, *ca)]
     free_b = [i for i in range(b.ndim) if i not in (*bb, *cb)]
@@ -92,7 +92,7 @@ def dot(a: Array, b: Array, dimension_numbers: Any) -> Array:
 
 
 def power(x: Array, exponent: int) -> Array:
-    """Return a whole power above 0, by squaring."""
+    """Return a positive integer power, by squaring."""
     half = power(x, exponent // 2) if exponent > 1 else None
     even = x if half is None else product(half, half)
     return even if exponent == 1 or exponent % 2 == 0 else product(even, x)
@@ -109,14 +109,16 @@ def cos(x: Array) -> Array:
 
 
 def _turned(x: Array, quarters: float) -> Array:
-    """The sine of an angle and some quarter turns more."""
+    """Return the sine of an angle plus a number of quarter turns."""
     x = lax.clamp(-LARGEST, x, LARGEST)
     n = jnp.round(_times(1 / (PI_2[0] + PI_2[1]), x))
     ahead, small = x - _times(PI_2[0], n), _times(PI_2[1], n)
     r = ahead - small
     t = (ahead - r) - small - _times(PI_2[2], n)
     n = n + quarters
-    quarter = n - _times(4.0, jnp.floor(_times(0.25, n)))  # 0 to 3; as a float, which every processor has vectors of
+    quarter = n - _times(
+        4.0, jnp.floor(_times(0.25, n))
+    )  # 0 to 3, as a float, for which every processor has vector instructions
     is_odd = (quarter == 1.0) | (quarter == 3.0)
     size = jnp.where(is_odd, _cosine(r, t), _sine(r, t))
     return jnp.where(quarter >= 2.0, -size, size)
@@ -137,7 +139,7 @@ def _cosine(r: Array, t: Array) -> Array:
 
 
 def _polynomial(coefficients: tuple[float, ...], z: Array) -> Array:
-    """The polynomial with coefficients of rising order, by Horner's rule."""
+    """Return the polynomial with coefficients of rising order, by Horner's rule."""
     value = jnp.full_like(z, coefficients[-1])
     for c in coefficients[-2::-1]:
         value = product(value, z) + c
@@ -152,7 +154,7 @@ KERNELS: dict[str, Callable[..., Array]] = {"mul": product, "sin": sin, "cos": c
 
 
 def function_of(eqn: Eqn) -> Callable[..., Array]:
-    """Return what applies a primitive to arrays of float64: a kernel of this module, or what jax has."""
+    """Return the function that applies a primitive to float64 arrays: a kernel of this module, or that of jax."""
     name, params = eqn.primitive.name, eqn.params
     if eqn.outvars[0].aval.dtype == jnp.float64:
         if name in KERNELS:

@@ -1,8 +1,8 @@
-"""Thousands of runs at once: an array that differs between runs is kept as its entries, each an array [L] over the lanes.
+"""Arrays that differ between runs: each entry is stored separately, as an array [L] over the lanes.
 
-Arrays [L] with lanes last are what a compiled loop works on best: nothing is transposed, nothing copied. What is the same in
-all lanes stays an ordinary array and is computed once. A long table that is read and written by row (a ring) keeps its rows
-together instead: one array [rows, L] for each entry of a row. `interpreter` evaluates one-lane functions on all of this.
+Compiled loops are fastest on arrays [L] with lanes last: no transposes and no copies. A value common to all lanes stays an
+ordinary array and is computed once. A long table that is accessed by row (a ring) is stored with its rows together: one array
+[rows, L] per entry of a row. `interpreter` evaluates functions of one lane on these forms.
 """
 
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-SAME, ENTRIES, TABLE = range(3)  # forms of a value: the same in all lanes; a LaneArray by entries, or a table
+SAME, ENTRIES, TABLE = range(3)  # forms of a value: common to all lanes; a LaneArray by entries; a LaneArray as a table
 
 
 @jax.tree_util.register_pytree_node_class
@@ -45,7 +45,7 @@ class LaneArray:
 
 
 def lanes_of(shape: tuple[int, ...], entries: PyTree, rows: int | None = None) -> LaneArray:
-    """A LaneArray of a shape from its entries in row-major order."""
+    """Return a LaneArray of a shape from its entries in row-major order."""
     parts = np.empty(shape, object)
     for i, entry in zip(np.ndindex(shape), entries, strict=True):
         parts[i] = entry
@@ -53,24 +53,24 @@ def lanes_of(shape: tuple[int, ...], entries: PyTree, rows: int | None = None) -
 
 
 def is_lanes(x: PyTree) -> bool:
-    """Say whether x differs between lanes (a leaf test for tree functions)."""
+    """Return whether x differs between lanes (a leaf test for tree functions)."""
     return isinstance(x, LaneArray)
 
 
 def split(x: jax.Array) -> LaneArray:
-    """A LaneArray from an array [*shape, L]."""
+    """Return a LaneArray from an array [*shape, L]."""
     flat = x.reshape(-1, x.shape[-1])
     return lanes_of(x.shape[:-1], [lax.index_in_dim(flat, i, keepdims=False) for i in range(len(flat))])
 
 
 def join(x: LaneArray) -> jax.Array:
-    """The array [*shape, L] of a LaneArray."""
+    """Return the array [*shape, L] of a LaneArray."""
     parts, at = list(x.parts.flat), 0 if x.rows is None else 1
     return jnp.stack(parts, at).reshape(*x.shape, parts[0].shape[-1])
 
 
 def table(x: PyTree) -> PyTree:
-    """A LaneArray [rows, *shape] with its rows together; an ordinary array as it is."""
+    """Return a LaneArray [rows, *shape] as a table; an ordinary array is unchanged."""
     if not is_lanes(x) or x.rows is not None:
         return x
     shape = x.parts.shape[1:]
@@ -78,14 +78,14 @@ def table(x: PyTree) -> PyTree:
 
 
 def entries(x: PyTree) -> PyTree:
-    """A LaneArray with every entry by itself; an ordinary array as it is."""
+    """Return a LaneArray by entries; an ordinary array is unchanged."""
     if not is_lanes(x) or x.rows is None:
         return x
     return lanes_of(x.shape, [part[k] for k in range(x.rows) for part in x.parts.flat])
 
 
 def to_array(x: PyTree, width: int) -> jax.Array:
-    """One array with lanes last: an array is repeated for each lane; of LaneArrays that a scan left its axis is the first."""
+    """Return one array with lanes last; an ordinary array is repeated per lane. The results of a scan have its axis first."""
     if not is_lanes(x):
         return jnp.broadcast_to(x[..., None], (*x.shape, width))
     parts = list(x.parts.flat)
@@ -93,13 +93,13 @@ def to_array(x: PyTree, width: int) -> jax.Array:
 
 
 def broadcast(x: jax.Array, width: int) -> LaneArray:
-    """A LaneArray that holds the same array in all lanes."""
+    """Return a LaneArray with the same array in all lanes."""
     x = jnp.asarray(x)
     return lanes_of(x.shape, [jnp.broadcast_to(x[i], (width,)) for i in np.ndindex(x.shape)])
 
 
 def broadcast_table(x: jax.Array, width: int) -> LaneArray:
-    """A table that holds the same array in all lanes."""
+    """Return a table with the same array in all lanes."""
     shape, rows = x.shape[1:], x.shape[0]
     return lanes_of(shape, [jnp.broadcast_to(x[:, *i, None], (rows, width)) for i in np.ndindex(shape)], rows)
 
@@ -110,21 +110,21 @@ def form_of(x: PyTree) -> int:
 
 
 def to_form(x: PyTree, form: int, width: int) -> PyTree:
-    """Return a value in a form, at least as wide as its own."""
+    """Return a value in a form at least as general as its own."""
     if form == TABLE:
         return table(x) if is_lanes(x) else broadcast_table(x, width)
     return entries(x) if is_lanes(x) else broadcast(x, width) if form else x
 
 
 def match_form(tree: PyTree, template: PyTree, width: int) -> PyTree:
-    """Spread what the template has as a LaneArray and the tree as an ordinary array; a table where the template has one."""
+    """Return the tree with the forms of the template: an ordinary array becomes a LaneArray or a table as in the template."""
     return jax.tree.map(
         lambda t, x: to_form(x, form_of(t), width) if is_lanes(t) else x, template, tree, is_leaf=is_lanes
     )
 
 
 def pick(tree: PyTree, lane: jax.Array) -> PyTree:
-    """Take some lanes out: `lane` holds their numbers; what is the same in all stays."""
+    """Return the lanes with the numbers `lane`; values common to all lanes are unchanged."""
 
     def one(x: PyTree) -> PyTree:
         return jax.tree.map(lambda a: a.at[..., lane].get(mode="clip"), x) if is_lanes(x) else x
@@ -133,7 +133,7 @@ def pick(tree: PyTree, lane: jax.Array) -> PyTree:
 
 
 def put_back(tree: PyTree, some: PyTree, lane: jax.Array) -> PyTree:
-    """Put lanes taken out back in their places; a number beyond the last lane is of none."""
+    """Write extracted lanes back to their places; a number beyond the last lane is ignored."""
 
     def one(x: PyTree, new: PyTree) -> PyTree:
         return jax.tree.map(lambda a, b: a.at[..., lane].set(b, mode="drop"), x, new) if is_lanes(x) else x

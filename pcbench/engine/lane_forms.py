@@ -1,7 +1,7 @@
-"""Which values of a program differ between lanes, and how those are kept: read from its jaxpr, without computing anything.
+"""Find the values of a program that differ between lanes, and how they are stored, from its jaxpr without computing anything.
 
-A value is the same in all lanes (SAME), or a LaneArray: by entries (ENTRIES) or as a table (TABLE). `interpreter` keeps to it:
-what it returns has these forms, by test.
+A value is common to all lanes (SAME), or a LaneArray by entries (ENTRIES) or as a table (TABLE). The results of `interpreter`
+have these forms; tests check this.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,12 +15,12 @@ from pcbench.engine.jaxpr_compat import CALLS, STRUCTURAL, ClosedJaxpr, Eqn, Lit
 from pcbench.engine.lane_array import ENTRIES, SAME, TABLE, form_of, is_lanes
 from pcbench.protocols import TOGETHER
 
-MANY = 32  # rows, from which on what `vmap_as_unit` returns is kept as a table
+MANY = 32  # rows from which on a result of `vmap_as_unit` is stored as a table
 Forms = Sequence[int]
 
 
 def trace_lane(f: Callable[..., PyTree], *args: PyTree) -> tuple[ClosedJaxpr, list[int], list[PyTree]]:
-    """Return the program of `f` for one lane of its arguments, the forms of these, and the shapes of what it returns."""
+    """Return the program of `f` for one lane, the forms of its arguments, and the shapes of its results."""
     flat, tree = jax.tree.flatten(args, is_leaf=is_lanes)
     one = [jax.ShapeDtypeStruct(x.shape, x.dtype) if is_lanes(x) else x for x in flat]
     closed, out = jax.make_jaxpr(lambda *a: f(*jax.tree.unflatten(tree, a)), return_shape=True)(*one)
@@ -28,7 +28,7 @@ def trace_lane(f: Callable[..., PyTree], *args: PyTree) -> tuple[ClosedJaxpr, li
 
 
 def forms_of(closed: ClosedJaxpr, given: Forms) -> list[int]:
-    """Return the forms of what a program returns, of those of what it is given."""
+    """Return the forms of a program's results from the forms of its arguments."""
     jaxpr = closed.jaxpr
     forms = dict.fromkeys(jaxpr.constvars, SAME) | dict(zip(jaxpr.invars, given, strict=True))
     of = lambda v: SAME if isinstance(v, Literal) else forms[v]  # noqa: E731
@@ -60,14 +60,14 @@ def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
 
 
 def _as_unit(aval: Any) -> int:
-    """The form of what a function in one piece returns."""
+    """Return the form of a result of a function applied as one unit."""
     if aval.shape and aval.shape[0] >= MANY:
         return TABLE
     return ENTRIES if aval.size else SAME
 
 
 def is_one_row(eqn: Eqn, args: Forms) -> bool:
-    """Whether an equation reads or writes one whole row, at an index that all lanes share."""
+    """Return whether an equation reads or writes one whole row at an index common to all lanes."""
     if eqn.primitive.name not in ("dynamic_slice", "dynamic_update_slice"):
         return False
     update = eqn.primitive.name == "dynamic_update_slice"
@@ -77,7 +77,7 @@ def is_one_row(eqn: Eqn, args: Forms) -> bool:
 
 
 def scan_forms(scan: jaxpr_compat.Scan, args: Forms) -> tuple[Forms, Forms]:
-    """Return the forms of a scan's carries, and of one row of what else it returns."""
+    """Return the forms of a scan's carries, and of one row of its other results."""
     consts, rows = args[: scan.consts], by_entries(args[scan.consts + scan.carry :])
     body = lambda state: forms_of(scan.body, [*consts, *state, *rows])  # noqa: E731
     state = spread(lambda state: body(state)[: scan.carry], by_entries(args[scan.consts : scan.consts + scan.carry]))
@@ -85,7 +85,7 @@ def scan_forms(scan: jaxpr_compat.Scan, args: Forms) -> tuple[Forms, Forms]:
 
 
 def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
-    """Return the forms of a while loop's state; None where lanes leave it one by one."""
+    """Return the forms of a while loop's state; None if lanes end it at different times."""
     first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
     asked, given, state = args[:first], args[first:second], by_entries(args[second:])
     state = spread(lambda state: forms_of(loop.body, [*given, *state]), state)
@@ -93,12 +93,12 @@ def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
 
 
 def by_entries(forms: Forms) -> list[int]:
-    """Return the forms of what is a table no more."""
+    """Return the forms with tables replaced by entries."""
     return [min(form, ENTRIES) for form in forms]
 
 
 def spread(step: Callable[[Forms], Forms], state: Forms) -> list[int]:
-    """Return the forms of a state that `step` moves: once different between lanes, or once a table, a value stays so."""
+    """Return the forms of a state at a fixed point of `step`; a value that differs between lanes, or is a table, stays so."""
     while (wider := [max(pair) for pair in zip(state, step(state), strict=True)]) != list(state):
         state = wider
     return wider

@@ -1,8 +1,8 @@
-"""Memories as they are kept between events: what flow leaves alone lies together, in one array.
+"""Packed memories between events: all leaves that flow does not change are stored in one array.
 
-An event on schedules of their own takes a few lanes out of every array and puts them back. Most of a memory is changed by jumps
-only; packed, it costs two operations in all instead of two for each entry. Whole numbers and truth values are kept as floats,
-which hold them exactly up to 2^53.
+With random schedules an event extracts a few lanes from every array and writes them back. Most of a memory is changed by jumps
+only. Packed, it needs two operations in total instead of two per entry. Integers and booleans are stored as floats, which is
+exact up to 2^53.
 """
 
 import math
@@ -19,14 +19,14 @@ from pcbench.engine.lane_array import LaneArray
 
 
 class PackedMemory(NamedTuple):
-    """The leaves of a memory: those that flow moves, as they are, and the others packed."""
+    """The leaves of a memory: those that flow changes, unchanged, and the others packed."""
 
     moving: list[PyTree]
     still: Array  # [M, L]
 
 
 class Place(NamedTuple):
-    """Where a leaf's entries are kept, one after the other; a table's entry takes as many rows as it has."""
+    """The rows of a leaf's entries, one after another; an entry of a table takes as many rows as the table."""
 
     first: int
     shape: tuple[int, ...]
@@ -41,17 +41,17 @@ class Packing(NamedTuple):
     places: list[Place | None]
 
     def whole(self, kept: PackedMemory) -> PyTree:
-        """Unpack: return the memories."""
+        """Return the unpacked memories."""
         moving = iter(kept.moving)
         leaves = [next(moving) if place is None else _unpack_leaf(kept.still, place) for place in self.places]
         return jax.tree.unflatten(self.tree, leaves)
 
     def moved(self, memories: PyTree, kept: PackedMemory) -> PackedMemory:
-        """Return what is packed, with the leaves that a flow has changed."""
+        """Return the packed memories with the leaves that a flow has changed."""
         return kept._replace(moving=self._moving(self._leaves(memories)))
 
     def pack(self, memories: PyTree) -> PackedMemory:
-        """Pack memories."""
+        """Return packed memories."""
         leaves = self._leaves(memories)
         packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
         rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]
@@ -65,7 +65,7 @@ class Packing(NamedTuple):
 
 
 def packing(flow: Callable[[PyTree], PyTree], memories: PyTree) -> Packing:
-    """Return how to keep memories that `flow` (memories -> memories) moves: it is traced to see what it leaves alone."""
+    """Return the packing for memories moved by `flow` (memories -> memories), which is traced to find the leaves it changes."""
     alone: list[bool] = []
 
     def probe(before: PyTree) -> int:
@@ -89,12 +89,12 @@ def packing(flow: Callable[[PyTree], PyTree], memories: PyTree) -> Packing:
 
 
 def pick(kept: PackedMemory, lane: Array) -> PackedMemory:
-    """Take some lanes out; `lane` [K] holds their numbers."""
+    """Return the lanes with the numbers `lane` [K]."""
     return PackedMemory(lane_array.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
 
 
 def put_back(kept: PackedMemory, some: PackedMemory, lane: Array) -> PackedMemory:
-    """Put lanes taken out back in their places; a number beyond the last lane is of none."""
+    """Write extracted lanes back to their places; a number beyond the last lane is ignored."""
     still = kept.still.at[:, lane].set(some.still, mode="drop")
     return PackedMemory(lane_array.put_back(kept.moving, some.moving, lane), still)
 

@@ -1,8 +1,8 @@
-"""Applies samples and arrivals where each run has its own schedule: at a tick a few lanes sense or jump, the others do not.
+"""Samples and arrivals if each run has its own schedule: at a tick only a few lanes have an event.
 
-Which measurement arrives when is decided in `simulation.schedule`. With random sampling some lane has an event at nearly every
-tick. So the events of a block of runs are sorted by time (`event_table`); at each tick the lanes that have one are taken out,
-at most `CHUNK` at a time, and put back. A run has the numbers it has alone.
+`simulation.schedule` decides which measurement arrives when. With random sampling some lane has an event at nearly every tick.
+The events of a block of runs are sorted by time (`event_table`). At each tick the lanes with an event are extracted, at most
+`CHUNK` at a time, and written back. A run has the same numbers as alone.
 """
 
 import math
@@ -22,18 +22,18 @@ from pcbench.simulation.schedule.event_table import EventTable, event_table
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, State
 
-CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
+CHUNK = 32  # lanes extracted together; 128 take 1.2 times as long with jitter, 1.6 times with out-of-sequence samples
 
 
 class Queue(NamedTuple):
-    """Events of all runs in order of time, and room for one more chunk at the end; E an agenda's length."""
+    """Events of all runs in order of time, with room for one more chunk; E rows of the event table."""
 
     when: Array  # [E L + CHUNK] tick E + slot
     what: Array  # [E L + CHUNK] row L + run
 
 
 class Progress(NamedTuple):
-    """How many events of all runs are done."""
+    """How many events of all runs are complete."""
 
     sensed: Array
     noted: Array
@@ -41,23 +41,23 @@ class Progress(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Packets on the network, in rings by row of each run's agenda, and how far the queues are done."""
+    """Packets on the network, in rings by row of each run's event table, and the progress of the queues."""
 
     values: Array  # [q, R, L]
-    notes: Array  # [numbers noted by all observers, R, L]
+    notes: Array  # [size of all snapshots, R, L]
     done: Progress
 
 
 class Chunk(NamedTuple):
-    """Events that happen together, no two of them in one lane."""
+    """Simultaneous events, at most one per lane."""
 
-    lane: Array  # [CHUNK] beyond the last lane: no event
-    row: Array  # [CHUNK] of the agenda
-    size: Array  # how many there are
+    lane: Array  # [CHUNK]; beyond the last lane: no event
+    row: Array  # [CHUNK] of the event table
+    size: Array  # number of events
 
 
 class Events(NamedTuple):
-    """All events of a block of runs, and in what form memories are kept between them. E an agenda's length, M samples."""
+    """All events of a block of runs, and the packing of memories. E rows of the event table, M samples."""
 
     layout: Layout
     p: GridPointParams
@@ -66,31 +66,31 @@ class Events(NamedTuple):
     taken: Queue
     noting: Queue
     arrivals: Queue
-    noise: list[Array]  # by channel [M, L], standard normal; then what else a sample draws, by channel
+    noise: list[Array]  # by channel [M, L], standard normal; then the other draws of a sample, by channel
     form: packing.Packing
-    first_notes: Notes  # of the start: the shape of all others
+    first_notes: Notes  # of the initial state; all snapshots have this shape
 
     @property
     def rows(self) -> int:
-        """Return E."""
+        """Return E, the rows of the event table."""
         return len(self.agenda.arrives)
 
     def happen(self, k: Array, state: State) -> State:
-        """Let everything that is due at tick k happen: sense and note, then deliver, the oldest packet of a run first."""
+        """Apply all events of tick k: sample and snapshot, then deliver, the oldest packet of a run first."""
         return _deliver(self, k, _take(self, k, state))
 
     def following(self, k: Array, state: State) -> Array:
-        """Return the tick of the next event of any run, once those of tick k have happened."""
+        """Return the tick of the next event of any run after tick k."""
         done = state.flight.done
         due = jnp.stack([self.taken.when[done.sensed], self.noting.when[done.noted], self.arrivals.when[done.arrived]])
         return due.min() // self.rows
 
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
-    """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
+    """Return the events of a block of runs, and the state before tick 0 with packed memories."""
     times: PyTree = p.schedule
     plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
-    rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
+    rows, none = len(plan.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
     taken = _queue(plan.taken * rows)
     stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
     events = Events(
@@ -107,14 +107,14 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
         ),
         first_notes=snapshot(layout, p, zero, state),
     )
-    early = (stamped.when < 0).sum()  # believed to be from before tick 0: the start is noted
+    early = (stamped.when < 0).sum()  # assumed to be from before tick 0: the snapshot is that of the initial state
     rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
     flight = Flight(*rings, Progress(zero, early, zero))
     return events, state._replace(memories=events.form.pack(state.memories), flight=flight)
 
 
 def _take(events: Events, k: Array, state: State) -> State:
-    """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
+    """Take the samples of tick k and the snapshots with this timestamp, CHUNK runs at a time."""
     taken, noting, now, telling = events.taken, events.noting, k * events.rows, any_is_notified(events.layout)
 
     def due(c: tuple[Flight, PyTree]) -> Array:
@@ -142,7 +142,7 @@ def _measure_runs(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
 
 
 def _notify_observers(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
-    """The memories after the observers of some runs were notified of their samples."""
+    """Return the memories after the observers of some runs were notified of their samples."""
     mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
     after = notify_sampled(events.layout, events.p, k, mine, lane_array.split(number >= 0))
     return packing.put_back(
@@ -151,7 +151,7 @@ def _notify_observers(events: Events, k: Array, state: State, c: Chunk) -> packi
 
 
 def _deliver(events: Events, k: Array, state: State) -> State:
-    """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
+    """Deliver every packet that arrives at tick k, CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
     def some(c: tuple[Array, packing.PackedMemory]) -> tuple[Array, packing.PackedMemory]:
@@ -165,7 +165,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
 
 
 def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
-    """The memories after the arrivals of some runs."""
+    """Return the memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     which = _at(events.agenda.which, c.row, c.lane)
     values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
@@ -178,7 +178,7 @@ def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing
 
 
 def _taken_out(events: Events, state: State, c: Chunk) -> State:
-    """What observers see of some runs: their memories, and in a closed loop their commands."""
+    """Return the observers' view of some runs: their memories, and in a closed loop their commands."""
     mine = state._replace(memories=events.form.whole(packing.pick(state.memories, c.lane)))
     if not events.layout.controller:
         return mine
@@ -187,9 +187,9 @@ def _taken_out(events: Events, state: State, c: Chunk) -> State:
 
 
 def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Array) -> list[Array]:
-    """The noise of every sample of each channel before scaling, [M, L]: the draws of a shared schedule.
+    """Return the noise of every sample of each channel before scaling, [M, L], with the draws of a common schedule.
 
-    Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
+    Drawn in advance: the hash of a draw takes longer for a chunk of lanes than its jump.
     """
     noise, index = measurements.noise_sampler(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
     each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
@@ -203,14 +203,14 @@ def _queue(when: Array) -> Queue:
 
 
 def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
-    """The next events of a queue, as far as they are due exactly `when`."""
+    """Return the next events of a queue that are due at `when`."""
     due, what = (lax.dynamic_slice_in_dim(a, done, CHUNK) for a in queue)
     together = due == when
     return Chunk(jnp.where(together, what % layout.width, layout.width), what // layout.width, together.sum())
 
 
 def _row(events: Events, k: Array, c: Chunk, which: Array) -> ArrivalInfo:
-    """What is known of the packets that arrive."""
+    """Return mask, age and sample numbers of the packets that arrive."""
     plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
     return ArrivalInfo(
         mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
@@ -221,24 +221,24 @@ def _row(events: Events, k: Array, c: Chunk, which: Array) -> ArrivalInfo:
 
 
 def _of_channels(events: Events, table: Array, row: Array, lane: Array) -> Array:
-    """Entries of a table by clock [C, E, L], for each channel: [q, CHUNK]."""
+    """Return entries of a table by clock [C, E, L], for each channel: [q, CHUNK]."""
     return table.at[:, row, lane].get(mode="clip")[events.times.clock_of]
 
 
 def _at(table: Array, row: Array, lane: Array) -> Array:
-    """Entries of a table [E, L]."""
+    """Return entries of a table [E, L]."""
     return table.at[row, lane].get(mode="clip")
 
 
 def _flat(packet: PyTree, width: int) -> Array:
-    """Every number of a packet, [numbers, L]."""
+    """Return all numbers of a packet, [numbers, L]."""
     leaves = [x for x in jax.tree.leaves(packet, is_leaf=lane_array.is_lanes) if math.prod(x.shape)]
     entries = [entry for x in leaves for entry in lane_array.to_form(x, lane_array.ENTRIES, width).parts.flat]
     return jnp.stack(entries) if entries else jnp.zeros((0, width))
 
 
 def _unflat(numbers: Array, like: PyTree) -> PyTree:
-    """Undo `_flat`, in the shape of `like`."""
+    """Return the packet of numbers from `_flat`, in the shape of `like`."""
     rest = iter(numbers)
 
     def one(leaf: PyTree) -> PyTree:

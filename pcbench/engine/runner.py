@@ -1,7 +1,8 @@
-"""Many runs at once: calls of one compiled width, several at a time.
+"""Run many simulations: compiled calls of one width, several at a time.
 
-A *job* is one cell's `GridPointParams` with up to `width` seeds, padded to that: a run has the same bits alone and in any
-block. A program computes on one thread of one device, several calls at a time, so nothing beside it changes its bits.
+A *job* is one grid point's `GridPointParams` with up to `width` seeds, padded to the width. A run has the same bits alone and
+in any block. A program computes on one thread of one device, and several calls run at a time. So other work does not change its
+bits.
 """
 
 import itertools
@@ -25,52 +26,52 @@ from pcbench.simulation.metrics import ControlCost, ErrorSums, IntervalSums, Set
 from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.simulation.types import GridPointParams, Layout, RunSums
 
-WIDTH = 1024  # lanes a call
-DEFINITION = 64  # of the definition
-EXPENSIVE = 8  # of the definition with an observer whose runs are expensive
-NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
-HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
-# types of what a program returns
+WIDTH = 1024  # lanes per call
+DEFINITION = 64  # lanes of the definition
+EXPENSIVE = 8  # lanes of the definition with an expensive observer
+NARROW = (64, 256)  # for grid points with few runs: 64 lanes take a quarter of the time of 1024
+HEAVY = 256  # for a plant with expensive ticks: on the arm 1024 lanes are not faster per lane
+# types of a program's results
 RETURNED = (RunSums, ErrorSums, SettlingState, IntervalSums, ControlCost, Squares, InnovationStats)
 
 
 def vector_width() -> str:
-    """Return how many bits a vector of this processor has; of one without 512, wider ones take twice as long."""
+    """Return the vector width of this processor in bits; without 512-bit vectors, requesting them doubles the time."""
     try:
         return "512" if " avx512f" in Path("/proc/cpuinfo").read_text() else "256"
     except OSError:  # not on Linux
         return "256"
 
 
-OPTIONS: dict[str, str | bool] = {  # of the compiler, for a processor
-    "xla_cpu_multi_thread_eigen": False,  # small products shared out among threads: 3 times slower, other bits
-    "xla_cpu_prefer_vector_width": vector_width(),  # where it has 512: the arm takes 0.77 of the time that 256 bits take
+OPTIONS: dict[str, str | bool] = {  # compiler options for a CPU
+    "xla_cpu_multi_thread_eigen": False,  # multithreaded small products are 3 times slower and change bits
+    "xla_cpu_prefer_vector_width": vector_width(),  # with 512 bits, the arm takes 0.77 of the time with 256 bits
 }
 
 
 class Job(NamedTuple):
-    """The runs of one cell that are simulated in one call."""
+    """The runs of one grid point that are simulated in one call."""
 
     problem: GridPointParams
     root_seed: int
     seeds: np.ndarray  # at most `width`
-    schedules: PyTree = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
+    schedules: PyTree = None  # one per seed, [seeds] first, if the definition simulates random sampling
 
 
 class Program(NamedTuple):
-    """A compiled call and what it took to make."""
+    """A compiled call and its compilation data."""
 
     layout: Layout
     call: Any  # (problem, root seed, seeds [L], schedules) -> RunSums with arrays [..., L]
     device: jax.Device
     width: int
     compile_seconds: float
-    number: int = 0  # of this process: the first program, the second ...
-    memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
+    number: int = 0  # compilation number in this process
+    memory: int = 0  # bytes that a call uses, as reported by the compiler; 0: not reported
 
 
 def devices(count: int | None = None) -> list[PyTree]:
-    """Return the device that each of the calls at a time runs on: one a core, or one an accelerator; `count` of them."""
+    """Return the device of each simultaneous call: one per core, or one per accelerator; `count` of them."""
     found = jax.devices()
     if found[0].platform == "cpu":
         return [found[0]] * (count or cores())
@@ -83,9 +84,9 @@ def cores() -> int:
 
 
 def program(layout: Layout, job: Job, device: jax.Device | None = None) -> Program:
-    """Compile the call for jobs shaped like `job` on a device (default the first); once for each shape.
+    """Compile the call for jobs shaped like `job` on a device (default: the first); once for each shape.
 
-    Raises UserError where jax would compute in float32.
+    Raises UserError if jax would compute in float32.
     """
     if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         raise UserError(
@@ -124,7 +125,7 @@ def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: t
 
 
 def _memory(call: Any) -> int:
-    """What a call works with, and three times what it takes and leaves: of this one, of the next, of what is read."""
+    """Return the working memory of a call plus three times its arguments and results (this, the next and the previous call)."""
     try:
         m = call.memory_analysis()
         return int(m.temp_size_in_bytes + 3 * (m.argument_size_in_bytes + m.output_size_in_bytes))
@@ -138,21 +139,21 @@ def compilations() -> int:
 
 
 def arguments(job: Job, width: int) -> tuple[GridPointParams, PyTree, PyTree, PyTree]:
-    """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
+    """Return the arguments of a call: arrays, with a short list of seeds padded by repetition."""
     which = np.resize(np.arange(len(job.seeds)), width)
     schedules = jax.tree.map(lambda a: a[which], job.schedules)
     return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), job.seeds[which], schedules
 
 
 def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
-    """Simulate jobs one after another; yield each with what it left, as NumPy arrays [..., L].
+    """Simulate jobs one after another; yield each with its sums, as NumPy arrays [..., L].
 
-    The next call is handed to the device before the last one's results are read.
+    The next call is submitted before the previous results are read.
     """
     waiting: list[tuple[Job, PyTree]] = []
     for job in jobs:
         given = arguments(job, made.width)
-        if job.schedules is not None:  # they have other shapes, where more arrives at a tick
+        if job.schedules is not None:  # shapes differ if more packets arrive at one tick
             made = program(made.layout, job, made.device)
         waiting.append((job, made.call(*given)))
         if len(waiting) > 1:
@@ -177,7 +178,7 @@ def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[t
 
 
 def in_float64(function: Any, *arguments: PyTree) -> PyTree:
-    """Call a function with float64 on: jax keeps that switch for each thread."""
+    """Call a function with float64 on: jax has this setting per thread."""
     with config.float64():
         return function(*arguments)
 

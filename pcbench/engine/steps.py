@@ -1,7 +1,7 @@
-"""The steps of a tick on many lanes: the functions of one run in `simulate_runs`, each carried over the lanes.
+"""The steps of a tick on many lanes: the functions of one run in `simulate_runs`, applied to all lanes.
 
-`common_schedule` and `random_schedules` say at which ticks something is sensed or delivered. In an open loop all observers
-watch one plant. A closed loop simulates a single observer, which drives a plant of its own.
+`common_schedule` and `random_schedules` decide at which ticks samples are taken and delivered. In an open loop all observers
+share one plant. A closed loop has one observer and its own plant.
 """
 
 from collections.abc import Callable
@@ -30,18 +30,18 @@ from pcbench.simulation.types import (
     truth,
 )
 
-Happen = Callable[[Array, State], State]  # (tick, state) -> state after all that is sensed and delivered at the tick
+Happen = Callable[[Array, State], State]  # (tick, state) -> state after all samples and deliveries of the tick
 
 
 class TickNoise(NamedTuple):
-    """What every run draws at a tick, whatever happens."""
+    """The random numbers of every run at a tick."""
 
-    process: PerLane  # [n] noise of the state before scaling; [0]: none
-    command: PyTree = ()  # command_network.Drawn, of a loop with a network
+    process: PerLane  # [n] process noise before scaling; [0]: none
+    command: PyTree = ()  # command_network.CommandDraws, for a loop with a network
 
 
 class Lane(NamedTuple):
-    """What steps read of a state; of one lane, a part of a `Run`."""
+    """The part of a state that steps read; for one lane, a part of a `Run`."""
 
     x: PyTree = ()
     memories: PyTree = ()
@@ -50,17 +50,17 @@ class Lane(NamedTuple):
 
     @property
     def run(self) -> Run:
-        """Return it as the definition has it."""
+        """Return it as a `Run` of the definition."""
         return Run(self.x, self.memories, Packet((), {}), {}, self.watches, self.commands)
 
 
 def observer_view(layout: Layout, state: State) -> Lane:
-    """Return what observers see of a state."""
+    """Return the observers' view of a state."""
     return Lane((), state.memories, state.commands, state.watches if layout.controller else {})
 
 
 def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: TickNoise) -> State:
-    """Return the state at tick k + 1, of one at tick k after its events: the order is that of `simulate_runs.tick`."""
+    """Return the state at tick k + 1 from one at tick k after its events, in the order of `simulate_runs.tick`."""
     state = score(layout, p, k, state)  # 3. estimate
     state = control(layout, p, k, state, drawn.command)  # 4. control
     return flow(layout, p, k, state, drawn.process)  # 5. flow
@@ -70,7 +70,7 @@ def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Tick
 
 
 def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: PerLane) -> PerLane:
-    """Return what every channel measures at tick k, [q]."""
+    """Return the measurement of every channel at tick k, [q]."""
 
     def one_lane(k: Array, x: Array, drawn: PyTree, v: Array) -> Array:
         return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
@@ -79,12 +79,12 @@ def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: P
 
 
 def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Notes:
-    """Return what every observer notes at tick k."""
+    """Return the snapshot of every observer at tick k."""
     return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
 def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, mask: PerLane) -> Memories:
-    """Return the memories after those observers that ask for it were notified which channels [q] are sampled at tick k."""
+    """Return the memories after observers with `on_sample` are notified which channels [q] are sampled at tick k."""
 
     def one_lane(k: Array, lane: Lane, mask: Array) -> Memories:
         after = simulate_runs.notify(layout, p, k, lane.run, mask)
@@ -94,7 +94,7 @@ def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, m
 
 
 def any_is_notified(layout: Layout) -> bool:
-    """Whether any observer asks to be notified at sampling time."""
+    """Return whether any observer has `on_sample`."""
     return any(o.on_sample for _, o in layout.observers)
 
 
@@ -118,7 +118,7 @@ def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: Arriva
 
 
 def estimates(layout: Layout, p: GridPointParams, state: State) -> dict[str, PerLane]:
-    """Return what every observer estimates, as the state stands: [n] or [n + s]."""
+    """Return the estimate of every observer in this state: [n] or [n + s]."""
 
     def one_lane(memories: Memories) -> dict[str, Array]:
         return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
@@ -127,7 +127,7 @@ def estimates(layout: Layout, p: GridPointParams, state: State) -> dict[str, Per
 
 
 def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLane:
-    """Return what observers estimate, as it is at tick k: [n + s]."""
+    """Return the true values of the estimated signals at tick k: [n + s]."""
 
     def one_lane(k: Array, x: Array, drawn: PyTree) -> Array:
         return truth(layout, params_of(layout, p, drawn), present(p, k, True), x)
@@ -136,7 +136,7 @@ def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLan
 
 
 def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[str, PerLane]:
-    """Return e of every observer at tick k, of all that it estimates."""
+    """Return e of every observer at tick k for all that it estimates."""
 
     def one_lane(k: Array, lane: Lane, drawn: PyTree) -> dict[str, Array]:
         return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
@@ -145,7 +145,7 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
 
 
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
-    """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
+    """Add the errors of tick k to the sums and settling states, and in a closed loop the tracking error."""
 
     def bounded(k: Array, lane: Lane, drawn: PyTree) -> dict[str, PyTree]:
         return simulate_runs.intervals(layout, p, params_of(layout, p, drawn), k, lane.run)
@@ -170,7 +170,7 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
 
 
 def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, PyTree]:
-    """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
+    """Return the normalized errors of tick k for observers that report a covariance."""
 
     def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, PyTree]:
         return simulate_runs.normalized_errors(layout, p, k, lane.run, e)
@@ -182,7 +182,7 @@ def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[
 
 
 def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: PyTree = ()) -> State:
-    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`TickNoise`)."""
+    """Compute the command of tick k in a closed loop, and add its cost; `drawn` are the network's random numbers."""
     if layout.controller is None:
         return state
 

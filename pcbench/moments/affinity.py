@@ -1,11 +1,11 @@
-"""Looks at a cell before a program is made for it: its functions are traced, or run at a few points.
+"""Cheap checks of a grid point before its program is compiled: functions are traced, or evaluated at a few points.
 
-* `bend`: is a plant's tick affine in its state? No cell whose plant is not can be exact.
-* `is_curved`: does what noise reaches decide how it moves on? Where the slope of a tick reads the state that it is taken at, an
-  observer is hardly affine. Whether it is, one realisation of a cell says, so that the others are not gone through for nothing.
-  Too much may be found here, as where a limit is never met, but hardly too little.
-* `asks_last_arrival`: does an observer ask when the last arrival was (`ticks_since_arrival`)? Then what it makes of an arrival
-  depends on which sample came before, on losses too.
+- `bend`: is a plant's tick affine in its state? A nonlinear plant has no exact moments.
+- `is_curved`: does the slope of a tick depend on values that noise reaches? Then the observer is probably not affine. One
+  realisation decides this, which saves the others. False positives are possible (for instance a limit that is never reached),
+  false negatives are unlikely.
+- `asks_last_arrival`: does an observer use `ticks_since_arrival`? Then the effect of an arrival depends on the previous sample,
+  and so on losses.
 """
 
 from collections.abc import Callable
@@ -29,13 +29,13 @@ from pcbench.simulation import simulate_runs
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
 
-ROUNDING = 1e-9  # of the largest number in a comparison; found on affine cells: below 1e-12
-MOST_NUMBERS = 1024  # that noise reaches: their covariance has the square of it, for each of eight cells
-KEY = 20190131  # of where a plant is looked at: no result depends on it
+ROUNDING = 1e-9  # relative to the largest number in a comparison; affine grid points stay below 1e-12
+MOST_NUMBERS = 1024  # that noise reaches: their covariance has the square of it, for each of eight grid points
+KEY = 20190131  # seed of the points at which a plant is evaluated; no result depends on it
 
 
 def refusal_beforehand(p: Plan) -> str:
-    """Return why an observer has no exact moments, the end of a sentence about it, if that needs no moments; else empty."""
+    """Return a clause why an observer has no exact moments, if that is known without them; else empty."""
     if why := _unsupported_samples(p.cell.scenario.sampling):
         return f"has samples {why}"
     if (numbers := form_of(p.layout, p.problem).reached) > MOST_NUMBERS:
@@ -44,6 +44,7 @@ def refusal_beforehand(p: Plan) -> str:
 
 
 def _unsupported_samples(sampling: Sampling) -> str:
+    """Return a clause why samples have no exact moments; empty if they have."""
     if chance := sampling.outlier_probability:
         return f"of which {100 * np.max(chance):g} % are outliers, whose noise is not normal"
     if sampling.noise_correlation:
@@ -58,7 +59,7 @@ def _unsupported_samples(sampling: Sampling) -> str:
 
 
 def bend(p: Plan) -> float:
-    """Return f(x + d) + f(x - d) - 2 f(x) of a tick as a part of its size, the largest of some; 0 where no noise reaches x."""
+    """Return the largest f(x + d) + f(x - d) - 2 f(x) of a tick relative to its size; 0 if no noise reaches x."""
     layout, problem = p.layout, p.problem
     reached = layout.controller or layout.random_initial_state or len(problem.process_std)
     if not reached or layout.drifting:
@@ -78,7 +79,7 @@ def bend(p: Plan) -> float:
 
 
 def is_curved(layout: Layout, problem: GridPointParams) -> bool:
-    """Return whether in an open loop a slope may depend on what noise reaches."""
+    """Return whether a slope may depend on values that noise reaches, in an open loop."""
     return not layout.controller and _is_curved(layout, problem._replace(schedule=()))
 
 
@@ -105,7 +106,7 @@ def _is_curved(layout: Layout, p: GridPointParams) -> bool:
 
 
 def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
-    """Return whether an observer may ask how long ago the last arrival was."""
+    """Return whether an observer may use the time since the last arrival."""
     return _asks_last_arrival(layout, problem._replace(schedule=()))
 
 
@@ -124,5 +125,5 @@ def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
 
 
 def _before(layout: Layout, p: GridPointParams) -> Run:
-    """The shapes of a state before tick 0."""
+    """Return the shapes of a state before tick 0."""
     return jax.eval_shape(lambda p: begin(layout, p, jnp.asarray(0), (), jnp.zeros(2 * p.x0.shape[0]), ()), p)

@@ -1,21 +1,26 @@
-"""Delays that are random from sample to sample, as modes: the delays of the newest samples, and what leads from mode to mode.
+"""Random delays as modes of a jump-linear system: the delays of the newest samples, with transitions between modes.
 
-How much later sample i arrives is w_i, a Markov chain over a few values (`delay_values`, `delay_self_transition`), drawn by
-itself (`delay_weights`, `delay_gamma_mean`, `delay_jitter`), or both. What happens from the tick of sample i up to that of
-sample i + 1 depends on w_i .. w_(i-L+1), where samples i - L and before have arrived by then. Those L numbers are the mode:
-within it the schedule is known and the error affine in normals, with mean m and covariance P given the mode. At the next sample
+The additional delay w_i of sample i is a Markov chain over a few values (`delay_values`, `delay_self_transition`), independent
+(`delay_weights`, `delay_gamma_mean`, `delay_jitter`), or both. The events between samples i and i + 1 depend on
+w_i .. w_(i-L+1), if samples i - L and before have arrived by then. These L values are the mode. Within a mode the schedule is
+known, and the error is affine in normals, with conditional mean m and covariance P. At the next sample
 
     m+_b = sum_a q(a | b) m_a,   P+_b = sum_a q(a | b) (P_a + d_a d_a'),   d_a = m_a - m+_b
 
-with a the mode before, and q(a | b) how probable it is given b (jump-linear systems: Costa, Fragoso, Marques, Discrete-Time
-Markov Jump Linear Systems, 2005). The chain starts as it is in the long run, so how often a mode is there is the same at every
-tick, and a mean over schedules is one over modes. Overtaking is covered: L grows with the longest delay.
+with a the previous mode, and q(a | b) its probability given b (Costa, Fragoso, Marques, Discrete-Time Markov Jump Linear
+Systems, 2005). The chain starts in its stationary distribution. So mode probabilities are the same at every tick, and a mean
+over schedules is a mean over modes. Out-of-sequence samples are covered: L grows with the longest delay.
 
-Covered is one sensor whose instants are not random and whose modes are at most `MOST`, which cost no more than as many drawn
-schedules. What an observer remembers besides numbers that noise reaches (which sample was the newest, a covariance) must
-depend on the mode alone: that is looked at wherever modes meet (`events`). A filter that puts samples in order does so, as all
-that is older has arrived; one whose covariance depends on all delays (`kf-ignore-delay`) does not, and is averaged over
-drawn schedules, with the error that remains. So are losses and random instants beside such delays, and more modes.
+Conditions:
+
+- one sensor with deterministic sampling instants
+- at most `MOST` modes, which cost no more than the same number of drawn schedules
+- the part of an observer's memory without noise (index of the newest sample, a covariance) depends on the mode alone; this is
+  checked whenever modes merge (`events`)
+
+A filter that puts samples in order meets the last condition, as all older samples have arrived. A filter whose covariance
+depends on all delays (`kf-ignore-delay`) does not. Its moments are averaged over drawn schedules, with a standard error. The
+same holds for losses or random instants in addition to such delays, and for more modes.
 """
 
 import itertools
@@ -36,20 +41,20 @@ from pcbench.simulation.schedule import common_times, sampling
 from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.simulation.schedule.sampling import Clock
 
-MOST = 64  # modes of a cell: as many as schedules are drawn where there is no recursion, unless more are asked for
+MOST = 64  # modes of a grid point: the default number of drawn schedules
 Values = NDArray[np.float64]
 
 
 class Chain(NamedTuple):
-    """How much later the samples of a clock arrive; m values."""
+    """Additional delays of a clock's samples; m values."""
 
     later: tuple[int, ...]  # [m] ticks
-    often: Values  # [m] in the long run, which is also how it starts
-    following: Values  # [m, m] from one to the next
+    often: Values  # [m] stationary and initial distribution
+    following: Values  # [m, m] transition matrix
 
 
 def over_modes(p: Plan) -> list[Realisation] | None:
-    """Return a cell of one observer in each of its modes; None where its schedules are averaged over, or not random."""
+    """Return a grid point of one observer in each of its modes; None if its schedules are averaged or not random."""
     clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
     if not delays_alone(p):
         return None
@@ -75,7 +80,7 @@ def over_modes(p: Plan) -> list[Realisation] | None:
 
 
 def mix_of(modes: list[Mode]) -> Mix:
-    """Lay out modes side by side: those of one cell stand together, and the last may be there more than once."""
+    """Return the transitions between modes side by side; modes of one grid point are adjacent, and the last may be repeated."""
     many = max(len(mode.source) for mode in modes)
     source, weight = np.zeros((many, len(modes)), int), np.zeros((many, len(modes)))
     first = 0
@@ -89,7 +94,7 @@ def mix_of(modes: list[Mode]) -> Mix:
 
 
 def delays_alone(p: Plan) -> bool:
-    """Return whether all that is random besides the noise is how late samples of one sensor are."""
+    """Return whether the delays of one sensor are all that is random in addition to the noise."""
     clocks = p.cell.times.clocks
     if len(clocks) > 1 or not clocks[0].random or p.layout.drifting or p.problem.network:
         return False
@@ -97,12 +102,12 @@ def delays_alone(p: Plan) -> bool:
 
 
 def _sure(clock: Clock) -> Clock:
-    """A clock whose samples are not later than its delay."""
+    """Return a clock whose samples all have its delay."""
     return clock._replace(spread=0, steps=(), stay=(), share=())
 
 
 def _chain(clock: Clock) -> Chain:
-    """How late samples are: a chain of steps or steps drawn one by one, and jitter drawn by itself."""
+    """Return the chain of additional delays: dependent or independent steps, plus independent jitter."""
     steps, many = clock.steps or (0,), len(clock.steps) or 1
     if clock.share or not clock.steps:
         often = np.array(clock.share or (1.0,))
@@ -116,7 +121,7 @@ def _chain(clock: Clock) -> Chain:
 
 
 def _length(clock: Clock, chain: Chain, ticks: int, asked: bool) -> int:
-    """How many of the newest samples tell what happens until the next one, with the last arrival's tick where it is `asked`."""
+    """Return how many of the newest samples determine the events until the next one; with the last arrival if `asked`."""
     taken = np.array(sampling.instants(clock, ticks))
     usual = taken[1:] if clock.delay is None else taken[:-1] + clock.delay
     first, last, taken = usual + min(chain.later), usual + max(chain.later), taken[:-1]
@@ -130,7 +135,7 @@ def _length(clock: Clock, chain: Chain, ticks: int, asked: bool) -> int:
 
 
 def _share(chain: Chain, mode: tuple[int, ...]) -> float:
-    """How often a mode is there: values of the newest sample first."""
+    """Return the probability of a mode; the newest sample's value comes first."""
     old = mode[::-1]
     return float(chain.often[old[0]] * math.prod(chain.following[a, b] for a, b in itertools.pairwise(old)))
 
@@ -138,9 +143,9 @@ def _share(chain: Chain, mode: tuple[int, ...]) -> float:
 def _schedules(
     p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int]
 ) -> Callable[[tuple[int, ...]], Schedule]:
-    """Return what gives the schedule of a mode: at every tick what happens if the newest samples are as late as it says.
+    """Return a function that gives the schedule of a mode: the events at every tick if the newest samples have its delays.
 
-    Samples that are late by L values in turn have, in every L-th interval, what one mode says.
+    A sequence of L delays that repeats has the events of one mode in every L-th interval.
     """
     ticks, channels, error = p.cell.times.ticks, len(p.problem.noise_std), p.cell.times.error
 
@@ -153,7 +158,7 @@ def _schedules(
 
     newest = np.searchsorted(taken, np.arange(ticks + 1), "right") - 1
 
-    def by_interval(*each: NDArray[np.generic]) -> NDArray[np.generic]:  # what has no ticks is the same in all
+    def by_interval(*each: NDArray[np.generic]) -> NDArray[np.generic]:  # arrays without a tick axis are common to all
         return each[0] if len(each[0]) != ticks + 1 else np.stack(each)[newest % length, np.arange(ticks + 1)]
 
     def of(mode: tuple[int, ...]) -> Schedule:

@@ -1,7 +1,7 @@
-"""Which arguments each result of a function depends on, read from its jaxpr.
+"""Find which arguments each result of a function depends on, from its jaxpr.
 
-An equation that applies a program is looked into; of any other every result depends on every operand. So what is found may be
-too much, never too little.
+Equations that apply a program are resolved. For any other equation, every result depends on every operand. So a dependence may
+be reported that does not exist, but none is missed.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from jaxtyping import PyTree
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import CALLS, Eqn, Jaxpr, Literal
 
-Found = frozenset[int]  # numbers of arguments, as flattened
+Found = frozenset[int]  # indices of flattened arguments
 NONE: Found = frozenset()
 
 
 def reach(f: Callable[..., PyTree], *args: PyTree) -> PyTree:
-    """Return by result, in the form of what f returns, the arguments it depends on.
+    """Return for each result the arguments it depends on, in the structure of the results of f.
 
-    Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
+    Arguments are arrays or their shapes. Both are indexed as by `jax.tree.leaves`.
     """
     closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
     out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
@@ -52,7 +52,7 @@ def _apply_equation(eqn: Eqn, args: list[Found]) -> list[Found]:
 
 
 def _again(body: Callable[[list[Found]], list[Found]], carried: list[Found]) -> list[Found]:
-    """The results of a body that is applied to its own first results until nothing is added."""
+    """Return the results of a body applied to its own first results until a fixed point is reached."""
     while True:
         out = body(carried)
         wider = [a | b for a, b in zip(carried, out, strict=False)]

@@ -1,4 +1,4 @@
-"""What is kept of the moments from tick to tick: expected squares and sizes over horizon and tail, and how affine a cell is."""
+"""Running sums of the moments: expected squares and absolute errors over run and tail, and the deviation from affine."""
 
 import operator
 from functools import reduce
@@ -14,41 +14,41 @@ from pcbench.moments.inputs import Numbers
 from pcbench.planning.digits import EPS
 from pcbench.simulation.metrics import Weights
 
-STILL = 1e-12  # of the largest number: a standard deviation below it is rounding
-AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise may be off by
-FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
+STILL = 1e-12  # relative to the largest number: a smaller standard deviation is rounding
+AMPLIFIED = 100.0  # allowed deviation of a run with noise, in multiples of the rounding of the last state
+FAR = 6.0  # standard deviations from the mean within which a run is assumed to stay
 
 
 class RunSignals(NamedTuple):
-    """What is read of a run at a tick: of one lane, or of many arrays [..., C]."""
+    """The signals of a run that are read at a tick: of one run, or of many, arrays [..., C]."""
 
     errors: Array  # [Z] of all observers, in the order of their labels
-    off: Array  # [r] set point less state, of a closed loop
+    off: Array  # [r] set point minus state, in a closed loop
     x: Array  # [n], and
     u: Array  # [m] of a closed loop
 
 
 class Sums(NamedTuple):
-    """Of Z signals in C cells; two sums of each: over the horizon, over its tail."""
+    """Sums of Z signals at C grid points; two sums each: over the run, over its tail."""
 
     square: Numbers  # [2, Z, C] of E e^2
     absolute: Numbers  # [2, Z, C] of E |e|
     mean: Numbers  # [Z, C] at the last tick
     std: Numbers
     reach: Numbers  # [Z, C] the largest |m| + FAR s
-    apart: Numbers  # [Z, C] how far a run with noise was from where linear maps put it
-    size: Numbers  # [Z, C] the largest number in that comparison, of the runs themselves
+    apart: Numbers  # [Z, C] largest deviation of a run with noise from the linear maps
+    size: Numbers  # [Z, C] largest number in that comparison, over the runs
     off: Numbers  # [2, r, C] of a closed loop
     cost: Numbers  # [2, C]
     input: Numbers  # [2, C]
 
 
 class Read(NamedTuple):
-    """What a tick gives to the sums; V numbers that are read, in the order of `RunSignals`."""
+    """The values that a tick adds to the sums; V numbers in the order of `RunSignals`."""
 
     runs: RunSignals  # [1 + P, ..., C]
     covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
-    moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
+    moved: Array  # [P, V, C] linear prediction of the runs with noise, minus the run without
 
 
 def nothing(signals: int, targets: int, cells: int) -> Sums:
@@ -69,9 +69,9 @@ def nothing(signals: int, targets: int, cells: int) -> Sums:
 
 
 def relative_deviation(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
-    """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
+    """Return the relative deviation of runs with noise, [Z], in the worst realisation; 0 if it is rounding.
 
-    An error that is 0 but for the rounding of its state has no size to compare with. `reached`: that of `Outcome`, or ().
+    An error that is 0 except for the rounding of its state has no size to compare with. `reached` is that of `Outcome`, or ().
     """
     apart, size = (np.asarray(a)[mine].max(-1) for a in (s.apart, s.size))
     with np.errstate(invalid="ignore"):
@@ -84,7 +84,7 @@ def relative_deviation(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray
 
 
 def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
-    """Take tick k into the sums; counts [2]: whether it counts, and in the tail."""
+    """Add tick k to the sums; counts [2]: whether it counts for the run, and for the tail."""
     c, runs, mean = read.covariance, read.runs.errors, read.runs.errors[0]
     square = c[:, 0] if c.shape[1] == 1 else jnp.einsum("vvc->vc", c)
     Z = mean.shape[0]
@@ -120,12 +120,12 @@ def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k
 
 
 def _over(counts: Array, sums: Numbers, each: Array) -> Numbers:
-    """Sums [2, ...] with numbers [...] of a tick where it counts, whatever stands at the others."""
+    """Return sums [2, ...] plus the numbers [...] of a tick where it counts; other numbers may be anything."""
     return sums + jnp.where(counts.reshape(2, *(1 for _ in each.shape)), each[None], 0.0)
 
 
 def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
-    """E z'Q z [C], z less row k of a path [T, z, C], or [T, z] of all cells, if any; Q [z, z, C], or [z, z] of all cells."""
+    """Return E z'Q z [C] of z minus row k of a path [T, z, C], or [T, z] common to all, if any; Q [z, z, C] or [z, z]."""
     if path.size:
         mean = mean - (path[k] if path.ndim == 3 else path[k][:, None])
     second = covariance + mean[:, None] * mean[None]
@@ -133,7 +133,7 @@ def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Ar
 
 
 def _root(variance: Array, size: Array) -> Array:
-    """Standard deviations; where they are rounding beside the numbers so far, ones without a slope."""
+    """Return standard deviations; where they are rounding relative to the numbers so far, without a slope."""
     std = jnp.sqrt(jnp.maximum(variance, 0.0))
     known = variance > (STILL * size) ** 2
     return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), lax.stop_gradient(std))

@@ -1,15 +1,15 @@
-"""Samples and arrivals of many cells: the protocol functions at an event, and what they make of a covariance.
+"""Samples and arrivals of many grid points: the protocol functions at an event, and their effect on mean and covariance.
 
-Cells have events at ticks of their own: at a tick where some cell has one, all go through it, and what is not there changes
-nothing. Where samples are lost independently of each other, second moments over losses follow a recursion of their own: with
-mean m and covariance P, and J z + b what an arrival of chance c makes of z,
+Grid points have events at different ticks. At a tick with an event of any grid point, all are processed; the others do not
+change. If samples are lost independently, second moments over losses follow a recursion. With mean m and covariance P, and
+J z + b the effect of an arrival of probability c on z,
 
     m+ = m + c (J m + b - m),   P+ = c (J P J' + G G') + (1 - c) P + c (1 - c) d d',   d = J m + b - m
 
 (jump-linear systems: Costa, Fragoso, Marques, Discrete-Time Markov Jump Linear Systems, 2005).
 
-A sample's noise joins it when it arrives, as nothing sees it before: what is on the network needs no room for noise, and none
-at all where the plant has no noise of its own.
+A sample's noise is added when the sample arrives, as it has no effect before. So packets in flight need no room for it, and no
+room at all if the plant has no noise.
 """
 
 from collections.abc import Callable
@@ -30,28 +30,30 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, prese
 
 
 class Moving(NamedTuple):
-    """What moves, of C cells; D numbers that noise reaches, those of the state first, then those of packets."""
+    """The propagated state of C grid points; D numbers that noise reaches, first those of the state, then those of packets."""
 
-    runs: Run  # [1 + P, ..., C] the run without noise, and runs with noise
-    flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
-    P: Float[Array, "D D C"]  # covariance without the start
-    apart: Float[Array, "P+s D C"]  # where linear maps put runs with noise, less the run without; effects of the start
-    unlike: Array  # [C] of modes: by how much those that met differed in what noise does not reach
+    runs: Run  # [1 + P, ..., C] the run without noise, then runs with noise
+    flight: Float[Array, "1+P rows f C"]  # packets in flight by number: measurement and snapshots
+    P: Float[Array, "D D C"]  # covariance without the effect of the initial state
+    apart: Float[
+        Array, "P+s D C"
+    ]  # linear prediction of runs with noise, minus the run without; then effects of the initial state
+    unlike: Array  # [C] for modes: largest difference between merged modes in values that noise does not reach
 
 
 class Shape(NamedTuple):
-    """What is compiled in besides the layout."""
+    """The static part of a program in addition to the layout."""
 
     cells: int
     form: Form
-    own: tuple[bool, ...]  # which arrays of the problem are each cell's own
+    own: tuple[bool, ...]  # which arrays of the problem are separate for each grid point
     recorded: str = ""  # nothing, "std" or "covariance" over time
-    every: int = 1  # ticks apart
-    written: bool = False  # whether functions of a state are written out entry by entry
+    every: int = 1  # recording interval in ticks
+    written: bool = False  # whether functions of a state are written entry by entry
 
 
 class Batch(NamedTuple):
-    """A batch of cells, and what carries functions of one over all of them."""
+    """A batch of grid points, and the function that maps functions of one over all of them."""
 
     layout: Layout
     shape: Shape
@@ -73,19 +75,19 @@ def batch(layout: Layout, shape: Shape, given: MomentInputs) -> Batch:
 
 
 def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: PyTree, rest: PyTree) -> Array:
-    """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
+    """Return the noise-free measurement and the snapshots of all observers: [f]."""
     y = layout.plant.output(p.params, present(p, k, True), run.x)
     notes = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, mask: Array) -> Run:
-    """Return the run after observers were told which channels [q] are sampled now, where any is."""
+    """Return the run after observers are notified which channels [q] are sampled now, if any."""
     return _update_memories(jnp.any(mask), simulate_runs.notify(layout, p, k, run, mask), run)
 
 
 def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, rest: tuple[Array, ArrivalInfo]) -> Run:
-    """Return the run after a packet [f], where one arrives: `rest` is (whether, Row)."""
+    """Return the run after a packet [f], if one arrives: `rest` is (whether, ArrivalInfo)."""
     there, row = rest
     found = jax.eval_shape(lambda run: simulate_runs.take_notes(layout, p, k, run.memories, run.commands), run)
     notes, at = {}, p.noise_std.shape[0]
@@ -104,13 +106,13 @@ def jump(layout: Layout, p: GridPointParams, k: Array, run: Run, packet: Array, 
 
 
 def _update_memories(there: Array, memories: PyTree, run: Run) -> Run:
-    """The run with new memories, where they are `there`; of the types that they had."""
+    """Return the run with new memories if `there`, with unchanged types."""
     new = jax.tree.map(lambda a, b: a.astype(b.dtype), select(there, memories, run.memories), run.memories)
     return run._replace(memories=new)
 
 
 def happen(by: Batch, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
-    """Let everything that the schedules have for tick k happen: modes change, sense, note and tell, deliver, the oldest first.
+    """Apply all events of tick k: merge modes, sample, take snapshots and notify, then deliver, the oldest first.
 
     `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
@@ -138,7 +140,7 @@ def happen(by: Batch, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
 
 
 def take_samples(by: Batch, k: Array, m: Moving, here: Array) -> Moving:
-    """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
+    """Store measurements and snapshots of this tick in the places [rows, f, C] where `here`."""
     nothing = jnp.zeros((0, by.std.shape[1]))
     new = jax.vmap(lambda run: by.over(partial(sense, by.layout))(k, run, nothing, ()))(m.runs)
     flight = jnp.where(here[None], new[:, None], m.flight)
@@ -156,7 +158,7 @@ def take_samples(by: Batch, k: Array, m: Moving, here: Array) -> Moving:
 
 
 def _notify(by: Batch, k: Array, mask: Numbers, m: Moving) -> Moving:
-    """Tell the observers of each cell what is sampled now, [q, C]."""
+    """Notify the observers of each grid point of its samples, [q, C]."""
     nothing = jnp.zeros((0, by.std.shape[1]))
     M = by.over(slope(by.shape.form, partial(notify, by.layout), partial(vector, by.shape.form)))(
         k, _mean(m), nothing, mask
@@ -170,7 +172,7 @@ def _notify(by: Batch, k: Array, mask: Numbers, m: Moving) -> Moving:
 
 
 def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, noise: Array) -> Moving:
-    """Hand one packet of each cell over."""
+    """Deliver one packet of each grid point."""
     q, form, rest = by.std.shape[0], by.shape.form, (number >= 0, row)
     place = _place(number, m)
     here = (jnp.arange(m.flight.shape[1])[:, None] == place[None])[:, None]
@@ -201,7 +203,7 @@ def _deliver(by: Batch, k: Array, number: Array, row: ArrivalInfo, m: Moving, no
 
 
 def _mix_by_chance(chance: Numbers, after: Array, before: Array) -> Array:
-    """The mean of what is so with a chance, and as before otherwise; to the bit what is so where that is sure."""
+    """Return the mean of `after` with probability `chance` and `before` otherwise; exactly `after` if the probability is 1."""
     if not jnp.issubdtype(before.dtype, jnp.floating):
         return after
     chance = chance.reshape(*(1 for _ in before.shape[1:]), -1)
@@ -209,13 +211,13 @@ def _mix_by_chance(chance: Numbers, after: Array, before: Array) -> Array:
 
 
 def _place(number: Array, m: Moving) -> Array:
-    """The row of a packet; the last one, which nothing reads, of none."""
+    """Return the ring row of a packet; without a packet the last row, which nothing reads."""
     rows = m.flight.shape[1] - 1
     return jnp.where(number >= 0, number % rows, rows)
 
 
 def _each(rows: Callable[[Array], Array], apart: Array) -> Array:
-    """Carry vectors [P, D, C] by what moves rows."""
+    """Apply a linear map of rows to vectors [P, D, C]."""
     return jax.vmap(lambda d: rows(d[:, None])[:, 0])(apart)
 
 
@@ -224,10 +226,10 @@ def _mean(m: Moving) -> Run:
 
 
 def _merge_modes(form: Form, mix: Mix, k: Array, m: Moving) -> Moving:
-    """What moves after modes have taken over at tick k (see `delay_modes`): conditional means and covariances, mixed."""
+    """Return the state after modes merge at tick k (see `delay_modes`): conditional means and covariances, mixed."""
     here, noisy = mix.here[k], m.flight.shape[0] - 1  # with noise
 
-    def on(v: Array, a: Array) -> Array:  # numbers [C], one a mode, for products with [..., C]
+    def on(v: Array, a: Array) -> Array:  # numbers [C], one per mode, broadcast to [..., C]
         return v.reshape(*(1 for _ in a.shape[1:]), -1)
 
     def mean(a: Array) -> Array:
@@ -257,7 +259,7 @@ def _merge_modes(form: Form, mix: Mix, k: Array, m: Moving) -> Moving:
 
 
 def modes_apart(mix: Mix, a: Array) -> Array:
-    """Return by how much [C] modes that give way to one differ in numbers [..., C] without noise, relative to the largest."""
+    """Return the largest relative difference [C] between merged modes, in noise-free numbers [..., C]."""
     first, out = a[..., mix.source[0]], jnp.zeros(a.shape[-1])
     for source in mix.source[1:]:
         other = a[..., source]

@@ -1,15 +1,15 @@
-"""Is a cell's answer exact? Found by trying, cell by cell and observer by observer, for ours and a user's alike.
+"""Test whether the moments of an observer at a grid point are exact, for built-in and user-defined observers alike.
 
-A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
-it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign satisfies too. A run that may leave the
-scenario's divergence threshold counts as diverged and enters no average, so there the moments of all runs are no answer.
+Affine in the noise
+    A run with eight times the noise must agree with the run without noise plus the linear maps of its ticks and events, to
+    rounding at every tick. This is stronger than e(v) + e(-v) = 2 e(0), which a sign function satisfies too. A run that may
+    exceed the divergence threshold counts as diverged and enters no average, so the moments of all runs would not describe it.
 
-Whether exact moments keep their digits: they are of the state and of memories, which may be far larger than the errors.
-
-Two things need digits. The trial of `exactness` compares runs to ROUNDING of the errors' size, and a state x is rounded by EPS
-|x|: where the trial fails, that may be why. And noise adds to the covariance of the state and of the estimates, from which the
-errors' is a difference of large squares: it keeps about EPS Var x / E e^2. What the start adds goes by itself, and loses no
-square (`programs`). In a loop the same holds for the response to the input, of an observer that keeps it.
+Digits
+    State and memories may be far larger than the errors. This matters twice. The test above compares runs to ROUNDING of
+    the errors' size, while a state x is rounded by EPS |x|. And the covariance of the errors is a difference of large squares,
+    with a relative rounding error of about EPS Var x / E e^2. The effect of the initial state is propagated separately and is
+    not squared (`programs`). In a closed loop the same holds for an observer that stores the response to the input.
 """
 
 import numpy as np
@@ -23,12 +23,12 @@ from pcbench.planning.digits import EPS, amount, describe_response, response_siz
 from pcbench.planning.padding import fit
 from pcbench.plants import signals_of
 
-SQUARES = 1e-6  # of E e^2
-TRIFLE = 1e-4  # of the settling band: what is less is 0 for every purpose
+SQUARES = 1e-6  # relative to E e^2
+TRIFLE = 1e-4  # relative to the settling band: a smaller error counts as 0
 
 
 def lost(cell: CellMoments, label: str) -> str:
-    """Return which state leaves an observer's moments too few digits, the middle of a sentence; empty where none does."""
+    """Return a clause about the state that leaves an observer's moments too few digits; empty if none does."""
     if not np.size(cell.reached):
         return ""
     p, s, mine = cell.planned, cell.sums, cell.signals[label]
@@ -53,7 +53,7 @@ def lost(cell: CellMoments, label: str) -> str:
 
 
 def _steady_square(cell: CellMoments, signals: slice) -> Float[np.ndarray, " n"]:
-    """The least mean square error of signals, of any start, after the transient."""
+    """Return the least mean square error of signals after the transient, over initial states."""
     times = cell.planned.cell.times
     return np.asarray(cell.sums.square)[1, signals].min(-1) / (times.ticks - times.tail)
 
@@ -62,7 +62,7 @@ INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
 
 
 def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
-    """Return a sentence that says why an observer's moments are not exact in a cell, and what to do; empty where they are."""
+    """Return a sentence why an observer's moments are not exact at a grid point, and what to do; empty if they are."""
     p, s = cell.planned, cell.sums
     mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
@@ -73,7 +73,9 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     part = relative_deviation(s, mine, cell.reached)
     worst = int(np.argmax(part))
     failed = part[worst] > ROUNDING
-    alone = p.cell._replace(options={label: p.cell.options[label]})  # drafts of loops are of one observer each
+    alone = p.cell._replace(
+        options={label: p.cell.options[label]}
+    )  # one observer: in a closed loop each has its own draft
     kept = response_size(fit(list(drafts([alone])))[0], label) if p.layout.controller else None
     if kept is not None:
         n, apart = len(kept), np.asarray(s.apart)[mine].max(-1)
@@ -86,9 +88,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
                 f"horizon, take kf or ekf, or {instead}."
             )
     reach = s.reach[mine].max(-1)
-    bounded = (
-        np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()
-    )  # or the run itself, where linear maps overflow
+    bounded = np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()  # of the runs, if linear maps overflow
     if failed and (np.isfinite(part[worst]) or bounded):
         off = f"{part[worst]:.1g} of its size" if np.isfinite(part[worst]) else "more than a number can hold"
         return (

@@ -1,9 +1,9 @@
-"""Exact moments of one cell with their derivatives by an observer's gains: forward through the very program, no seed anywhere.
+"""Exact moments of one grid point with their derivatives by an observer's gains, in forward mode and without seeds.
 
-Forward mode follows loops from event to event, which backward mode cannot, and there are few directions: one for each free
-parameter of a tuning. Directions stand side by side where `programs` has cells: all have the gains asked for, each a derivative
-of its own. A tick's matrix is taken anew where its value differs from the last one's; so that a matrix is not taken for
-unchanged whose derivative alone differs, at a gain of 0, the last place has gains a little off (`OFF`), and no derivative.
+Forward mode can differentiate loops from event to event; reverse mode cannot. There are few directions, one for each free
+parameter of a tuning. They take the places of grid points in `programs`: all with the same gains, each with its own derivative.
+The matrix of a tick is recomputed if its value differs from the last tick's. At a gain of 0 only the derivative may differ. To
+detect this, the last place has slightly perturbed gains (`OFF`) and no derivative.
 """
 
 from collections.abc import Callable
@@ -28,24 +28,24 @@ from pcbench.moments.solve import CellMoments, nan_sums
 from pcbench.planning.padding import Plan
 
 OFF = 1e-3  # relative
-Direction = list[NDArray[np.float64]]  # of every array of real numbers among the gains
+Direction = list[NDArray[np.float64]]  # one array for each real array of the gains
 
 
 class CellGradients(NamedTuple):
-    """Of one cell with one observer."""
+    """The moments and slopes of one grid point with one observer."""
 
     cell: CellMoments
     slopes: Sums  # [..., D] by direction
 
 
 def single(p: Plan) -> Realisation | None:
-    """Return a planned cell of one observer as its moments move; None where they are known by drawn schedules alone."""
+    """Return the realisation of a grid point with one observer; None if its moments need drawn schedules."""
     mixed = over_losses(p) if losses_alone(p) else None
     return mixed or (None if random(p) else draw_realisation(p, 0, 0))
 
 
 def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyTree, list[Direction]], CellGradients]:
-    """Return a function of gains and of so many directions among them; it is compiled when it is first called."""
+    """Return a function of gains and `directions` directions; it is compiled at its first call."""
     (label, _), *_ = p.layout.observers
     tree = jax.tree.structure(p.problem.gains[label])
     real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
@@ -88,7 +88,7 @@ def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyT
 
 
 def _stack_perturbed(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """An array of gains for each place, the last a little off; an empty one as it is."""
+    """Return an array of gains for each place, the last one perturbed; an empty array is unchanged."""
     if not a.size:
         return a
     size = np.max(np.abs(a)) or 1.0
@@ -97,5 +97,5 @@ def _stack_perturbed(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 def _cell(p: Plan, one: Realisation, sums: Sums) -> CellMoments:
-    """The moments of the cell itself."""
+    """Return the moments of the grid point itself."""
     return CellMoments(p, False, {p.labels[0]: slice(0, len(sums.mean))}, sums, mixture=one.chance < 1)

@@ -1,9 +1,7 @@
-"""What a program of exact moments takes: many cells of one shape, their numbers and their schedules side by side.
+"""Inputs of a program of exact moments: parameters and schedules of many grid points of one shape, and their initial state.
 
-What is the same in all cells of a batch stays one array; small arrays of numbers that may differ are one a cell, [..., C].
-Cells whose long tables differ are not put in one batch.
-
-The joint state before tick 0, as a function of what a run draws for its start.
+Arrays common to a batch are stored once. Small arrays that may differ are stored per grid point, [..., C]. Grid points whose
+tables differ are in different batches. `begin` returns the joint state before tick 0 as a function of the random initial state.
 """
 
 import itertools
@@ -23,68 +21,68 @@ from pcbench.simulation.schedule.common_times import NEVER, Schedule
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, Packet
 
-KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
-SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
-SMALL = 256  # numbers of an array that each cell may have its own of,
-TIMES = ("windows", "jumps", "network")  # but for these
+KEY = 20170607  # seed of the noise in runs that test whether a grid point is affine; no result depends on it
+SCALES = (-8.0,)  # factor on the noise in these runs
+SMALL = 256  # largest size of an array that is stored per grid point,
+TIMES = ("windows", "jumps", "network")  # except these
 Numbers: TypeAlias = Array | NDArray[Any]  # inside a program, and outside
 
 
 class Event(NamedTuple):
-    """What happens in C cells at one tick; of E of them, [E, ...]."""
+    """The events of C grid points at one tick; of E ticks, [E, ...]."""
 
     sense: Numbers  # [C] the packet taken; -1: none
     snapshot: Numbers  # [C]
-    sampled: Numbers  # [q, C] which channels are
+    sampled: Numbers  # [q, C] the channels that are sampled
     arrive: Numbers  # [S, C]
-    believed: Numbers  # [S, C]
+    believed: Numbers  # [S, C] assumed sampling tick
     mask: Numbers  # [S, q, C]
     number: Numbers  # [S, q, C]
     ticks_since_arrival: Numbers  # [S, C]
-    also: Numbers  # [M, C] more packets that are noted
+    also: Numbers  # [M, C] further packets with the same timestamp
 
 
 class Plan(NamedTuple):
-    """Schedules of C cells, by event: a tick at which something happens in any of them, and tick 0."""
+    """Schedules of C grid points by event: a tick with an event of any of them, and tick 0."""
 
-    at: Numbers  # [E] ticks, beyond N + 1 behind the last
+    at: Numbers  # [E] ticks; after the last event, beyond N + 1
     events: Event
     early: Numbers  # [e, q, C] samples of packets taken before tick 0
 
 
 class Mix(NamedTuple):
-    """From which of C modes, side by side, each takes over; s sources at most."""
+    """The modes that each of C modes may follow; s sources at most."""
 
     source: Numbers  # [s, C]
-    weight: Numbers  # [s, C], 0 of one that is there for the room alone
-    here: Numbers  # [N+1, C] whether it does at a tick
+    weight: Numbers  # [s, C]; 0: padding
+    here: Numbers  # [N+1, C] whether modes merge at a tick
 
 
 class MomentInputs(NamedTuple):
-    """The numbers of C cells."""
+    """The parameters of C grid points."""
 
-    problem: GridPointParams  # own arrays of each cell are [..., C]; its schedule stands in `plan`
+    problem: GridPointParams  # separate arrays of each grid point are [..., C]; its schedule is in `plan`
     plan: Plan
-    arrivals: Numbers  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
-    ticks: Numbers  # [N+1, P, w] of the process and of commands
-    start: Numbers  # [P, 2 n] of the start
-    chance: Numbers  # [C] that a sample arrives at all
+    arrivals: Numbers  # [N+1, P, S, q] noise of arrivals, in the runs that test whether a grid point is affine
+    ticks: Numbers  # [N+1, P, w] process and command noise of these runs
+    start: Numbers  # [P, 2 n] random initial state of these runs
+    chance: Numbers  # [C] probability that a sample arrives
     network: tuple[
         Numbers, ...
-    ]  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
-    mix: Mix | tuple[()] = ()  # where the cells are modes
+    ]  # (late, lost) [J, 1, C] uniform numbers of every decision on a command network; (): none
+    mix: Mix | tuple[()] = ()  # if the grid points are modes
 
 
 def plan_of(schedules: list[Schedule]) -> Plan:
-    """Lay out schedules of one shape side by side."""
+    """Return schedules of one shape side by side."""
     ticks, some = len(schedules[0].event), schedules[0].event.copy()
     for s in schedules[1:]:
         some |= s.event
     some[0] = True
     at = np.flatnonzero(some)
-    room = min(_room(len(at) + 1), ticks + 1)  # one behind the last, and few sizes, for few programs
+    room = min(_room(len(at) + 1), ticks + 1)  # one after the last; few sizes, for few programs
     rows = np.pad(at, (0, room - len(at)))
-    each = {id(s): _events(s, rows) for s in schedules}  # cells of a study share them
+    each = {id(s): _events(s, rows) for s in schedules}  # grid points of a study share them
     fields = zip(*(each[id(s)] for s in schedules), strict=True)
     events = Event(*(np.stack(field, -1) for field in fields))
     at = np.pad(at, (0, room - len(at)), constant_values=NEVER)
@@ -92,7 +90,7 @@ def plan_of(schedules: list[Schedule]) -> Plan:
 
 
 def _room(many: int) -> int:
-    """The least of 64, 256, 1024 ... that holds so many."""
+    """Return the least of 64, 256, 1024 ... that is large enough."""
     return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= many)
 
 
@@ -111,22 +109,22 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
 
 
 def own_of(problem: GridPointParams) -> tuple[bool, ...]:
-    """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
+    """Return for each array of a problem without its schedule whether it is stored per grid point: small ones except TIMES."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     return tuple(may and 0 < np.size(a) <= SMALL for may, a in zip(_no_times(tree), leaves, strict=True))
 
 
 @lru_cache(256)
 def _no_times(tree: jax.tree_util.PyTreeDef) -> list[bool]:
-    """Whether each array of a problem belongs to no field of TIMES."""
+    """Return whether each array of a problem belongs to no field of TIMES."""
     fields = jax.tree.unflatten(tree, range(tree.num_leaves))._asdict()
     return [name not in TIMES for name, field in fields.items() for _ in jax.tree.leaves(field)]
 
 
 def shared_of(problem: GridPointParams, seen: dict[int, Hashable]) -> Hashable:
-    """Return what must be equal in two cells that share a batch: every array that is not each cell's own.
+    """Return what must be equal for grid points to share a batch: every array that is not stored per grid point.
 
-    `seen` has what was made of arrays that are alive, by their id: most are the same ones in all cells.
+    `seen` caches digests of live arrays by id, as most arrays are common to all grid points.
     """
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     common = [a for a, own in zip(leaves, own_of(problem), strict=True) if not own]
@@ -140,7 +138,7 @@ def shared_of(problem: GridPointParams, seen: dict[int, Hashable]) -> Hashable:
 def stack_inputs(
     problems: list[GridPointParams], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]
 ) -> MomentInputs:
-    """Lay out the numbers of cells that share their long tables side by side."""
+    """Return the parameters of grid points with the same long tables, side by side."""
     flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
     own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
     leaves = [
@@ -163,17 +161,17 @@ def stack_inputs(
 
 
 def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, drawn: Array, rest: PyTree) -> Run:
-    """Return the state before tick 0 of one cell; drawn [2 n], of mean 0 and variance 1, for the plant and for the estimate."""
+    """Return the state before tick 0 of one grid point; drawn [2 n], of mean 0 and variance 1, for plant and estimate."""
     n = p.x0.shape[0]
     x = p.x0 + p.spread0 @ drawn[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0
-    scatter = p.scatter * drawn[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # of a uniform number in -1 .. 1
+    scatter = p.scatter * drawn[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # std of a uniform number in -1 .. 1
     xhat0 = p.xhat0 + scatter
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     loop = before(layout, p, memories)
     return Run(
         x=x,
         memories=memories,
-        flight=Packet((), {}),  # `events.Moving` has what is on the network
+        flight=Packet((), {}),  # packets in flight are in `events.Moving`
         streams={},
         watches={},
         commands=loop.commands,

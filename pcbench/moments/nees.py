@@ -1,9 +1,9 @@
-"""Does an observer know how wrong it is? Exactly: what it believes of its error at the last tick against what is true of it.
+"""Exact consistency of an observer: the covariance it assumes at the last tick against its true error.
 
     E e' P^-1 e / n = tr(P^-1 (S + m m')) / n,   E e_i^2 / P_ii = (S_ii + m_i^2) / P_ii
 
-with m and S mean and covariance of e, P what is believed; both are 1 of a true P. Of a normal error the share within k sigma
-follows. States that are known count in neither, and a singular P has its pseudo-inverse and its rank, as in runs
+with m and S the true mean and covariance of e, and P the assumed covariance. Both are 1 if P is correct. For a normal error
+the share within k sigma follows. States that are known do not count. A singular P has its pseudo-inverse and rank, as in runs
 (`simulation.innovation_stats`).
 Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.
 """
@@ -22,20 +22,20 @@ class FinalErrors(NamedTuple):
 
     mean: Values  # [n, S]
     covariance: Values  # [n, n, S]
-    P: Values  # [n, n, S] believed
+    P: Values  # [n, n, S] assumed
     prior: Values  # [n] standard deviations
 
 
 class Squares(NamedTuple):
-    """Expected normalised squares, by realisation."""
+    """Expected normalized squares, by realisation."""
 
-    whole: Values  # [1, S] over the rank of P among the states that count
-    signal: Values  # [n, S], NaN of a state that is known
-    states: Values  # [1, S] that rank
+    whole: Values  # [1, S] over the states that count, divided by the rank of P
+    signal: Values  # [n, S], NaN for a known state
+    states: Values  # [1, S] the rank
 
 
 def squares(b: FinalErrors) -> Squares:
-    """Return the expected normalised squares."""
+    """Return the expected normalized squares."""
     second = b.covariance + b.mean[:, None] * b.mean[None]
     whole, many = [], []
     for s in range(b.P.shape[-1]):
@@ -57,7 +57,7 @@ def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
 
 
 def inside(b: FinalErrors) -> list[Values]:
-    """Return for each of SIGMAS the share [n, S] of normal errors that lies within so many, NaN of a state that is known."""
+    """Return for each of SIGMAS the share [n, S] of normal errors within it; NaN for a known state."""
     from scipy.special import ndtr
 
     sigma, std = np.sqrt(_variances(b)), np.sqrt(np.maximum(_diagonal(b.covariance), 0.0))
@@ -76,5 +76,5 @@ def _variances(b: FinalErrors) -> Values:
 
 
 def _diagonal(P: Values) -> Values:
-    """The diagonal [n, S] of matrices [n, n, S]."""
+    """Return the diagonal [n, S] of matrices [n, n, S]."""
     return np.einsum("iis->is", P)

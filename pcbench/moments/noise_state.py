@@ -1,7 +1,7 @@
-"""What noise reaches of a state, as one vector, and slopes of the simulated functions along it.
+"""The part of a state that noise reaches, as one vector, and the slopes of the simulated functions along it.
 
-Which arrays those are is found as the simulation finds what differs between its runs (`engine.initial_state`). What is the
-same in all runs, a filter's covariance or a counter, stays out of the vector; a slope is taken at its present value.
+Which arrays noise reaches is found as in the simulation (`engine.initial_state`). Values common to all runs, such as a filter's
+covariance or a counter, are not in the vector; slopes are taken at their present values.
 """
 
 import itertools
@@ -21,28 +21,30 @@ from pcbench.moments.dependence import reach
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout
 
-WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go entry by entry: half the time, but
-# twice as long to compile
-TERMS = 16  # of a sum that are written one by one, which runs fastest; longer ones are compiled as products
+WRITTEN_OUT = (
+    16  # state size up to which functions of many grid points are written entry by entry: half the run time, but
+)
+# twice the compilation time
+TERMS = 16  # longest sum written term by term, which runs fastest; longer ones are compiled as products
 Rows = Callable[[Array], Array]  # [D, X, C] -> [D, X, C], linear
-OneCell = Callable[..., PyTree]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
+OneCell = Callable[..., PyTree]  # (problem, tick, state, linear inputs, other inputs) -> a vector
 
 
 Look = TypeVar("Look")
 
 
 class Form(NamedTuple):
-    """Of the states of a layout."""
+    """Which parts of a layout's state noise reaches."""
 
     moving: tuple[bool, ...]  # leaves of a state that noise reaches
-    other: tuple[bool, ...]  # those that differ between runs in another way
-    flight: bool  # whether it reaches what is on the network, besides the noise of the samples themselves
+    other: tuple[bool, ...]  # leaves that differ between runs for another reason
+    flight: bool  # whether noise reaches packets in flight, in addition to the noise of the samples
     many: int  # numbers of a state
-    reached: int  # of these, numbers that noise reaches
+    reached: int  # size of the vector: numbers of a state that noise reaches
 
 
 def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layout, GridPointParams], Look]:
-    """Have a look at a layout once for all problems whose arrays have the same shapes: it sees no numbers and no schedule."""
+    """Apply `look` to a layout once for all problems with the same array shapes; it receives no values and no schedule."""
 
     @lru_cache(256)
     def once(layout: Layout, tree: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> Look:
@@ -50,7 +52,7 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 
     def call(layout: Layout, problem: GridPointParams) -> Look:
         leaves, tree = jax.tree.flatten(problem._replace(weights=()))
-        layout = layout._replace(width=1, ring=1)  # what no beginning looks at
+        layout = layout._replace(width=1, ring=1)  # irrelevant for the result
         arrays = (a if hasattr(a, "dtype") else np.asarray(a) for a in leaves)
         return once(layout, tree, tuple((a.shape, a.dtype) for a in arrays))
 
@@ -59,10 +61,12 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 
 @by_shapes
 def form_of(layout: Layout, p: GridPointParams) -> Form:
-    """Return what noise reaches."""
+    """Return which parts of a state noise reaches."""
     begun = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
-    bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())  # as moments have it
-    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs as entries
+    bare = begun._replace(
+        drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=()
+    )  # the parts that moments use
+    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs are LaneArrays
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     sizes = [a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves]
     moving = tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True))
@@ -76,13 +80,13 @@ def form_of(layout: Layout, p: GridPointParams) -> Form:
 
 
 def vector(form: Form, state: Run) -> Array:
-    """Return what noise reaches of a state of one cell."""
+    """Return the vector of one grid point's state."""
     each = itertools.compress(jax.tree.leaves(state), form.moving)
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(a) for a in each)])
 
 
 def vectors(form: Form, runs: Run) -> Array:
-    """Return the same of many runs and cells: [runs, A, C] of leaves [runs, ..., C]."""
+    """Return the vectors of many runs and grid points, [runs, A, C], from leaves [runs, ..., C]."""
     return jax.vmap(jax.vmap(partial(vector, form), -1, -1))(runs)
 
 
@@ -109,7 +113,7 @@ def along(form: Form, f: OneCell) -> OneCell:
 
 
 def slope(form: Form, f: OneCell, flat: Callable[[PyTree], Array]) -> OneCell:
-    """Return the matrix of f: (problem, tick, state, entering, rest) -> [numbers of f, numbers of the state and entering]."""
+    """Return the matrix of f: (problem, tick, state, entering, rest) -> [size of f, size of state and entering]."""
 
     def matrix(p: PyTree, k: Array, state: Run, entering: Array, rest: PyTree) -> Array:
         z = vector(form, state)
@@ -123,7 +127,7 @@ def slope(form: Form, f: OneCell, flat: Callable[[PyTree], Array]) -> OneCell:
 
 
 def product(M: Float[Array, "i j C"], X: Float[Array, "j k C"]) -> Float[Array, "i k C"]:
-    """Return M X, cell by cell."""
+    """Return M X for each grid point."""
     if M.shape[1] > TERMS:
         return jnp.moveaxis(jnp.moveaxis(M, -1, 0) @ jnp.moveaxis(X, -1, 0), 0, -1)
     total = jnp.zeros((M.shape[0], *X.shape[1:]))
@@ -133,7 +137,7 @@ def product(M: Float[Array, "i j C"], X: Float[Array, "j k C"]) -> Float[Array, 
 
 
 def transpose_cells(P: Array) -> Array:
-    """Return the transpose of each cell's matrix."""
+    """Return the transpose of each grid point's matrix."""
     return jnp.swapaxes(P, 0, 1)
 
 
@@ -143,32 +147,32 @@ def outer_square(G: Float[Array, "D j C"]) -> Float[Array, "D D C"]:
 
 
 def both(move: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
-    """Return T P T', T what `move` does to rows."""
+    """Return T P T', with T the linear map `move` of rows."""
     return transpose_cells(move(transpose_cells(move(P))))
 
 
 def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
-    """Return whether a function over cells gives the same at every tick and in every state: whether it reads p alone.
+    """Return whether a function depends on p alone, so that it is the same at every tick and in every state.
 
-    `each` is what it is given besides p and the tick, for all cells.
+    `each` are its arguments other than p and the tick, for all grid points.
     """
     leaves, tree = jax.tree.flatten(p)
     alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
     read = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
-    return max(read, default=-1) < len(own)  # the tick is behind p, and then the others
+    return max(read, default=-1) < len(own)  # arguments are p, the tick, then the others
 
 
 def _alone(a: PyTree) -> PyTree:
-    """The shape of one cell's array."""
+    """Return the shape of one grid point's array."""
     return jax.ShapeDtypeStruct(a.shape[:-1], a.dtype)
 
 
 def over_cells(
     p: PyTree, own: tuple[bool, ...], cells: int, written: bool
 ) -> Callable[[OneCell], Callable[..., PyTree]]:
-    """Return what carries a function of one cell over cells, on the last axis; each has its own of the arrays `own` of p.
+    """Return a function that maps functions of one grid point over the last axis; arrays `own` of p are separate for each.
 
-    Functions that are `written` out, entry by entry, leave the compiled loop nothing to transpose.
+    If `written`, functions are evaluated entry by entry, which leaves no transposes to the compiled loop.
     """
     axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if mine else None for mine in own])
     parted = jax.tree.map(lambda a, axis: a if axis is None else split(a), p, axes) if written else ()
@@ -187,10 +191,10 @@ def over_cells(
 
 
 def _entries(a: PyTree) -> PyTree:
-    """An array [..., C] as its entries; one cell's empty one."""
+    """Return an array [..., C] as its entries; an empty array stays empty."""
     return split(a) if a.size else jnp.zeros(a.shape[:-1], a.dtype)
 
 
 def _join_cells(cells: int, a: PyTree) -> Array:
-    """An array [..., C] again, of what is the same in all cells too."""
+    """Return an array [..., C] from entries or from a value common to all grid points."""
     return join(a) if is_lanes(a) else jnp.broadcast_to(jnp.asarray(a)[..., None], (*jnp.shape(a), cells))

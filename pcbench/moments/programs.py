@@ -1,4 +1,4 @@
-"""Compiled programs of exact moments and calls of them: `FEW`, `SOME` or `MANY` cells side by side."""
+"""Compiled programs of exact moments and their calls, of `FEW`, `SOME` or `MANY` grid points side by side."""
 
 from collections.abc import Callable, Hashable
 
@@ -17,14 +17,14 @@ from pcbench.moments.realisations import Realisation
 from pcbench.runtime import program_cache, program_store
 from pcbench.simulation.schedule import common_times
 
-RETURNED = (Outcome, Sums, MomentRecord, Last)  # types of what a program returns
-FEW, SOME, MANY = 8, 64, 128  # cells a call; of the cart's a cell costs four fifths with 128 of what it does with 64
+RETURNED = (Outcome, Sums, MomentRecord, Last)  # types of a program's results
+FEW, SOME, MANY = 8, 64, 128  # grid points per call; with the cart, one costs four fifths with 128 of its cost with 64
 
 
 def compute(ones: list[Realisation], recorded: str, every: int = 1, width: int | None = None) -> Outcome:
-    """Return what a batch leaves, [..., FEW, SOME or MANY], with what is recorded at every so many ticks.
+    """Return the results of a batch, [..., FEW, SOME or MANY], recorded every `every` ticks.
 
-    `width` is how many the call is for; None: as few as have room for the batch.
+    `width` is the number of grid points of the call; None: the smallest that is large enough.
     """
     own, width = own_of(ones[0].problem), width or width_of(ones, set())
     each = _pad_schedules([ones[min(i, len(ones) - 1)] for i in range(width)])
@@ -46,7 +46,7 @@ def compute(ones: list[Realisation], recorded: str, every: int = 1, width: int |
 def compile_program(
     f: Callable[..., PyTree], about: object, *given: PyTree, returned: tuple[type, ...] = ()
 ) -> Callable[..., PyTree]:
-    """Return f compiled for arrays of the shapes of `given`, with the engine's options on a CPU (see `program_store`)."""
+    """Return f compiled for arrays shaped like `given`, with the engine's options on a CPU (see `program_store`)."""
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
     shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), given)
     program: Callable[..., PyTree] = program_store.compile_program(f, about, shapes, options, returned)
@@ -54,7 +54,7 @@ def compile_program(
 
 
 def width_of(ones: list[Realisation], wide: set[Hashable]) -> int:
-    """Return how many cells a call for these is for: of a kind that is `wide` already, the last ones go by its program."""
+    """Return how many grid points a call has; the last ones of a kind that is `wide` reuse the wide program."""
     kind = ones[0].layout, own_of(ones[0].problem)
     if len(ones) <= FEW:
         return FEW
@@ -65,7 +65,7 @@ def width_of(ones: list[Realisation], wide: set[Hashable]) -> int:
 
 
 def _pad_schedules(each: list[Realisation]) -> list[Realisation]:
-    """Give the schedules of some cells one shape."""
+    """Return realisations whose schedules are padded to one shape."""
     slots = max(one.problem.schedule.arrive.shape[1] for one in each)
     early = max(len(one.problem.schedule.early) for one in each)
     notes = max(one.problem.schedule.also.shape[1] for one in each)

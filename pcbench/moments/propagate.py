@@ -1,12 +1,16 @@
-"""A batch of cells from tick 0 to its end: the program of exact moments.
+"""The program of exact moments: propagate a batch of grid points from tick 0 to the end.
 
-The loop is that of `engine.event_loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
-next. What goes along is the run without noise, a run with noise (`exactness`), the effect of each random number of the start,
-and the covariance of the effects of all other noise. The start may be much larger than the errors that it leaves, and goes by
-itself: a difference of effects on the state and on the estimate keeps its digits, one of their squares does not.
+The loop is that of `engine.event_loop`: samples and arrivals at an event, then flow to the next. Propagated are
 
-With z what noise reaches, s what is seen of it at a tick and w the noise of a tick, the matrix M of a tick is that of
-(z, w) -> (z+, s). It is the same at every tick, or is taken anew where one product with it differs from the last tick's.
+- the run without noise, and a run with noise (`exactness`)
+- the effect of each random number of the initial state
+- the covariance of the effects of all other noise
+
+The initial state may be much larger than the remaining errors, so its effects are kept separate: the difference of effects on
+state and estimate keeps its digits, the difference of their squares does not.
+
+With z the vector that noise reaches, s the signals read at a tick and w the noise of a tick, M is the matrix of the map
+(z, w) -> (z+, s). It is constant, or recomputed when one product with it differs from the last tick's.
 """
 
 from collections.abc import Callable
@@ -33,44 +37,44 @@ COVARIANCE = "covariance"
 
 
 class MomentRecord(NamedTuple):
-    """Moments at T ticks, 0 and every so many after it; Z signals of all observers, one after another."""
+    """Moments at T ticks, 0 and every m-th after it; Z signals of all observers, one after another."""
 
     mean: Numbers  # [T, Z, C]
-    covariance: Numbers  # [T, Z, Z, C], or of each signal [T, Z, 1, C]
+    covariance: Numbers  # [T, Z, Z, C], or variances [T, Z, 1, C]
 
 
 class Last(NamedTuple):
-    """Tick N - 1: what is true of the errors, and the covariances that observers assume."""
+    """Tick N - 1: the true moments of the errors, and the covariances that observers assume."""
 
     covariance: Numbers  # [Z, Z, C]
-    assumed: dict[str, Numbers]  # by observer that has a covariance, of what it estimates: [z, z, C]
+    assumed: dict[str, Numbers]  # [z, z, C] by observer with a covariance, for the signals it estimates
 
 
 class PropagationState(NamedTuple):
-    """From tick to tick."""
+    """The state of a propagation between ticks."""
 
     moving: Moving
     matrix: Array  # [A + V, A + w, C] of the last tick
-    product: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): it is the same at every tick
+    product: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): the matrix is constant
     sums: Sums
     rows: MomentRecord | tuple[()]
-    last: Last | tuple[()]  # of a layout with consistency
+    last: Last | tuple[()]  # if the layout has consistency
 
 
 class Outcome(NamedTuple):
-    """What a batch leaves."""
+    """The results of a batch."""
 
     sums: Sums
-    rows: MomentRecord | tuple[()]  # (): nothing is recorded
+    rows: MomentRecord | tuple[()]  # (): nothing recorded
     last: Last | tuple[()] = ()
     unlike: Numbers | tuple[()] = ()  # [C] of modes, as in `events.Moving`
     reached: (
         Array | tuple[()]
-    ) = ()  # [2, n, C] of the final state: its size in the runs, its deviation without the start's
+    ) = ()  # [2, n, C] of the final state: its size, and its deviation without the effect of the initial state
 
 
 def run(layout: Layout, shape: Shape, given: MomentInputs) -> Outcome:
-    """Return the moments of a batch of cells over ticks 0 .. N - 1, or recorded, 0 .. N."""
+    """Return the moments of a batch of grid points over ticks 0 .. N - 1, or 0 .. N if recorded."""
     by = batch(layout, shape, given)
     plan, end = given.plan, given.problem.windows[-1, 1]
     stop = end + 1 if shape.recorded else end
@@ -84,15 +88,15 @@ def run(layout: Layout, shape: Shape, given: MomentInputs) -> Outcome:
         return number + 1, c
 
     _, c = lax.while_loop(lambda at: plan.at[at[0]] < stop, segment, (jnp.asarray(0), first(by)))
-    size = jnp.max(jnp.abs(c.moving.runs.x), 0)  # of the state, which is the first of what noise reaches
+    size = jnp.max(jnp.abs(c.moving.runs.x), 0)  # the state comes first in the vector
     variance = jnp.einsum("ddc->dc", c.moving.P)[: len(size)] if shape.form.moving[0] else jnp.zeros_like(size)
     reached = jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])
-    rows = jax.tree.map(lambda a: a[:-1], c.rows)  # without the place for what is not recorded
+    rows = jax.tree.map(lambda a: a[:-1], c.rows)  # without the place for ticks that are not recorded
     return Outcome(c.sums, rows, c.last, c.moving.unlike, reached)
 
 
 def first(by: Batch) -> PropagationState:
-    """Return everything before tick 0; packets taken before it have measured the start."""
+    """Return the propagation state before tick 0; packets from before measure the initial state."""
     given, shape, layout, p = by.given, by.shape, by.layout, by.given.problem
     cells, zero, form = shape.cells, jnp.asarray(0), shape.form
     n, q, many = p.x0.shape[0], by.std.shape[0], len(SCALES)
@@ -135,7 +139,7 @@ def first(by: Batch) -> PropagationState:
     rows: MomentRecord | tuple[()] = ()
     last: Last | tuple[()] = ()
     if shape.recorded:
-        T = -(-len(given.arrivals) // shape.every) + 1  # one place more for what is not recorded
+        T = -(-len(given.arrivals) // shape.every) + 1  # one place more for ticks that are not recorded
         rows = MomentRecord(
             jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.recorded == COVARIANCE else 1, cells))
         )
@@ -146,7 +150,7 @@ def first(by: Batch) -> PropagationState:
 
 
 def tick(by: Batch, k: Array, c: PropagationState) -> PropagationState:
-    """Estimate, control and flow: one tick of all cells, and what is kept of it."""
+    """Propagate one tick of all grid points: estimate, control and flow, with the sums."""
     given, shape, layout, m, w = by.given, by.shape, by.layout, c.moving, by.given.ticks[k]
     late = tuple(each[k // given.problem.network.every] for each in given.network) if layout.pending else ()
     noise = jnp.broadcast_to(w[:, :, None], (*w.shape, shape.cells))
@@ -158,10 +162,10 @@ def tick(by: Batch, k: Array, c: PropagationState) -> PropagationState:
     X, start = product(M_z, m.P[:A]), jnp.moveaxis(apart[len(w) :, A:], 0, 1)
     if shape.recorded == COVARIANCE or layout.consistency or layout.controller:
         covariance = product(X[A:, :A], transpose_cells(S)) + outer_square(N[A:]) + outer_square(start)
-    else:  # variances alone
+    else:  # variances only
         covariance = (jnp.sum(X[A:, :A] * S, 1) + jnp.sum(N[A:] ** 2, 1) + jnp.sum(start**2, 1))[:, None]
     P = m.P.at[:A, :A].set(product(X[:A, :A], transpose_cells(M_z[:A])) + outer_square(N[:A]))
-    if len(P) > A:  # what is on the network stays as it is
+    if len(P) > A:  # packets in flight do not change
         P = P.at[:A, A:].set(X[:A, A:]).at[A:, :A].set(transpose_cells(X[:A, A:]))
     read, p = Read(seen, covariance, apart[: len(w), A:]), given.problem
     rows, last = c.rows, c.last
@@ -186,7 +190,7 @@ def tick(by: Batch, k: Array, c: PropagationState) -> PropagationState:
 def _flow(
     by: Batch, k: Array, runs: Run, noise: Array, late: tuple[Array, ...], c: PropagationState
 ) -> tuple[Run, RunSignals, Array, Array | tuple[()]]:
-    """The runs after a tick, what is seen of them, the matrix of the tick, and what shows whether it is still that."""
+    """Return the runs after a tick, their signals, the tick's matrix, and the product that shows whether it changed."""
     form, one = by.shape.form, partial(one_cell, by.layout)
     if isinstance(c.product, tuple):
         return *jax.vmap(lambda state, w: by.over(one)(k, state, w, late))(runs, noise), c.matrix, ()
@@ -207,14 +211,14 @@ def _flow(
 
 
 def _matrix(by: Batch) -> Callable[..., Array]:
-    """The function that gives the matrix of a tick: (k, mean, no noise, late) -> [A + V, A + w, C]."""
+    """Return the function for the matrix of a tick: (k, mean, no noise, late) -> [A + V, A + w, C]."""
     return by.over(slope(by.shape.form, partial(one_cell, by.layout), partial(flat, by.shape.form)))
 
 
 def one_cell(
     layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, late: tuple[Array, ...]
 ) -> tuple[Run, RunSignals]:
-    """Go one tick with one cell, by `simulate_runs.advance`, and read what is read of it."""
+    """Propagate one grid point by one tick with `simulate_runs.advance`, and return its signals."""
     process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
     command = command_network.CommandDraws(late[0], late[1], noise[process:]) if layout.pending else ()
 
@@ -231,12 +235,12 @@ def one_cell(
 
 
 def flat(form: Form, state_and_seen: tuple[Run, RunSignals]) -> Array:
-    """Return what noise reaches of the state, and all that is seen."""
+    """Return the vector of the state, followed by all signals."""
     return jnp.concatenate([vector(form, state_and_seen[0]), *state_and_seen[1]])
 
 
 def _assumed_covariances(
     layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, rest: tuple[()]
 ) -> dict[str, Array]:
-    """The covariances that the observers of one cell assume of their errors at tick k."""
+    """Return the covariances that the observers of one grid point assume at tick k."""
     return innovation_stats.covariances(layout, p, k, run.memories, run.commands)

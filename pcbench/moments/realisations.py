@@ -1,6 +1,7 @@
-"""What is random besides the noise: schedules, networks and plants that each run draws, put in as the numbers of one run.
+"""Realisations: a grid point with its random schedules, networks and plant parameters set to those of one run.
 
-Given those an error is affine in normals, and moments are exact; over them moments are averaged, with a standard error.
+Given these, the error is affine in normals and its moments are exact. Over realisations moments are averaged, with a standard
+error.
 """
 
 from functools import lru_cache
@@ -23,34 +24,34 @@ from pcbench.simulation.types import GridPointParams, Layout
 
 
 class Mode(NamedTuple):
-    """One mode among those of its cell (see `delay_modes`)."""
+    """One mode of a grid point (see `delay_modes`)."""
 
     number: int
-    share: float  # how often it is there
-    source: tuple[int, ...]  # the modes that may have been before it
-    weight: tuple[float, ...]  # and how probable each is
-    merged: NDArray[np.bool_]  # [N+1] ticks at which it takes their place
+    share: float  # its probability
+    source: tuple[int, ...]  # the modes that may precede it
+    weight: tuple[float, ...]  # and their probabilities
+    merged: NDArray[np.bool_]  # [N+1] ticks at which it follows them
 
 
 class Realisation(NamedTuple):
-    """A cell with everything drawn but its noise."""
+    """A grid point in which only the noise is random."""
 
     layout: Layout
     problem: GridPointParams
     network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
-    chance: float = 1.0  # that a sample arrives at all
-    mode: Mode | None = None  # of a cell that is there once for each of its modes
+    chance: float = 1.0  # probability that a sample arrives
+    mode: Mode | None = None  # if this is one of the grid point's modes
 
 
 def random(p: Plan) -> bool:
-    """Return whether runs of a cell differ in more than their noise."""
+    """Return whether runs of a grid point differ in more than their noise."""
     sent = p.problem.network
     network = bool(sent) and (sent.jitter > 0 or sent.loss > 0)
     return isinstance(p.problem.schedule, ClockParams) or p.layout.drifting or network
 
 
 def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
-    """Return a cell as one run has it, but for its noise."""
+    """Return a grid point with the random values of one run, except its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
     layout, problem, plant = one.layout._replace(width=1, watch=False), one.problem, one.layout.plant
     network: tuple[NDArray[np.float64], ...] = ()
@@ -69,12 +70,12 @@ def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
 
 @lru_cache(1024)
 def _drift(root_seed: int, seed: int, many: int) -> Array:
-    """The numbers [many] that one run draws for its plant, the same in all cells; drawn one run at a time they take 6 ms."""
+    """Return the random numbers [many] of one run's plant, the same at all grid points; cached, as drawing them takes 6 ms."""
     return rng.uniforms(jnp.asarray(root_seed), jnp.asarray([seed]), "drift", jnp.asarray(0), 1, many)[0][:, 0]
 
 
 def losses_alone(p: Plan) -> bool:
-    """Return whether all that is random besides the noise is which samples of one sensor are lost, each by itself."""
+    """Return whether independent losses of one sensor are all that is random in addition to the noise."""
     clocks, sent = p.cell.times.clocks, p.problem.network
     if len(clocks) > 1 or not clocks[0].loss or clocks[0].burst or p.layout.drifting or sent:
         return False
@@ -82,10 +83,10 @@ def losses_alone(p: Plan) -> bool:
 
 
 def over_losses(p: Plan) -> Realisation | None:
-    """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
+    """Return a grid point of one observer for the recursion over losses; None if the observer's maps depend on earlier losses.
 
-    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance; or
-    where it asks when the last arrival was. Then its map depends on earlier losses: moments are averaged over drawn schedules.
+    They do if an arrival changes values that noise does not reach, such as the time of the newest sample or a covariance, or if
+    the observer uses the time of the last arrival. Its moments are then averaged over drawn schedules.
     """
     clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
     sure = common_times.schedule(

@@ -1,8 +1,8 @@
-"""From cells to their moments: cells that share a program and their long tables go through it together, some at a time.
+"""From grid points to their moments: those with the same program and long tables are computed together in batches.
 
-Cells are planned while others are computed, a window of them at a time, so that what is held does not grow with their number.
-Each observer of a cell goes by itself, so that one whose numbers overflow takes no other with it: in a joint covariance a zero
-stands between observers that share nothing, and zero times infinity is not a number.
+Grid points are planned while others are computed, one window at a time, so memory does not grow with their number. Each
+observer is computed separately, so that an overflow stays within one observer: a joint covariance has zeros between observers,
+and zero times infinity is NaN.
 """
 
 from collections.abc import Hashable, Iterable, Iterator
@@ -33,70 +33,69 @@ from pcbench.simulation.types import GridPointParams
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import power_of_2
 
-ALONE = "observer"  # what an observer is called that goes by itself
-PACKETS = 8  # room of cells that have no more on the network: at an event all of it is gone through
-WINDOW = 8 * MANY  # realisations that are planned before those of one kind that fill no call are computed
+ALONE = "observer"  # label of an observer that is computed separately
+PACKETS = 8  # ring size of grid points with no more packets; at an event the whole ring is processed
+WINDOW = 8 * MANY  # realisations planned before incomplete batches are computed
 
 
 class MomentRequest(NamedTuple):
-    """What is asked of all cells of a study."""
+    """What to compute for all grid points of a study."""
 
     root_seed: int
-    schedules: int  # realisations of a random cell: those of the first seeds
+    schedules: int  # realisations of a random grid point: the first seeds
     recorded: str = ""  # nothing, "std" or "covariance" over time
-    points: int = 0  # at so many ticks, about; 0: at every tick
+    points: int = 0  # approximate number of recorded ticks; 0: every tick
 
     def every(self, ticks: int) -> int:
-        """Return how many ticks apart those are that are recorded, of a cell of so many."""
+        """Return the recording interval in ticks."""
         return max(1, ticks // self.points) if self.points else 1
 
 
 class CellMoments(NamedTuple):
-    """Of one planned cell; S realisations of what is random besides the noise (1: nothing is)."""
+    """The moments of one planned grid point; S realisations (1 if only the noise is random)."""
 
     planned: Plan  # without its long tables
-    random: bool  # other runs have other schedules
-    signals: dict[str, slice]  # by observer label, its place among the Z signals
+    random: bool  # runs have different schedules
+    signals: dict[str, slice]  # by observer label, its slice of the Z signals
     sums: Sums  # arrays [..., S]
     rows: MomentRecord | tuple[()] = ()  # [..., S]
     last: dict[str, FinalErrors] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
-    mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
+    mixture: bool = False  # over losses or delays: means and squares are exact, distributions are not normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     reached: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
-    shares: NDArray[np.float64] | None = None  # [S] of `last`, whose realisations are modes; None: each counts alike
-    refused: str = (
-        ""  # why there are no exact moments, the end of a sentence about an observer, if that needs no moments
-    )
+    # [S] probabilities of the modes in `last`; None: realisations have equal weight
+    shares: NDArray[np.float64] | None = None
+    refused: str = ""  # clause why there are no exact moments, if that is known without them
 
 
 class Work(NamedTuple):
-    """A planned cell, its realisations, and the calls that compute them."""
+    """A planned grid point, its realisations, and the calls that compute them."""
 
     planned: Plan
-    ones: list[Realisation]  # none of a cell that has no exact moments
+    ones: list[Realisation]  # empty if there are no exact moments
     random: bool
-    trial: bool  # whether it has to go on drawn schedules yet, unless what was tried answers
+    trial: bool  # whether drawn schedules may still be needed after these
     bend: float
-    calls: list[tuple[Future[Outcome], int]]  # with the place of each realisation among those of its call
-    refused: str  # why it has no exact moments, if that is known without them
+    calls: list[tuple[Future[Outcome], int]]  # with the index of each realisation in its call
+    refused: str  # clause why there are no exact moments, if that is known without them
 
 
 def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
-    """Yield the cells ready to run, one for each of their observers unless these are to be `together`.
+    """Yield grid points ready to run, one per observer unless `together`.
 
-    They have one of two rooms for packets: few shapes, few programs; or what a cell needs, where noise reaches what is on the
-    network, and the covariance has all of the room.
+    They have one of two ring sizes, for few programs. If noise reaches packets in flight, the ring has the size that the grid
+    point needs, as the covariance covers the whole ring.
     """
     room_of = cache(random_times.room)
 
-    def ring(cell: Cell) -> int:  # how many packets may be on the network, whatever is drawn
+    def ring(cell: Cell) -> int:  # an upper limit of the packets in flight, for any draws
         return room_of(tuple(cell.times.clocks), cell.times.ticks, cell.times.error)
 
     most = max(map(ring, cells))
-    least = PACKETS if len(cells) > WINDOW else most  # of so many cells another program is worth its time
+    least = PACKETS if len(cells) > WINDOW else most  # with this many grid points another program pays off
     for p in padding.check_drafts(drafts(cells)):
         room, own = padding.room_of(p), ring(p.cell)
-        fitted = padding.fit_to_capacity(p, room)  # a loop has its controller's numbers from here on
+        fitted = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
         layout = fitted.layout
         places = power_of_2(own if _flight(fitted) else most if own > least else min(most, least))
         layout = layout._replace(ring=max(room.ring, places))
@@ -110,14 +109,14 @@ def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
 
 
 def _flight(p: Plan) -> bool:
-    """Whether noise reaches what is on the network, besides that of the samples themselves."""
-    drifting = p.layout.drifting and p.layout.plant.of_run is None  # else a realisation has the numbers of its plant
+    """Return whether noise reaches packets in flight, in addition to the noise of the samples."""
+    drifting = p.layout.drifting and p.layout.plant.of_run is None  # else a realisation has fixed plant parameters
     return form_of(p.layout._replace(drifting=drifting), p.problem).flight
 
 
 def solve(plans: Iterable[Plan], asked: MomentRequest) -> Iterator[CellMoments]:
-    """Yield the moments of each planned cell, in their order."""
-    unlike, wide = set[Hashable](), set[Hashable]()  # of this call alone: what was computed before decides no bit
+    """Yield the moments of each planned grid point, in order."""
+    unlike, wide = set[Hashable](), set[Hashable]()  # local: earlier results must not change any bit
     with thread_pools.pool(runner.cores()) as threads:
         before: list[Work] = []
         for window in _windows(plans, asked, unlike):
@@ -128,7 +127,7 @@ def solve(plans: Iterable[Plan], asked: MomentRequest) -> Iterator[CellMoments]:
 
 
 def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
-    """Yield cells with their realisations, some at a time; cells whose kind is `unlike` are not tried by modes."""
+    """Yield grid points with their realisations, one window at a time; kinds in `unlike` do not use modes."""
     window: list[Work] = []
     many = 0  # realisations in the window
     for p in plans:
@@ -144,9 +143,9 @@ def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable])
 
 
 def _realisations(p: Plan, asked: MomentRequest, unlike: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
-    """A cell as its moments move: once, in each of its modes, or on each drawn schedule; on the first alone, to try.
+    """Return the realisations of a grid point, whether schedules are drawn, and whether this is a trial.
 
-    With whether schedules are drawn, and whether it is a trial.
+    There is one realisation, one per mode, or one per drawn schedule. A trial has only the first drawn schedule.
     """
     alone = len(p.layout.observers) == 1
     if alone and _kind(p) not in unlike and (modes := over_modes(p)):
@@ -160,17 +159,17 @@ def _realisations(p: Plan, asked: MomentRequest, unlike: set[Hashable]) -> tuple
 
 
 def _draw_realisations(p: Plan, asked: MomentRequest, first: int) -> list[Realisation]:
-    """A random cell on its drawn schedules, from the first of some seeds on."""
+    """Return a random grid point on its drawn schedules, from seed `first` on."""
     return [draw_realisation(p, asked.root_seed, seed) for seed in range(first, asked.schedules)] if random(p) else []
 
 
 def _kind(p: Plan) -> Hashable:
-    """What decides whether modes of a cell can meet: its observer, not its numbers."""
+    """Return the key that decides whether modes can merge: the observer, without its numbers."""
     return p.layout.observers, jax.tree.structure(p.problem)
 
 
 def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentRequest, wide: set[Hashable]) -> None:
-    """Have the realisations of some cells computed, those of a kind side by side; all modes of a cell share a call."""
+    """Submit the realisations of some grid points, grouped by kind; all modes of a grid point share a call."""
     groups: dict[Hashable, list[tuple[Work, Realisation]]] = {}
     seen: dict[int, Hashable] = {}
 
@@ -197,7 +196,7 @@ def _compute(ones: list[Realisation], asked: MomentRequest, width: int | None = 
 
 
 def _moments(work: Work, asked: MomentRequest, unlike: set[Hashable]) -> CellMoments:
-    """The moments of a cell; on all drawn schedules if its observer remembers more than its modes tell, or is affine."""
+    """Return the moments of a grid point, on all drawn schedules if a trial gave no answer."""
     p = work.planned
     if not work.ones:
         return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
@@ -214,7 +213,7 @@ def _moments(work: Work, asked: MomentRequest, unlike: set[Hashable]) -> CellMom
 
 
 def _is_answered(work: Work, each: list[Outcome]) -> bool:
-    """Whether what was computed of a cell says all: modes met alike, or what was tried has no exact answer."""
+    """Return whether the results are sufficient: the modes merged consistently, or the trial showed that nothing is exact."""
     if work.ones[0].mode:
         return bool(max(np.max(outcome.unlike) for outcome in each) <= ROUNDING)
     (outcome,) = each
@@ -222,13 +221,13 @@ def _is_answered(work: Work, each: list[Outcome]) -> bool:
 
 
 def nan_sums(signals: int, off: float) -> Sums:
-    """Return what is left of a cell that was not computed: how far it is from affine."""
+    """Return the sums of a grid point that was not computed: only its deviation from affine."""
     nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), nothing(signals, 0, 1))
     return nan._replace(apart=np.full((signals, 1), off), size=np.ones((signals, 1)))
 
 
 def _gather(work: Work, each: list[Outcome]) -> CellMoments:
-    """Put the realisations of one cell together."""
+    """Return the moments of one grid point from its realisations."""
     p, modes = work.planned, [one.mode for one in work.ones if one.mode]
     outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *each) if len(each) > 1 else each[0]
     shares = np.array([mode.share for mode in modes]) if modes else None
@@ -259,7 +258,7 @@ def _gather(work: Work, each: list[Outcome]) -> CellMoments:
 
 
 def _signals(p: Plan) -> dict[str, int]:
-    """How many signals each observer of a planned cell estimates."""
+    """Return the number of signals that each observer of a planned grid point estimates."""
     n, own = len(p.problem.x0), p.layout.plant.scored
     if n + own == len(p.problem.band):
         return {name: n + own for name, _ in p.layout.observers}
@@ -272,10 +271,10 @@ def _signals(p: Plan) -> dict[str, int]:
 
 
 def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
-    """What M modes [..., M] leave together, [..., 1], by how often each is there; what observers assume stays one a mode.
+    """Return the results of M modes [..., M] as one, [..., 1], weighted by probability; assumed covariances stay per mode.
 
-    A sum over ticks is the mean of the modes' sums, as each is there as often at every tick; a variance has that of the means
-    between modes besides.
+    A sum over ticks is the mean of the modes' sums, as mode probabilities are constant. A variance includes the variance of the
+    means between modes.
     """
 
     def mean(a: Numbers) -> Numbers:

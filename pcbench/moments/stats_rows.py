@@ -1,6 +1,6 @@
-"""The rows of `stats` that need no seeds: expected values without a standard error, and for the others why they are missing.
+"""The rows of `stats` that need no seeds: expected values without a standard error, and a reason for each missing value.
 
-Rows of one observer in one cell are columns.
+The rows of one observer at one grid point are returned as columns.
 """
 
 from functools import lru_cache
@@ -44,19 +44,19 @@ ALWAYS = (
     "steady_mae",
     "steady_mse",
     *POOLED,
-)  # of every signal with an exact answer at all
-NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error alone
+)  # of every signal with an exact answer
+NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error only
 
 
-Columns = dict[str, Any]  # by name: an array of a value a row
+Columns = dict[str, Any]  # by name: an array with one value per row
 
 
 def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
-    """Return the rows of an observer as columns, each with its `method` and the `reason` for a blank.
+    """Return the rows of an observer as columns, each with its `method` and the `reason` for a missing value.
 
-    `signal` and `metric` are numbers, `metric` that of a metric in ORDER.
-    `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
-    there is none.
+    - `signal` and `metric` are indices; `metric` is an index of ORDER.
+    - `why`: the reason that this observer has no exact answer at this grid point; empty if it has.
+    - `bound` [signals]: the Kalman bound for the efficiency, NaN if there is none.
     """
     mine, estimates = cell.signals[label], _estimates(cell, label, bound)
     many = mine.stop - mine.start
@@ -89,7 +89,7 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
 
 @lru_cache(256)
 def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.bool_]]:
-    """Of each metric of ORDER why it has no number, or None, its `method`, and whether it has a row in any case."""
+    """Return for each metric of ORDER the reason for a missing value or None, its `method`, and whether it always has a row."""
     each = [why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER) for metric in ORDER]
     named = [metric in RUNS_ONLY or bool(why and metric in ALWAYS) for metric in ORDER]
     methods = np.array(["none" if reason else "exact" for reason in each], object)
@@ -97,7 +97,7 @@ def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.ob
 
 
 def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
-    """Every metric that is exact, of signals."""
+    """Return every exact metric of the signals."""
     mine, s = cell.signals[label], cell.sums
     n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
     out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[mine], True)}
@@ -122,7 +122,7 @@ def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str,
 
 
 def _over(cell: CellMoments, values: ArrayLike, signed: bool = False) -> Estimate:
-    """Values [K, S] averaged over what is random besides the noise; without an error where nothing is."""
+    """Return values [K, S] averaged over realisations; without an error if there is only one."""
     values = np.asarray(values)
     if cell.random:
         return (student if signed else positive)(moments(values))
@@ -131,7 +131,7 @@ def _over(cell: CellMoments, values: ArrayLike, signed: bool = False) -> Estimat
 
 
 def _quantiles(cell: CellMoments, label: str) -> Values:
-    """Quantiles [of COLUMNS, signals] of the last errors, which are normal: each is its own interval."""
+    """Return quantiles [of COLUMNS, signals] of the last errors, which are normal: each is its own interval."""
     mine = cell.signals[label]
     each = {q: cell.sums.mean[mine, 0] + cell.sums.std[mine, 0] * normal_quantile(int(q[1:]) / 100) for q in QUANTILES}
     return np.stack([each[name.split("_")[0]] for name in COLUMNS])

@@ -1,1 +1,1 @@
-"""The process: how it is set up, its memory, its cache, how far its work is, and the record of what made a number."""
+"""The process: its set-up, memory, caches and progress, and the provenance record of results."""

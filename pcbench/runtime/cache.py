@@ -1,6 +1,6 @@
-"""The folder of everything that pcbench can make again; PCBENCH_CACHE names it. No jax.
+"""The cache folder for everything that pcbench can recompute; PCBENCH_CACHE sets it. No jax.
 
-It holds machine code, so nobody else may write there: it is made for its owner alone, and refused where others may change it.
+The cache contains machine code, so only its owner may write to it. pcbench refuses a folder that others may change.
 """
 
 import os
@@ -16,9 +16,9 @@ from pcbench.runtime import ending
 
 
 def folder(*parts: str) -> Path:
-    """Return the folder of everything pcbench can make again, or one below it; it is made where it can be.
+    """Return the cache folder, or a folder in it, created if possible.
 
-    Raises UserError where another user owns it, or may write there.
+    Raises UserError if another user owns it or may write to it.
     """
     path = Path(os.environ.get("PCBENCH_CACHE") or user_cache_path("pcbench"))
     for each in [path, *(path.joinpath(*parts[: i + 1]) for i in range(len(parts)))]:
@@ -27,13 +27,13 @@ def folder(*parts: str) -> Path:
 
 
 def _require_private(path: Path) -> None:
-    with suppress(OSError):  # what cannot be made costs time, and holds nothing
+    with suppress(OSError):  # if it cannot be created, pcbench recomputes and stores nothing
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:
         found = path.stat()
     except OSError:
         return
-    if not hasattr(os, "geteuid"):  # a system with other rights than these
+    if not hasattr(os, "geteuid"):  # a system without POSIX permissions
         return
     if found.st_uid != os.geteuid():
         raise UserError(
@@ -48,7 +48,7 @@ def _require_private(path: Path) -> None:
 
 
 def keep(path: Path, content: str | bytes) -> None:
-    """Put a text or bytes into the cache, whole or not at all; where they cannot be written, that only costs time."""
+    """Write a text or bytes to the cache atomically; a failure is ignored and only costs time."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with ending.uncut():

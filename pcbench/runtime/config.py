@@ -1,4 +1,4 @@
-"""How this process computes: float64, and compiled programs remembered between processes."""
+"""Computation settings of this process: float64, and a cache of compiled programs between processes."""
 
 import os
 import socket
@@ -15,8 +15,8 @@ from pcbench.runtime.cache import folder
 def setup() -> None:
     """Set up JAX for pcbench in this process: float64, a compilation cache on disk, linear algebra on one thread.
 
-    The command line does this. In a notebook, call it before anything else uses JAX. A program with a JAX configuration of
-    its own does not need it: pcbench then computes the same, and compiles again in every process.
+    The command line calls it. In a notebook, call it before anything else uses JAX. A program with its own JAX configuration
+    does not need it: results are the same, but every process compiles again.
     """
     thread_pools.one()
     jax.config.update("jax_enable_x64", True)
@@ -27,9 +27,9 @@ def setup() -> None:
 
 @contextmanager
 def float64() -> Iterator[None]:
-    """Return a context in which jax computes in float64 and compiles, whatever the host program chose.
+    """Return a context in which jax computes in float64 and compiles, regardless of the host program's settings.
 
-    Raises UserError where jax cannot use the platform that JAX_PLATFORMS names.
+    Raises UserError if jax cannot use the platform in JAX_PLATFORMS.
     """
     try:
         with jax.enable_x64(True), jax.disable_jit(False):
@@ -44,5 +44,5 @@ def float64() -> Iterator[None]:
 
 
 def name() -> str:
-    """Return a name that tells this process from all others, on any machine."""
+    """Return a name that is unique among processes on all machines."""
     return f"{socket.gethostname()}-{os.getpid()}"

@@ -1,4 +1,4 @@
-"""Ending the process from any thread, between files: no file is cut off, and none is begun after that. No jax."""
+"""End the process from any thread between file writes: no file is truncated, and none is begun after that. No jax."""
 
 import os
 import sys
@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 _CHANGE = threading.Condition()
-_INSIDE: list[int] = []  # threads that are inside a block that is not to be cut off, once for each block
+_INSIDE: list[int] = []  # threads inside an `uncut` block, once per block
 _LEAVING: list[int] = []  # the thread that ends the process
-_CLEANING: list[Callable[[], object]] = []  # removes what a block that is not over has left for a time
-LONGEST = 30.0  # [s] that such a block may take
+_CLEANING: list[Callable[[], object]] = []  # functions that remove temporary files of unfinished blocks
+LONGEST = 30.0  # [s] longest wait for such a block
 
 
 @contextmanager
 def uncut() -> Iterator[None]:
-    """Have the process end before or after this block, not inside it: of a block that writes files, or ends other processes."""
+    """Have the process end before or after this block, not inside it, for a block that writes files or ends other processes."""
     me = threading.get_ident()
     with _CHANGE:
         while _LEAVING and _LEAVING[0] != me and me not in _INSIDE:
@@ -43,14 +43,14 @@ def clean_on_exit(clean: Callable[[], object]) -> Iterator[None]:
 def temporary_folder() -> Iterator[str]:
     """Yield a folder that is removed after this block, or if the process ends inside it."""
     from shutil import rmtree
-    from tempfile import TemporaryDirectory  # the command line starts without it
+    from tempfile import TemporaryDirectory  # imported late: the command line starts faster
 
     with TemporaryDirectory(prefix="pcbench-") as folder, clean_on_exit(lambda: rmtree(folder, ignore_errors=True)):
         yield folder
 
 
 def begin() -> bool:
-    """Return whether the calling thread is the one that ends the process: the first that asks."""
+    """Return whether the calling thread ends the process: the first caller does."""
     with _CHANGE:
         if not _LEAVING:
             _LEAVING.append(threading.get_ident())
@@ -58,7 +58,7 @@ def begin() -> bool:
 
 
 def end(code: int) -> None:
-    """End the process with an exit code once no other thread is inside an `uncut` block; a compiled call is not waited for."""
+    """End the process with an exit code once no other thread is inside an `uncut` block; compiled calls are not awaited."""
     me = threading.get_ident()
     with _CHANGE:
         _CHANGE.wait_for(lambda: all(each == me for each in _INSIDE), LONGEST)

@@ -10,7 +10,7 @@ UNITS = {"B": 1, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB
 
 
 def usable() -> int:
-    """Return the bytes of memory that this process may use: the machine's, or what its control group leaves it."""
+    """Return the bytes of memory that this process may use: the machine's, or the limit of its control group."""
     import psutil
 
     total = int(psutil.virtual_memory().total)
@@ -21,7 +21,7 @@ def usable() -> int:
 
 
 def _limits() -> list[Path]:
-    """The files that may hold a limit of this process's control group, or of one around it."""
+    """Return the files that may contain a memory limit of this process's control group or a parent group."""
     out = [Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes")]
     with suppress(OSError):
         for line in Path("/proc/self/cgroup").read_text().splitlines():
@@ -34,14 +34,14 @@ def _limits() -> list[Path]:
 
 
 def free() -> int:
-    """Return the bytes of memory that are free now, within what this process may use, by `ulimit -d` too."""
+    """Return the free bytes of memory within the limits of this process, including `ulimit -d`."""
     import psutil
 
     return min(int(psutil.virtual_memory().available), usable(), _left_of_data())
 
 
 def _left_of_data() -> int:
-    """The bytes by which this process's data may grow; where there is no such limit, more than there are."""
+    """Return the bytes by which this process's data may grow; a huge number if there is no limit."""
     import psutil
 
     if sys.platform != "linux":
@@ -53,7 +53,7 @@ def _left_of_data() -> int:
 
 
 def memory_budget(given: str | int | None) -> float:
-    """Return the bytes that results may take: a quarter of the memory unless said otherwise, never more than is free."""
+    """Return the bytes that results may use: `given`, by default a quarter of the memory, at most the free memory."""
     if given is None:
         return min(usable() / 4, free())
     text = str(given).strip().upper()

@@ -1,4 +1,4 @@
-"""Compiled programs of this process, and no more of them than are used. jax keeps them on disk where `config.setup` says."""
+"""A limited cache of compiled programs in this process. jax caches them on disk if `config.setup` was called."""
 
 import ctypes
 from collections.abc import Callable, Hashable, Iterator
@@ -8,14 +8,14 @@ from typing import Any, Generic, TypeVar
 
 import jax
 
-R = TypeVar("R")  # what a function returns; a program
-MOST = 16  # programs that one cache keeps
-AT_ONCE = 2  # programs that are made side by side: a compiler may take gigabytes for one
-MAPPINGS = 10_000  # of memory, that these have together: a program has 130 to 5,000, and Linux allows a process 65,530
+R = TypeVar("R")  # result of a function; a program
+MOST = 16  # programs in one cache
+AT_ONCE = 2  # programs compiled in parallel: a compiler may take gigabytes for one
+MAPPINGS = 10_000  # memory mappings of all programs: one has 130 to 5,000, and Linux allows a process 65,530
 
 
 def jit_with_limit(function: Callable[..., R], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., R]:
-    """Return a function compiled once for each shape and static argument; after `MOST` programs it drops them all."""
+    """Return a function compiled once for each shape and static argument; after `MOST` programs the cache is cleared."""
     jitted: Any = jax.jit(function, static_argnums=static_argnums)
 
     @wraps(function)
@@ -30,23 +30,23 @@ def jit_with_limit(function: Callable[..., R], static_argnums: int | tuple[int, 
 
 
 class CacheEntry(Generic[R]):
-    """A program, or the place of one that is being made by the thread that holds its lock."""
+    """A program, or the placeholder of one that another thread is compiling while it holds the lock."""
 
     def __init__(self) -> None:
         self.lock = Lock()
         self.program: R | None = None
-        self.mappings = 0  # of memory, as far as it was made within `ask`
+        self.mappings = 0  # of memory, added while `ask` compiled it
 
 
 class Programs(Generic[R]):
-    """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`.
+    """The most recently used programs by key, within `MOST` and `MAPPINGS`.
 
-    Threads that ask for different ones make `AT_ONCE` of them side by side; who asks for one that is being made waits for it.
-    It iterates over what programs are compiled for, the one that was asked for last at the end.
+    Up to `AT_ONCE` threads compile different programs in parallel. A thread waits for a program that is being compiled.
+    Iteration yields the keys, the most recently used last.
     """
 
     def __init__(self) -> None:
-        self.made = 0  # so far
+        self.made = 0  # number of programs compiled so far
         self._kept: dict[Hashable, CacheEntry[R]] = {}
         self._lock, self._room = Lock(), Semaphore(AT_ONCE)
 
@@ -57,7 +57,7 @@ class Programs(Generic[R]):
         return len(self._kept)
 
     def ask(self, key: Hashable, new: Callable[[], R]) -> R:
-        """Return the program of a key, made by `new` if there is none."""
+        """Return the program of a key, compiled by `new` if it is not cached."""
         with self._lock:
             self._kept[key] = one = self._kept.pop(key, None) or CacheEntry()
         with one.lock:
@@ -67,17 +67,17 @@ class Programs(Generic[R]):
                     one.program = new()
                     one.mappings = _mappings() - before
                 with self._lock:
-                    self._kept[key], self.made = one, self.made + 1  # it may have been dropped while it was made
+                    self._kept[key], self.made = one, self.made + 1  # it may have been evicted while it was compiled
                     while len(self) > MOST or (
                         len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS
                     ):
-                        del self._kept[next(iter(self))]  # the oldest
+                        del self._kept[next(iter(self))]  # the least recently used
                 _release()
             return one.program
 
 
 def _release() -> None:
-    """Give the memory that a compiler has freed back to the system: glibc keeps it, half of what a long process holds."""
+    """Return the memory that a compiler has freed to the system; glibc keeps it, half of the size of a long process."""
     trim = getattr(_libc(), "malloc_trim", None)
     if trim is not None:
         trim(0)
@@ -85,7 +85,7 @@ def _release() -> None:
 
 @cache
 def _libc() -> ctypes.CDLL | None:
-    """The C library of this process; None where it has none that can be asked, as on Windows."""
+    """Return the C library of this process; None if it has no `malloc_trim`, as on Windows."""
     try:
         return ctypes.CDLL(None)
     except (OSError, TypeError):
@@ -93,7 +93,7 @@ def _libc() -> ctypes.CDLL | None:
 
 
 def _mappings() -> int:
-    """Return how many memory mappings this process has; 0 where the system does not say."""
+    """Return how many memory mappings this process has; 0 if unknown."""
     try:
         with open("/proc/self/maps", "rb") as lines:
             return sum(1 for _ in lines)

@@ -1,9 +1,9 @@
-"""Traced programs on disk. Tracing is most of what a second run of a study would take: jax keeps machine code, and no trace.
+"""Traced programs on disk. jax caches machine code but no traces, and tracing takes most of the start of a repeated study.
 
-A program is stored as StableHLO (`jax.export`), under a digest of all that it is traced from: the source of pcbench, releases
-of Python and jax, the layout, the types of its arrays. jax then finds the machine code in its own cache. A program with
-functions of a user's is traced each time, as nobody knows what these read. Only the command line stores programs (`allow`):
-elsewhere pcbench's own functions may have been replaced.
+A program is stored as StableHLO (`jax.export`), under a digest of everything it is traced from: pcbench's source, releases of
+Python and jax, the layout, the types of its arrays. jax then finds the machine code in its own cache. Programs with
+user-defined functions are traced each time, as their inputs are unknown. Only the command line stores programs (`allow`), as
+other processes may have replaced functions of pcbench.
 """
 
 import functools
@@ -27,16 +27,16 @@ from pydantic import BaseModel
 
 from pcbench.runtime import cache
 
-ROOM = 256  # programs that are kept, those used last
+ROOM = 256  # programs kept, the most recently used
 SIZE = hashlib.sha256().digest_size
-OF_LIBRARIES = ("jax", "jaxlib", "numpy")  # whose releases are in the digest
+OF_LIBRARIES = ("jax", "jaxlib", "numpy")  # packages whose releases are in the digest
 _LOCK = Lock()
 _registered: set[type] = set()
 _allowed = False
 
 
 def allow() -> None:
-    """Have programs of this process stored, and taken from the store."""
+    """Allow this process to store programs and to load stored ones."""
     global _allowed
     _allowed = True
 
@@ -48,14 +48,14 @@ def compile_program(
     options: dict[str, str | bool] | None,
     returned: tuple[type, ...] = (),
 ) -> Any:
-    """Return a function compiled for arrays like those `given`; its trace is taken from the store if it is there.
+    """Return a function compiled for arrays like `given`; its trace is loaded from the store if possible.
 
     Args:
-        function: what is traced. It may read its arguments and `about`, and nothing else that varies.
-        about: what decides the program besides its arguments: numbers, strings, named tuples and functions, in any tree.
-        given: arrays, or what says their shape, dtype and sharding.
-        options: of the compiler.
-        returned: the types of named tuples in what it returns.
+        function: the function to trace. It may read its arguments and `about`, and nothing else that varies.
+        about: everything else that decides the program: numbers, strings, named tuples and functions, in any tree.
+        given: arrays, or their shape, dtype and sharding.
+        options: compiler options.
+        returned: types of named tuples in the result.
     """
     leaves, tree = jax.tree.flatten(given)
     for each in returned:
@@ -83,7 +83,7 @@ class _OfTrees:
 
 
 def _stored(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.Exported:
-    """The program of a key: the one that is stored, or traced and stored now."""
+    """Return the program of a key: loaded, or traced and stored."""
     place = cache.folder("traces")
     path = place / key
     content = b""
@@ -95,11 +95,11 @@ def _stored(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.
         stored = bytes(export.export(jax.jit(flat))(*leaves).serialize())
         cache.keep(path, hashlib.sha256(stored).digest() + stored)
         _drop_old(place)
-    return export.deserialize(bytearray(stored))  # the first time too: jax finds machine code by the text of a program
+    return export.deserialize(bytearray(stored))  # also the first time: jax's cache is keyed by the program text
 
 
 def _register(named_tuple: type) -> None:
-    """Have a type of named tuples written by its name."""
+    """Register a named tuple type for serialization by name."""
     with _LOCK:
         if named_tuple not in _registered:
             name = f"{named_tuple.__module__}.{named_tuple.__qualname__}"
@@ -108,7 +108,7 @@ def _register(named_tuple: type) -> None:
 
 
 def _drop_old(place: Path) -> None:
-    """Remove the programs that were used longest ago, but for `ROOM` of them."""
+    """Remove all but the `ROOM` most recently used programs."""
     with suppress(OSError):
         paths = sorted(place.iterdir(), key=lambda path: path.stat().st_mtime)
         for path in paths[:-ROOM]:
@@ -116,11 +116,11 @@ def _drop_old(place: Path) -> None:
 
 
 class UnknownError(Exception):
-    """An object of which a digest cannot say what a program would read of it."""
+    """An object that cannot be included in a digest."""
 
 
 def _digest(function: Callable[..., PyTree], *read: object) -> str | None:
-    """Return the digest of what a program is traced from; None where some of it is not known."""
+    """Return the digest of everything that a program is traced from; None if some of it is unknown."""
     found = hashlib.sha256(_surroundings())
     try:
         found.update(_name(function))
@@ -133,7 +133,7 @@ def _digest(function: Callable[..., PyTree], *read: object) -> str | None:
 
 @functools.cache
 def _surroundings() -> bytes:
-    """The digest of pcbench's source, of releases, and of what the user has set for jax."""
+    """Return the digest of pcbench's source, of releases, and of the user's jax settings."""
     found, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         found.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode() + path.read_bytes())
@@ -144,7 +144,7 @@ def _surroundings() -> bytes:
 
 
 def _parts(x: object, inside: set[int]) -> Iterator[bytes]:
-    """Yield bytes that tell an object from every other; raise UnknownError where none are known to."""
+    """Yield bytes that identify an object; raise UnknownError if that is not possible."""
     if x is None or isinstance(x, bool | int | float | complex | str | bytes):
         yield f"{type(x).__name__} {x!r}".encode()
     elif isinstance(x, np.ndarray | np.generic | jax.Array):
@@ -157,7 +157,7 @@ def _parts(x: object, inside: set[int]) -> Iterator[bytes]:
     elif isinstance(x, CodeType):
         yield x.co_code + repr(x.co_names).encode()
         yield from _parts(x.co_consts, inside)
-    elif id(x) in inside:  # a function that reads itself
+    elif id(x) in inside:  # a recursive function
         yield b"above"
     else:
         children = _children(x)
@@ -167,7 +167,7 @@ def _parts(x: object, inside: set[int]) -> Iterator[bytes]:
 
 
 def _children(x: object) -> list[object]:
-    """What an object is made of."""
+    """Return the parts of an object."""
     if isinstance(x, tuple | list):
         return [*getattr(x, "_fields", ()), *x]
     if isinstance(x, set | frozenset):
@@ -183,16 +183,16 @@ def _children(x: object) -> list[object]:
     if isinstance(x, FunctionType):
         try:
             cells = [cell.cell_contents for cell in x.__closure__ or ()]
-        except ValueError:  # one that is still empty
+        except ValueError:  # an empty cell of a closure
             raise UnknownError from None
         return [_name(x), x.__code__, x.__defaults__, x.__kwdefaults__, *cells]
-    if callable(x) and isinstance(inner := getattr(x, "__wrapped__", None), FunctionType):  # such as of jax.jit
+    if callable(x) and isinstance(inner := getattr(x, "__wrapped__", None), FunctionType):  # a wrapper such as jax.jit
         return [inner]
     raise UnknownError
 
 
 def _name(x: Any) -> bytes:
-    """The name of a type or function of pcbench, or of a library whose release is known; of Python's types too."""
+    """Return the name of a type or function of pcbench, of Python, or of a library whose release is in the digest."""
     module = str(getattr(x, "__module__", "")).partition(".")[0]
     known = ("pcbench", *OF_LIBRARIES, *(("builtins", "functools", "types") if isinstance(x, type) else ()))
     if module not in known:

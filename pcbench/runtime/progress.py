@@ -1,4 +1,4 @@
-"""Progress of long work: what has begun, how many steps are done, what is being done now. Where time goes. No jax."""
+"""Progress of long work: its steps, those completed, the current activity, and the time per activity. No jax."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -8,14 +8,14 @@ from typing import NamedTuple, TypeVar
 
 
 def _ignore(*said: object) -> None:
-    """Hear and do nothing."""
+    """Ignore a report."""
 
 
 class Progress(NamedTuple):
-    """Who hears of progress: three functions, each of which may be left out.
+    """Receivers of progress reports: three functions, each of which may be omitted.
 
-    `begin` takes what begins and how many steps it has (None: not known); begun again, the same work has so many more. `step`
-    takes how many more are done, `note` what is being done now.
+    `begin` receives a label and the number of steps (None: unknown); a second call adds steps. `step` receives the number of
+    completed steps. `note` receives the current activity.
     """
 
     begin: Callable[[str, int | None], None] = _ignore
@@ -24,21 +24,21 @@ class Progress(NamedTuple):
 
 
 SILENT = Progress()
-COMPILING = "compiling"  # in a note: how long the rest takes cannot be estimated yet
+COMPILING = "compiling"  # in a note: the remaining time cannot be estimated yet
 
 
 T = TypeVar("T")
 
 
 class Stopwatch:
-    """Seconds by what they were spent on."""
+    """Seconds per activity."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
     @contextmanager
     def __call__(self, what: str) -> Iterator[None]:
-        """Count the time until this is left."""
+        """Measure the time of a `with` block."""
         start = perf_counter()
         try:
             yield
@@ -46,7 +46,7 @@ class Stopwatch:
             self.seconds[what] += perf_counter() - start
 
     def each(self, what: str, things: Iterable[T]) -> Iterator[T]:
-        """Yield things, and count the time that they take to come."""
+        """Yield items, and measure the time until each arrives."""
         left = iter(things)
         while True:
             with self(what):

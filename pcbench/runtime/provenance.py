@@ -1,4 +1,4 @@
-"""The record of what made a number: releases, what the compiler was told, the device, the checkout."""
+"""The provenance of a result: releases, compiler settings, the device, the checkout."""
 
 import os
 import platform
@@ -22,12 +22,12 @@ LIBRARIES = ("pcbench", "jax", "jaxlib", "numpy", "scipy", "cvxpy", "clarabel", 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return what decides the last bits of a number: releases, and what the compiler was told."""
+    """Return the releases and compiler settings that may change the last bits of a number."""
     return {name: version(name) for name in ("pcbench", "jax", "jaxlib")} | {"compiler": compiler()}
 
 
 def compiler() -> str:
-    """Return how XLA_FLAGS and jax's settings changed the compiler's defaults; or 'defaults'."""
+    """Return how XLA_FLAGS and jax's settings change the compiler's defaults; or 'defaults'."""
     flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
     settings = {name: getattr(jax.config, name, None) for name in COMPILING}
     told = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
@@ -35,7 +35,7 @@ def compiler() -> str:
 
 
 def describe() -> dict[str, object]:
-    """Return what a reader needs to know of the machine and the libraries."""
+    """Return the description of machine and libraries for a report."""
     device = jax.devices()[0]
     return {
         "versions": {name: version(name) for name in LIBRARIES} | {"python": platform.python_version()},
@@ -48,7 +48,7 @@ def describe() -> dict[str, object]:
 
 
 def _git() -> dict[str, str | bool] | None:
-    """The state of the checkout pcbench runs from; None where it runs from an installed copy."""
+    """Return the state of the checkout that pcbench runs from; None for an installed copy."""
     here = Path(__file__).parent.parent
 
     def ask(*words: str) -> str:

@@ -1,9 +1,8 @@
-"""Threads side by side that begin nothing more once what waits for them has ended: a Ctrl-C waits for no queue. No jax.
+"""Thread pools that start no new work after an interrupt, and single-threaded linear algebra. No jax.
 
-Threads of the linear algebra behind NumPy and SciPy: one, as matrices are small here. No jax.
-
-Shared out among threads a matrix exponential of 4 x 4 takes 12 ms on two busy cores instead of 0.03: threads wait for others.
-The library reads its setting when it is loaded, so it is to be told before; what the user has set stands.
+Linear algebra of NumPy and SciPy uses one thread, as matrices are small here. With several threads on two busy cores, a matrix
+exponential of 4 x 4 takes 12 ms instead of 0.03. The libraries read the setting when they are loaded, so it must be set before.
+A setting by the user is kept.
 """
 
 import os
@@ -14,15 +13,15 @@ from contextlib import contextmanager
 
 @contextmanager
 def pool(threads: int, always_wait: bool = False) -> Iterator[ThreadPoolExecutor]:
-    """Yield so many threads. Where the block ends by an error, what has not begun is not done; what has begun is waited for.
+    """Yield a pool of `threads` threads. After an error, queued work is dropped and running work is awaited.
 
-    After Ctrl-C that is not waited for, as a compiled call may take minutes: it ends by itself, and nobody reads its results.
-    `always_wait`: of what writes files.
+    After Ctrl-C running work is not awaited either, as a compiled call may take minutes and its result is unused. Set
+    `always_wait` for work that writes files.
     """
     made, wait = ThreadPoolExecutor(threads), True
     try:
         yield made
-    except (KeyboardInterrupt, GeneratorExit):  # the latter within a generator whose caller was stopped
+    except (KeyboardInterrupt, GeneratorExit):  # GeneratorExit: inside a generator whose caller was stopped
         wait = always_wait
         raise
     finally:
@@ -33,6 +32,6 @@ LIBRARIES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def one() -> None:
-    """Have libraries that are not loaded yet work on one thread."""
+    """Set libraries that are not yet loaded to one thread."""
     for name in LIBRARIES:
         os.environ.setdefault(name, "1")
