@@ -1,10 +1,10 @@
-"""`pcbench.find_limit`: a question to a study, answered by a search over runs.
+"""`pcbench.find_limit`: find limits of a study by a search over runs.
 
-The study grows by the values and the seeds that the search wants, and its tables answer. Every observer runs at every value, so
-that what is left is a study like any other. An observer that cannot be run over the axis is left out; one that has no gains at
-some values is left out there, with the sentence that says why.
+The search adds values and seeds to the study, and reads its tables. Every observer runs at every value, so the result is an
+ordinary study. An observer that does not support the axis is left out. One without gains at some values is left out there, with
+the reason.
 
-An interval that decides may be looked at several times as seeds are added, which makes it a little too narrow
+An interval may be evaluated several times as seeds are added, which makes it slightly too narrow
 (`pcbench.dataset.adaptive_seeds`).
 """
 
@@ -40,7 +40,7 @@ from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
 
 METRIC = "steady_rmse"
-BUDGET = 16  # times the study's seeds, where no budget is given
+BUDGET = 16  # times the study's seeds, the default budget
 
 
 def find_limit(
@@ -143,7 +143,7 @@ def find_limit(
 def _frontier(
     raw: TomlTable, where: str, named: list[str], between: object, out: str | Path | None, how: TomlTable
 ) -> pd.DataFrame:
-    """The largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
+    """Return the largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
     ends = list(between) if np.iterable(between) else []
     several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
     first, second = (_range(each) for each in (ends if several else (between, None)))
@@ -169,7 +169,7 @@ def _frontier(
 
 
 def _range(between: object) -> tuple[float, float] | None:
-    """Return the two ends of one axis' range; raise UserError if it is anything else."""
+    """Return the two ends of one axis' range; raise UserError for anything else."""
     if between is None:
         return None
     ends = list(between) if np.iterable(between) else []
@@ -179,7 +179,7 @@ def _range(between: object) -> tuple[float, float] | None:
 
 
 def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: Progress) -> Question:
-    """The question of a study whose gains are found: designed or tuned where it asks for that, at the first value."""
+    """Return the question with the study's gains designed or tuned, if requested, at the first value."""
     if q.study.tunings == ["published"]:
         return q
     if q.study.tune.cells == "all" and "tuned" in q.study.tunings:
@@ -193,15 +193,15 @@ def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: 
 
 
 class Refusals(NamedTuple):
-    """Why what is not run is not run."""
+    """Reasons for combinations that are not run."""
 
-    values: dict[float, str]  # no observer runs there: the scenario does not fit together
-    observers: dict[str, str]  # it cannot be run over this axis
-    gains: dict[tuple[str, float], str]  # it has none there
+    values: dict[float, str]  # no observer runs at this value: the scenario is invalid
+    observers: dict[str, str]  # the observer does not support the axis
+    gains: dict[tuple[str, float], str]  # the observer has no gains at this value
 
 
 def stands(folder: str | Path, q: Question) -> list[float]:
-    """Return the values of the axis that stand in a folder from earlier; none where it holds no study."""
+    """Return the values of the axis already stored in a folder; empty if it contains no study."""
     target = storage.target(str(folder))
     if storage.text(target, manifest.TEXT) is None:
         return []
@@ -209,7 +209,7 @@ def stands(folder: str | Path, q: Question) -> list[float]:
 
 
 def looking(q: Question, folder: str | Path, how: How) -> Look:
-    """Return what runs a study at values of the axis, and says what came out."""
+    """Return a function that runs a study at values of the axis, and returns the results."""
     why, started = Refusals({}, {}, {}), list[bool]()
 
     def look(values: list[float], seeds: Mapping[float, int]) -> dict[str, list[Point]]:
@@ -223,7 +223,7 @@ def looking(q: Question, folder: str | Path, how: How) -> Look:
 def _run(
     q: Question, values: list[float], seeds: Mapping[float, int], why: Refusals, folder: str | Path, how: How
 ) -> Result:
-    """Run what can be run; what has no gains is found where a design fails, and left out."""
+    """Run all supported combinations; if a design fails, leave out the observers without gains and try again."""
     while True:
         grid = _grid(q, values, why)
         cells = _by_value(q, grid.cells)
@@ -238,7 +238,7 @@ def _run(
 
 
 def _without_gains(cell: Cell, observer: str) -> str:
-    """Return why an observer has no gains in a cell; empty where it has."""
+    """Return the reason why an observer has no gains at a grid point; empty if it has."""
     try:
         list(planning.drafts([cell._replace(options={observer: cell.options[observer]})]))
     except DesignError as error:
@@ -247,7 +247,7 @@ def _without_gains(cell: Cell, observer: str) -> str:
 
 
 def _grid(q: Question, values: list[float], why: Refusals) -> Grid:
-    """Return the study over all values that can be run, each cell with the observers that can; raise UserError where none."""
+    """Return the study over all valid values, each grid point with its supported observers; raise UserError if none is left."""
     name, possible = q.scenario.name, list[float]()
     for value in values:
         if value in why.values:
@@ -280,7 +280,7 @@ def _by_value(q: Question, cells: list[Cell]) -> dict[float, Cell]:
 
 
 def points(q: Question, values: list[float], why: Refusals, result: Result) -> dict[str, list[Point]]:
-    """Return by observer what came out at every value, or why nothing did."""
+    """Return the results at every value by observer, or the reason for a missing one."""
     stats, axis = result.stats, q.axis
     rows: pd.DataFrame = stats[(stats.metric == q.metric) & (stats.signal == q.signal)].copy()
     if rows.empty:
@@ -298,5 +298,5 @@ def points(q: Question, values: list[float], why: Refusals, result: Result) -> d
     }
     besides += [
         (o, Point(v, NULL)) for o in able for v in values if (o, v) not in answered
-    ]  # it does not estimate that
+    ]  # the observer does not estimate this signal
     return limit_verdicts.points(rows, axis.called, q.threshold, besides)

@@ -1,18 +1,14 @@
-"""The search: which values of an axis, and how many seeds at which, decide what suffices. It knows runs only by their points.
+"""Search of a limit along an axis: choose values and numbers of seeds until the limit is precise enough. No jax.
 
-For each observer the largest value that suffices and the smallest above it that significantly exceeds the limit close in on
-each other: seeds are added next to the two where an interval holds the limit, up to a budget; then the gap is halved, until
-it is as small as asked for. Below the largest only the values are looked at that the search began with, or that another
-observer needed: a failure there is found by chance, and said.
+For each observer, the search narrows the interval between the largest value that suffices and the smallest above it that
+significantly exceeds the threshold. Seeds are added at these two as long as their intervals contain the threshold, up to a
+budget. Then the interval is halved, down to the requested precision. Below the largest sufficient value only the initial values
+and those that other observers need are tested, so a failure there may be missed.
 
-Where on an axis to look: a range, the values to begin with, and the ones between two. No jax.
-
-Times are whole ticks. Between two values lies their geometric mean where they are of one sign and far apart, and else their
-arithmetic one, rounded to as few digits as stay near it.
-
-The axis that is asked about: a number of every scenario's own, for all channels (`delay`) or one of them (`delay[0]`).
-
-The question, checked before anything runs: one scenario, one axis, one metric of one signal, one limit.
+- `Scale`: the range of an axis, its initial values, and the middle of two values. Times are whole ticks. The middle is the
+  geometric mean if values have one sign and are far apart, else the arithmetic mean, rounded to few digits.
+- `Axis`: a number of a scenario, for all channels (`delay`) or one of them (`delay[0]`).
+- `Question`: one scenario, one axis, one metric of one signal, one threshold; checked before anything runs.
 """
 
 import re
@@ -33,23 +29,23 @@ from pcbench.statistics.metric_matrix import SIGNED
 from pcbench.study import Study, axes, scenarios_of
 from pcbench.study.times import chain
 
-FAR = 2.0  # times the smaller, from where on a middle is geometric
-PART = 0.05  # of a value: to which precision it is found, unless said otherwise
-FLOOR = 0.01  # of the range: no finer than that where the range begins at 0 or below
+FAR = 2.0  # ratio from which the middle of two values is geometric
+PART = 0.05  # default precision relative to the value
+FLOOR = 0.01  # finest precision relative to the range, if the range begins at 0 or below
 DIGITS = 15
 
 
 class Scale(NamedTuple):
-    """An axis to be searched."""
+    """The range of an axis."""
 
     low: float
     high: float
-    tick: float = 0.0  # s; 0: any number is a value
-    tol: float | None = None  # the precision asked for; None: PART of the value
-    also: tuple[float, ...] = ()  # values to begin with besides
+    tick: float = 0.0  # s; 0: not a time
+    tol: float | None = None  # requested precision; None: PART of the value
+    also: tuple[float, ...] = ()  # further initial values
 
     def start(self) -> list[float]:
-        """Return the values to begin with: the ends, three between them, and those given."""
+        """Return the initial values: the ends, three between them, and `also`."""
         middle = self.between(self.low, self.high)
         found = [self.low, middle, self.high, *self.also]
         if middle is not None:
@@ -57,13 +53,13 @@ class Scale(NamedTuple):
         return sorted({v for v in found if v is not None})
 
     def near(self, a: float, b: float) -> bool:
-        """Say whether two values, a < b, are as close as was asked."""
+        """Return whether two values, a < b, are within the requested precision."""
         floor = self.tick or (FLOOR * (self.high - self.low) if self.low <= 0 else 0.0)
         enough = max(PART * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
         return b - a <= enough * (1 + 1e-9) or self.between(a, b) is None
 
     def between(self, a: float, b: float) -> float | None:
-        """Return a value about halfway from a to b, a < b, with few digits; None where there is none between."""
+        """Return a value about halfway between a and b, a < b, with few digits; None if there is none."""
         middle = _middle(a, b)
         first, last = _middle(a, middle), _middle(middle, b)
         for digits in range(1, DIGITS + 1):
@@ -74,7 +70,7 @@ class Scale(NamedTuple):
         return value if a < value < b and self.at(a) < value < self.at(b) else None
 
     def at(self, value: float) -> float:
-        """Return the nearest value of the axis."""
+        """Return the nearest valid value of the axis."""
         return float(f"{round(value / self.tick) * self.tick:.12g}") if self.tick else value
 
 
@@ -82,13 +78,13 @@ def _middle(a: float, b: float) -> float:
     return sqrt(a * b) if a > 0 and b > FAR * a else (a + b) / 2
 
 
-LEAST = 1.1  # times as many seeds a round at least
-# values, seeds of some -> points by observer
+LEAST = 1.1  # smallest factor on the number of seeds per round
+# (values, seeds by value) -> results by observer
 Look = Callable[[list[float], Mapping[float, int]], dict[str, list[Point]]]
 
 
 def search(look: Look, scale: Scale, limit: float, most: int) -> dict[str, list[Point]]:
-    """Return by observer all that was looked at, in order; a value gets `most` seeds at most."""
+    """Return all results by observer, in order; a value gets at most `most` seeds."""
     values, seeds = scale.start(), dict[float, int]()
     while True:
         found = look(values, seeds)
@@ -104,7 +100,7 @@ def search(look: Look, scale: Scale, limit: float, most: int) -> dict[str, list[
 
 
 def brackets(found: list[Point], scale: Scale) -> list[tuple[Point, Point]]:
-    """Return the neighbours between which an observer's answer lies; none where it is as sharp as was asked."""
+    """Return the neighbouring values that enclose an observer's limit; empty if it is precise enough."""
     a = answer(found)
     if a.largest and a.exceeds and scale.near(a.largest.value, a.exceeds.value):
         return []
@@ -112,13 +108,13 @@ def brackets(found: list[Point], scale: Scale) -> list[tuple[Point, Point]]:
 
 
 def gaps(found: list[Point], scale: Scale) -> list[float]:
-    """Return the values that would sharpen an observer's answer."""
+    """Return the values that would make an observer's limit more precise."""
     wide = [(p.value, q.value) for p, q in brackets(found, scale) if not scale.near(p.value, q.value)]
     return [middle for p, q in wide if (middle := scale.between(p, q)) is not None]
 
 
 def doubts(found: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
-    """Return the seeds that values should have next, where more seeds would decide about an observer."""
+    """Return the number of seeds by value, where more seeds may decide an observer's verdict."""
     beside = [p for pair in brackets(found, scale) for p in pair]
     if answer(found).largest is None:
         beside.append(found[0])
@@ -128,47 +124,47 @@ def doubts(found: list[Point], scale: Scale, limit: float, most: int) -> dict[fl
 
 
 def _enough(p: Point, limit: float) -> int:
-    """The seeds at which the end of a point's interval that lies beyond the limit should come to it."""
+    """Return the seeds with which the end of a point's interval is expected to reach the threshold."""
     side, gap = (p.high - p.mean, limit - p.mean) if p.mean < limit else (p.mean - p.low, p.mean - limit)
-    if not isfinite(side):  # of one run
+    if not isfinite(side):  # only one run
         return GROWTH * p.runs
-    if side == 0:  # the runs do not vary, and are at the limit
+    if side == 0:  # the runs do not vary, and equal the threshold
         return p.runs
     return max(enough(p.runs, side, max(gap, side / GROWTH)), ceil(LEAST * p.runs))
 
 
 ONE = re.compile(r"(.+)\[(\d+)\]")
-TAIL_SAMPLES = 4  # in the tail of a run at least, by default
-DECADE = 10.0  # about a noise: so much below and above, by default
+TAIL_SAMPLES = 4  # fewest samples in the tail of a run, by default
+DECADE = 10.0  # default range of a noise: divided and multiplied by this
 
 
 class Axis(NamedTuple):
-    """An axis of a scenario, of which one number is varied."""
+    """An axis of a scenario, of which one number varies."""
 
     name: str  # as a study knows it
-    at: int | None  # of the channels or states, the one that varies; None: all, or there are none
-    others: tuple[float | str, ...]  # what every channel has; of the one that varies, what it has in the scenario
-    own: tuple[float, ...]  # what the study says of the number that varies; its scenario's own where it says nothing
+    at: int | None  # index of the channel or state that varies; None: all, or a single number
+    others: tuple[float | str, ...]  # values of all channels; for the one that varies, that of the scenario
+    own: tuple[float, ...]  # values of the study for the number that varies; if it has none, that of the scenario
 
     @property
     def called(self) -> str:
-        """Return what a user calls it."""
+        """Return the axis' name for the user, such as `delay[0]`."""
         return self.name if self.at is None else f"{self.name}[{self.at}]"
 
     def put(self, value: float) -> float | list[float | str]:
-        """Return a value as the axis of a study holds it."""
+        """Return a value in the form of a study's axis."""
         if self.at is None:
             return value
         return [value if i == self.at else other for i, other in enumerate(self.others)]
 
     def number(self, held: Any) -> float:
-        """Return the number that varies from what an axis, or a column of the tables, holds."""
-        one = self.at is None or isinstance(held, int | float)  # a number where all channels are equal
+        """Return the number that varies from a value of an axis, or of a column of the tables."""
+        one = self.at is None or isinstance(held, int | float)  # one number if all channels are equal
         return float(held if one else held[self.at])
 
 
 def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> Axis:
-    """Return the axis that `over` names; `given` is what the study says of it. Raise UserError where it is no single number."""
+    """Return the axis called `named`; `given` are the study's values. Raise UserError if it is not a single number."""
     found = ONE.fullmatch(named.strip())
     name, at = (found[1].replace("-", "_"), int(found[2])) if found else (named.strip().replace("-", "_"), None)
     known = [*axes.axes_of(s), *(f"plant.{p}" for p in parameters_in(s))]
@@ -203,7 +199,7 @@ def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> 
 
 
 def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
-    """What a scenario says of an axis; of process noise that it has none of, zeros."""
+    """Return a scenario's value of an axis; zeros for process noise that it does not have."""
     if name.startswith("plant."):
         numbers, name = numbers_of(s), name.removeprefix("plant.")
         return (getattr(numbers, "own", {}) | numbers._asdict() | dict(s.truth.parameters))[name]
@@ -218,7 +214,7 @@ def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
 
 
 def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: float | None) -> Scale:
-    """Return where to search an axis; `ends` are the user's, else those of the study's values, or what a scenario suggests."""
+    """Return the range of an axis: `ends` of the user, else those of the study's values, or a default of the scenario."""
     tick = s.dt if axis.name in axes.TIMES else 0.0
     if tol is not None and not (0 < tol < float("inf") and tol >= tick * (1 - 1e-9)):
         least = f"at least a tick, {tick:g} s" if tick else "a number above 0"
@@ -233,7 +229,7 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
 
 
 def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
-    """The range in which a scenario's number is looked for where nobody says one."""
+    """Return the default range of a scenario's number."""
     own = axis.own[0] if axis.own else 0.0
     long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
@@ -259,7 +255,7 @@ PUSHES = ("parameter_drift", "process_std")
 
 
 class Question(NamedTuple):
-    """What is asked of a study."""
+    """The question of a limit search."""
 
     study: Study
     scenario: Scenario
@@ -281,12 +277,12 @@ class Question(NamedTuple):
 
     @property
     def axis_unit(self) -> str:
-        """Return the axis' unit; empty where it has none that is known."""
+        """Return the axis' unit; empty if unknown."""
         return AXIS_UNITS.get(self.axis.name, "").replace("1", "")
 
 
 def question(study: Study, where: str, named: str, metric: str, signal: str | None, threshold: float) -> Question:
-    """Return what is asked; raise UserError naming what no answer can be given to."""
+    """Return the question; raise UserError for one that cannot be answered."""
     if metric not in SMALLER_IS_BETTER:
         if metric in NOT_SMALLER:
             raise UserError(
@@ -327,7 +323,7 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
 
 
 def notes(q: Question) -> list[str]:
-    """Return what has to be known of an answer besides."""
+    """Return notes on the interpretation of an answer."""
     note = (
         "A value suffices if the whole 95 % interval is below the limit and no run diverged. It is undecided if the interval "
         "contains the limit."
@@ -336,7 +332,7 @@ def notes(q: Question) -> list[str]:
 
 
 def settles_sentence(s: Scenario, varied: Iterable[str]) -> str:
-    """Return that no observer is needed, on a plant that is known exactly and forgets its start; otherwise nothing."""
+    """Return a sentence if no observer is needed: the plant is known exactly and decays without noise; otherwise nothing."""
     if any(name in PUSHES or name.startswith("plant.") for name in varied) or not settles_alone(s):
         return ""
     return (

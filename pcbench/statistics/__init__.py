@@ -1,13 +1,16 @@
-"""Numbers over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
+"""Statistics over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
 
-The face of the modules below, each one idea:
-`confidence_intervals` (of means and of fractions, in parts), `quantile_intervals` (order statistics in two passes, and their
-intervals), `metric_matrix` (which metrics there are), `aggregate` (rows of `stats`), `comparison` (tests, rows of `pairs`),
-`ranking` (who wins on a map), `number_format` (numbers as a person reads them).
+- `confidence_intervals`: intervals of means and of fractions, from data in parts
+- `quantile_intervals`: order statistics in two passes, and their intervals
+- `metric_matrix`: the metrics of runs
+- `aggregate`: the rows of `stats`
+- `comparison`: tests, and the rows of `pairs`
+- `ranking`: the best observer at a grid point
+- `number_format`: numbers as text
 
-All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
-interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
-grow with their number (quantiles: hardly, see `quantile_intervals`).
+All intervals are 95 % over seeds. Diverged runs are counted, never averaged. If runs do not vary (no noise), an interval has no
+width and there is no test: p is NaN. Runs come in chunks of any number. Memory does not grow with their number, except slightly
+for quantiles (see `quantile_intervals`).
 """
 
 from pcbench.errors import unknown
@@ -77,26 +80,26 @@ __all__ = [
     "summary_of_cells",
 ]  # fmt: skip
 
-SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
+SEEN = 1e-9  # relative to the prior: a smaller bound counts as zero, and gives no efficiency
 
 
 def mean(values: Values) -> Row:
-    """Return n, mean, standard error and Student's 95 % interval of values [n]; NaN where there are too few."""
+    """Return n, mean, standard error and Student's 95 % interval of values [n]; NaN if there are too few."""
     return columns(student(moments(values[None])))[0]
 
 
 def size(values: Values) -> Row:
-    """Return the same of values [n] that cannot be negative: the interval is Student's of the logarithm of the mean."""
+    """Return the same for values [n] that cannot be negative; the interval is Student's of the logarithm of the mean."""
     return columns(positive(moments(values[None])))[0]
 
 
 def summary(
     chunks: Chunks, bounds: dict[str, Values | None], sizes: tuple[float, ...]
 ) -> tuple[dict[str, ObserverSummary], dict[Pair, PairResult]]:
-    """Return the columns of `stats` by observer, and of `pairs` (less p_holm) by pair of observers, of one cell.
+    """Return the columns of `stats` by observer, and of `pairs` (without p_holm) by pair of observers, for one grid point.
 
-    `bounds` [signals] are what the efficiency is against, NaN where there is none; `sizes` are the signals' typical sizes. A
-    second pass over the chunks only where an observer has more runs than are held.
+    `bounds` [signals] are the Kalman bounds for the efficiency, NaN: none. `sizes` are the signals' typical sizes. There is a
+    second pass over the chunks only if an observer has more runs than are stored.
     """
     seen: dict[str, Aggregate] = {}
     met: dict[Pair, PairedRuns] = {}
@@ -110,9 +113,9 @@ def summary(
 def summary_of_cells(
     cells: list[dict[str, Results]], bounds: dict[str, Values | None], sizes: tuple[float, ...]
 ) -> tuple[dict[str, ObserverSummary], dict[Pair, PairResult]]:
-    """Return the same of several cells with the same observers, rows and seeds, at most CHUNK, in which no run diverged.
+    """Return the same for several grid points with equal observers, rows and seeds, at most CHUNK, if no run diverged.
 
-    `bounds` are [C, signals]. The bits are those of each cell by itself.
+    `bounds` are [C, signals]. The results have the same bits as those of each grid point alone.
     """
     stacks = {label: join_stacks([stack(results[label]) for results in cells]) for label in cells[0]}
     seen = {label: see(None, s) for label, s in stacks.items()}
@@ -127,7 +130,7 @@ def _columns(
 
 
 def require_metric(metric: str, where: str) -> str:
-    """Return the name of a metric that runs are compared by; raise UserError with the nearest where there is none."""
+    """Return a metric by which runs are compared; raise UserError with the nearest name if there is none."""
     if metric not in COMPARED:
         raise unknown(where, "metric of a run", metric, COMPARED)
     return metric

@@ -1,4 +1,4 @@
-"""What is known of each observer's runs in one cell, in chunks: rows of the table `stats`. NumPy and SciPy, no jax."""
+"""Statistics of each observer's runs at a grid point, accumulated in chunks: rows of `stats`. NumPy and SciPy, no jax."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -45,17 +45,15 @@ ESTIMATED = Estimate._fields[1:]
 
 
 class Aggregate(NamedTuple):
-    """What is kept of one observer's runs in C cells; of those that diverged only how many there are."""
+    """Accumulated statistics of one observer's runs at C grid points; diverged runs are only counted."""
 
     rows: dict[SignalMetric, int]
     moments: Moments  # [C K]
     order: quantile_intervals.Order  # [C K]
     diverged: int
     unsettled: NDArray[np.int64]  # [C signals]
-    inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
-    judged: (
-        Moments | None
-    )  # [3 C] of innovations: their normalised squares, the numbers these are of, and the difference
+    inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, for an observer with a covariance
+    judged: Moments | None  # [3 C] of innovations: normalized squares, their degrees of freedom, and the difference
 
     @property
     def cells(self) -> int:
@@ -64,17 +62,17 @@ class Aggregate(NamedTuple):
 
 
 class ObserverSummary(NamedTuple):
-    """The rows of one observer in C cells, R of each."""
+    """The rows of one observer at C grid points, R of each."""
 
     names: list[SignalMetric]  # [R]
     n: NDArray[np.int64]  # [R]
-    diverged: int  # in each cell
+    diverged: int  # at each grid point
     values: Values  # [C, R, COLUMNS of an estimate and of quantiles]
-    shown: NDArray[np.bool_]  # [C, R] whether there is such a row
+    shown: NDArray[np.bool_]  # [C, R] whether the row exists
 
 
 def see(before: Aggregate | None, s: Stack) -> Aggregate:
-    """Return what is kept after one more chunk of an observer's runs."""
+    """Return the statistics after one more chunk of an observer's runs."""
     good = ~s.diverged
     values = keep_columns(s.values, good)
     diverged, unsettled, found = int(s.diverged.sum()), keep_columns(s.unsettled, good).sum(-1), moments(values)
@@ -101,7 +99,7 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
 
 
 def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
-    """Return the quantiles and their intervals [K, COLUMNS] by observer; one more pass where not all values are held."""
+    """Return quantiles and their intervals [K, COLUMNS] by observer; with a second pass if not all values are stored."""
     at = {n: positions(n) for n in {s.moments.n for s in seen.values()} if n}
     where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
     asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
@@ -122,9 +120,9 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
 
 
 def summarize_observer(s: Aggregate, quantiles: Values, bounds: Values | None) -> ObserverSummary:
-    """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
+    """Return the rows of one observer: per signal every metric, pooled rms, divergence, unsettled and efficiency.
 
-    quantiles are [C K, COLUMNS]; bounds [C, signals], NaN where there is none.
+    quantiles are [C K, COLUMNS]; bounds [C, signals], NaN: none.
     """
     many, K = len(s.unsettled) // s.cells, len(s.rows)
     means = _means(s)
@@ -160,7 +158,7 @@ def summarize_observer(s: Aggregate, quantiles: Values, bounds: Values | None) -
 
 
 def _means(s: Aggregate) -> Estimate:
-    """The means of all metrics: of those that have a sign with Student's interval."""
+    """Return the means of all metrics; signed metrics have Student's interval."""
     means, plain = positive(s.moments), student(s.moments)
     signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
     low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
@@ -168,7 +166,7 @@ def _means(s: Aggregate) -> Estimate:
 
 
 def _every(s: Aggregate, at: list[int]) -> NDArray[np.int64]:
-    """Rows of one cell, in all of them."""
+    """Return the indices of rows of one grid point, at all grid points."""
     return np.add.outer(np.arange(s.cells) * len(s.rows), np.array(at, int)).ravel()
 
 
@@ -177,7 +175,7 @@ def _of(e: Estimate, at: NDArray[np.int64]) -> Estimate:
 
 
 def _nis_moments(s: Stack, values: Values) -> Moments | None:
-    """The moments of what the mean `nis` is made of; a run without a judged sample adds nothing to it."""
+    """Return the moments for the mean of `nis`; a run without a tested sample adds nothing."""
     if ("nis", 0) not in s.rows:
         return None
     nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_dof"))
@@ -186,9 +184,9 @@ def _nis_moments(s: Stack, values: Values) -> Moments | None:
 
 
 def _over_all(judged: Moments) -> Estimate:
-    """All normalised squares over all numbers that they are of: a ratio of means, its standard error by the delta method.
+    """Return the sum of normalized squares divided by their degrees of freedom, with a standard error by the delta method.
 
-    With the ratio r the sum of squares of s - r d is a + r^2 b - r (a + b - c), of a, b and c those of s, d and s - d.
+    For a ratio r, the sum of squares of s - r d is a + r^2 b - r (a + b - c), with a, b and c those of s, d and s - d.
     Source: Cochran, Sampling Techniques (1977), section 2.11.
     """
     (square, degrees, _), (a, b, c) = judged.mean.reshape(3, -1), judged.m2.reshape(3, -1)
@@ -199,7 +197,7 @@ def _over_all(judged: Moments) -> Estimate:
 
 
 def _consistency_estimates(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
-    """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
+    """Return the statistics of an observer's covariance: bands of its normalized squares, and shares within sigma."""
     if ("nees", 0) not in s.rows:
         return {}
     states = s.inside.shape[1] // s.cells
@@ -216,5 +214,5 @@ def _consistency_estimates(s: Aggregate, means: Estimate) -> dict[str, Estimate]
 
 
 def columns(e: Estimate) -> list[Row]:
-    """Return estimates [K] as K parts of rows."""
+    """Return estimates [K] as K rows of columns."""
     return [{"n": e.n} | dict(zip(ESTIMATED, row, strict=True)) for row in np.stack(e[1:], 1).tolist()]

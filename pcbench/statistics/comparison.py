@@ -1,14 +1,13 @@
-"""Two observers on the same draws: paired differences, who wins, and p-values. NumPy and SciPy, no jax.
+"""Pairwise comparison of observers on common random numbers: differences, shares of better runs, p-values. No jax.
 
-p-values are of the paired t-test on common draws (Student's interval of the mean difference excludes 0 where p < .05), with
-Holm's correction where many are made. Source: Holm, Scand. J. Stat. 6 (1979), 65-70. It bounds the probability of any false
-alarm in a family whatever the tests' dependence. A test's false alarms are at most 5 % (`test_coverage`) from 64 runs on
-where both observers' errors are distributed alike. Where their difference has skewness 1.3 they are 5.14 % of 256 runs,
-5.7 % of 64, 6.5 % of 16. Where the runs do not vary (no noise) there is no test: p is NaN.
+p-values are those of the paired t-test (Student's interval of the mean difference excludes 0 if p < .05), with Holm's
+correction for several tests. Holm's correction bounds the probability of any false positive in a family of tests under any
+dependence. Source: Holm, Scand. J. Stat. 6 (1979), 65-70. The false positive rate of a test is at most 5 % (`test_coverage`)
+from 64 runs on if both observers' errors have the same distribution. If their difference has skewness 1.3, it is 5.14 % for 256
+runs, 5.7 % for 64 and 6.5 % for 16. If the runs do not vary (no noise) there is no test: p is NaN.
 
-A ratio of two means on common draws has the interval of its logarithm (`paired_ratio`).
-
-Every two observers of a cell against each other, metric by metric: rows of the table `pairs`. NumPy and SciPy, no jax.
+`paired_ratio` gives a ratio of two means with the interval of its logarithm. `add_pairs` and `pair_results` compare all pairs
+of observers at a grid point, metric by metric: rows of `pairs`.
 """
 
 import itertools
@@ -20,21 +19,21 @@ from numpy.typing import NDArray
 from pcbench.statistics.confidence_intervals import Estimate, Moments, Values, merge, moments, student
 from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, keep_columns
 
-SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
+SAME = 1e-9  # relative difference below which two metrics of a run are equal up to rounding: a tie
 
 
 class PairStats(NamedTuple):
-    """What is kept of two observers' values [K, n] on the same draws; counts [K] are over runs in which neither diverged."""
+    """Accumulated comparison of two observers' values [K, n]; counts [K] are over runs in which neither diverged."""
 
     difference: Moments  # of a - b, over runs in which neither diverged
     wins: NDArray[np.int64]  # a is smaller, and no tie
     ties: NDArray[np.int64]
-    only: tuple[int, int]  # runs in which a alone diverged, and b alone
+    only: tuple[int, int]  # runs in which only a diverged, and only b
     neither: int  # runs in which both diverged
 
 
 def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> PairStats:
-    """Compare values [K, n] of two observers; those that differ by no more than floor [K] are a tie: rounding of zero."""
+    """Return the comparison of values [K, n] of two observers; a difference up to floor [K] is a tie."""
     both = ~(bad_a | bad_b)
     a, b = keep_columns(a, both), keep_columns(b, both)
     apart = a - b
@@ -48,13 +47,13 @@ def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np
 
 
 def merge_pairs(a: PairStats, b: PairStats) -> PairStats:
-    """Return two parts of a contest together."""
+    """Return the comparison of two parts merged."""
     only = a.only[0] + b.only[0], a.only[1] + b.only[1]
     return PairStats(merge(a.difference, b.difference), a.wins + b.wins, a.ties + b.ties, only, a.neither + b.neither)
 
 
 def stack_metrics(parts: list[PairStats]) -> PairStats:
-    """Return contests of the same runs over more metrics, one after the other."""
+    """Return comparisons of the same runs over several metrics as one."""
     wins, ties = (np.concatenate([getattr(c, name) for c in parts]) for name in ("wins", "ties"))
     n, *each = zip(*(c.difference for c in parts), strict=True)
     return parts[0]._replace(difference=Moments(n[0], *map(np.concatenate, each)), wins=wins, ties=ties)
@@ -63,7 +62,8 @@ def stack_metrics(parts: list[PairStats]) -> PairStats:
 def paired_t_test(c: PairStats) -> tuple[Estimate, Values, Values]:
     """Return the mean differences, the fractions of runs in which a is better, and the p-values, each [K].
 
-    Of all runs: a diverged run loses against one that did not, and a tie, or both diverged, counts half.
+    The fraction is over all runs: a diverged run loses against one that did not diverge. A tie, or two diverged runs, counts
+    half.
     """
     from scipy.special import stdtr
 
@@ -80,7 +80,7 @@ def paired_ratio(a: Values, b: Values) -> Estimate:
     """Return mean(a) / mean(b) [K] of two observers' values [K, n] on the same runs, none of them negative.
 
     The interval is Student's of the logarithm, by the delta method: its standard error is that of the mean of
-    a / mean(a) - b / mean(b). NaN if a mean is 0, and without an interval for one run.
+    a / mean(a) - b / mean(b). The result is NaN if a mean is 0, and has no interval for one run.
     """
     blank = np.full(len(a), np.nan)
     if not a.shape[-1]:
@@ -103,22 +103,22 @@ def holm(p_values: Values) -> Values:
     return out
 
 
-ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
-BLOCK = 4 * 4096  # values at a time: what is computed on the way stays in the cache; measured 2 times faster
+ZERO = 1e-11  # relative to the prior: smaller errors are zero up to rounding
+BLOCK = 4 * 4096  # values at a time: intermediate results stay in the cache, measured 2 times faster
 
 VERDICT = ("mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value")
 Pair = tuple[str, str]  # labels of two observers
 
 
 class PairedRuns(NamedTuple):
-    """What is kept of two observers in C cells: their contest over the metrics [K] of the signals that both estimate."""
+    """Accumulated comparison of two observers at C grid points, over the metrics [K] of the signals that both estimate."""
 
     names: list[SignalMetric]
     contest: PairStats  # [C K]
 
 
 class PairResult(NamedTuple):
-    """The rows of two observers in C cells, one a metric [K]."""
+    """The rows of two observers at C grid points, one per metric [K]."""
 
     names: list[SignalMetric]
     n: int
@@ -128,7 +128,7 @@ class PairResult(NamedTuple):
 def add_pairs(
     before: dict[Pair, PairedRuns], stacks: dict[str, Stack], sizes: tuple[float, ...]
 ) -> dict[Pair, PairedRuns]:
-    """Return what is kept after one more chunk of a cell's runs; `sizes` are the signals' typical sizes."""
+    """Return the comparisons after one more chunk of a grid point's runs; `sizes` are the signals' typical sizes."""
     out = {}
     for pair in itertools.combinations(stacks, 2):
         a, b = (stacks[label] for label in pair)
@@ -146,7 +146,7 @@ def add_pairs(
 
 
 def pair_results(met: dict[Pair, PairedRuns]) -> dict[Pair, PairResult]:
-    """Return the rows of every pair of observers as columns, of all cells."""
+    """Return the rows of every pair of observers as columns, for all grid points."""
     out = {}
     for pair, m in met.items():
         d, better, p = paired_t_test(m.contest)

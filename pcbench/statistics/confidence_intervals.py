@@ -1,31 +1,37 @@
 """Estimates over runs with standard error and 95 % interval, for many rows at once. NumPy and SciPy, no jax.
 
-* `student`: mean, with Student's interval. Source: Student, Biometrika 6 (1908), 1-25. For numbers that have a sign.
-* `positive`: mean of numbers that cannot be negative: Student's interval of its logarithm, whose standard error is se / mean
-  by the delta method; so an end is mean exp(-+ t se / mean), and none is below 0.
-* `root`: pooled rms, the root of a mean square: the interval is that of the mean square, its ends under the root
-  (a root is monotone, so it covers exactly as often); the standard error is by the delta method.
-* `rms_efficiency`: bound / pooled rms, likewise.
-* `wilson`: a fraction. Source: Wilson, J. Am. Stat. Assoc. 22 (1927), 209-212.
+- `student`: mean, with Student's interval, for signed numbers. Source: Student, Biometrika 6 (1908), 1-25.
+- `positive`: mean of numbers that cannot be negative, with Student's interval of its logarithm. The standard error of the
+  logarithm is se / mean by the delta method. So the ends are mean exp(-+ t se / mean), and none is below 0.
+- `root`: pooled rms, the root of a mean square. The interval is that of the mean square with its ends under the root (monotone,
+  so the coverage is the same). The standard error is by the delta method.
+- `rms_efficiency`: bound / pooled rms, likewise.
+- `wilson`: a fraction. Source: Wilson, J. Am. Stat. Assoc. 22 (1927), 209-212.
 
-Where they cover (`test_coverage`). Those of means, roots and bounds reached: 93.5 to 96.5 % where the metric's skewness
-over runs is at most 1 from 8 runs on (an error's mean size), at most 2 from 64 on (a mean square of two or more degrees of
-freedom), 3 from 64 on (a mean square of one degree), 6 from 1024 on (a log-normal of sigma 1). Not claimed: less skewness or
-more runs are needed; 8 runs of skewness 2 are covered in 93 %, of skewness 3 in 91 %, of skewness 6 in 88 %, and 64 of that in
-92 %, the intervals mostly lying too low. Student's own interval covers less in every one of these, 8 runs of skewness 2 in
-89 %, and goes below 0. Hall's cubic correction (J. R. Stat. Soc. B 54 (1992), 221-228) is within 1 % of the logarithm's.
-Wilson's: 93.5 to 96.5 % for every fraction from .02 to .5 from 1024 runs on. With fewer it swings with the fraction, for
-runs are whole: between 93.3 and 97.3 % of 256 (within 93.5 to 96.5 % for 99 % of the fractions), between 92.7 and 97.9 %
-of 64 (91 %); on average over fractions it is 95 %.
+Coverage (`test_coverage`) of the intervals of means, roots and efficiencies is 93.5 to 96.5 % if the metric's skewness over
+runs is
 
-Mean and sum of squares of values that come in parts, for many rows at once. NumPy, no jax.
+- at most 1, from 8 runs on (an error's mean absolute value)
+- at most 2, from 64 runs on (a mean square of two or more degrees of freedom)
+- at most 3, from 64 runs on (a mean square of one degree)
+- at most 6, from 1024 runs on (a log-normal of sigma 1)
 
-Parts are merged without cancellation, after Chan, Golub, LeVeque, Am. Stat. 37 (1983), 242-247:
+Not claimed: coverage for more skewness or fewer runs. With 8 runs it is 93 % for skewness 2, 91 % for 3 and 88 % for 6; with 64
+runs 92 % for 6. The intervals then mostly lie too low. Student's own interval covers less in each of these cases (8 runs of
+skewness 2: 89 %) and extends below 0. Hall's cubic correction (J. R. Stat. Soc. B 54 (1992), 221-228) is within 1 % of the
+logarithm's interval.
+
+Wilson's interval covers 93.5 to 96.5 % for every fraction from .02 to .5 from 1024 runs on. With fewer runs the coverage varies
+with the fraction, as counts are integers: between 93.3 and 97.3 % for 256 runs (within 93.5 to 96.5 % for 99 % of the
+fractions), between 92.7 and 97.9 % for 64 (91 % of the fractions). On average over fractions it is 95 %.
+
+Mean and sum of squares are accumulated in parts, which are merged without cancellation (Chan, Golub, LeVeque, Am. Stat. 37
+(1983), 242-247):
 
     d = mean_b - mean_a,   mean = mean_a + d n_b / n,   m2 = m2_a + m2_b + d^2 n_a n_b / n.
 
-A row whose values are all equal keeps that value and m2 = 0 exactly, in whatever parts it came.
-Merging is associative up to rounding only: who wants the same bits merges the same parts in the same order.
+A row whose values are all equal keeps that value and m2 = 0 exactly, for any parts. Merging is associative up to rounding only:
+merge the same parts in the same order to get the same bits.
 """
 
 from typing import NamedTuple
@@ -39,18 +45,20 @@ Values = NDArray[np.float64]
 
 
 class Moments(NamedTuple):
-    """What is kept of values [K, n]: all but n are [K]."""
+    """Accumulated moments of values [K, n]; all fields but n are [K]."""
 
     n: int
-    mean: Values  # 0 where n = 0
+    mean: Values  # 0 if n = 0
     m2: Values  # sum of (value - mean)^2
-    low: Values  # least value; inf where n = 0
+    low: Values  # smallest value; inf if n = 0
     high: Values  # largest value
 
 
 def moments(values: Values) -> Moments:
-    """Return the moments of the rows of values [K, n]; NaN in a row stays in that row."""
-    x = np.ascontiguousarray(values, dtype=np.float64)  # a row's sum has the same bits however it lay in memory
+    """Return the moments of the rows of values [K, n]; NaN affects only its row."""
+    x = np.ascontiguousarray(
+        values, dtype=np.float64
+    )  # contiguous: a row's sum has the same bits for any memory layout
     n = x.shape[-1]
     centre = x.sum(-1) / max(n, 1)
     apart = x - centre[:, None]
@@ -59,7 +67,7 @@ def moments(values: Values) -> Moments:
 
 
 def merge(a: Moments, b: Moments) -> Moments:
-    """Return the moments of two parts [K] together."""
+    """Return the merged moments of two parts [K]."""
     n = a.n + b.n
     d, share = b.mean - a.mean, b.n / max(n, 1)
     m2 = a.m2 + b.m2 + d * d * (a.n * share)
@@ -67,7 +75,7 @@ def merge(a: Moments, b: Moments) -> Moments:
 
 
 def _exact(m: Moments) -> Moments:
-    """Rows that do not vary, without the rounding of a sum."""
+    """Return moments in which rows that do not vary have no rounding error."""
     same = m.low == m.high
     return m._replace(mean=np.where(same, m.low, m.mean), m2=np.where(same, 0.0, m.m2))
 
@@ -76,7 +84,7 @@ Z95 = 1.959963984540054  # quantile of the normal distribution
 
 
 class Estimate(NamedTuple):
-    """Estimates [K] over n runs; NaN where there are too few."""
+    """Estimates [K] over n runs; NaN if there are too few."""
 
     n: int
     mean: Values
@@ -86,7 +94,7 @@ class Estimate(NamedTuple):
 
 
 def student(m: Moments) -> Estimate:
-    """Return the means with Student's 95 % interval; no width where the runs do not vary."""
+    """Return the means with Student's 95 % interval; no width if the runs do not vary."""
     blank = np.full(m.mean.shape, np.nan)
     if m.n < 2:
         return Estimate(m.n, m.mean if m.n else blank, blank, blank, blank)
@@ -101,13 +109,13 @@ def positive(m: Moments) -> Estimate:
     if m.n < 2:
         return e
     part = e.se * student_quantile(m.n - 1, 0.975) / np.where(e.mean > 0, e.mean, 1.0)
-    with np.errstate(over="ignore"):  # of a signed metric's mean, whose interval is Student's own
+    with np.errstate(over="ignore"):  # for the mean of a signed metric, which uses Student's interval
         return e._replace(ci_low=e.mean * np.exp(-part), ci_high=e.mean * np.exp(part))
 
 
 def root(squares: Estimate) -> Estimate:
     """Return the roots of mean squares."""
-    with np.errstate(invalid="ignore"):  # of exact moments that have no digits left, which are refused
+    with np.errstate(invalid="ignore"):  # for exact moments without digits, which are refused
         centre, low, high = np.sqrt(squares.mean), np.sqrt(squares.ci_low), np.sqrt(squares.ci_high)
     se = np.where(centre > 0, squares.se / (2 * np.where(centre > 0, centre, 1.0)), squares.se)
     return Estimate(squares.n, centre, se, low, high)
@@ -125,7 +133,7 @@ def rms_efficiency(bound: Values, pooled: Estimate) -> Estimate:
 
 
 def wilson(count: NDArray[np.int64], n: int) -> Estimate:
-    """Return count [K] / n, the fraction of runs in which something happened, with Wilson's 95 % interval."""
+    """Return count [K] / n, a fraction of runs, with Wilson's 95 % interval."""
     if not n:
         blank = np.full(np.shape(count), np.nan)
         return Estimate(0, blank, blank, blank, blank)

@@ -1,8 +1,10 @@
-"""What suffices: the largest value of an axis at which an error is significantly below a limit, from rows of `stats`. No jax.
+"""Limits of an axis: the largest value at which an error is significantly below a threshold, from rows of `stats`. No jax.
 
-A value suffices where no run diverged and the whole 95 % interval lies below the limit; it fails where the whole
-interval lies above, or where runs diverged (their errors left the scenario's divergence threshold, and no mean counts them).
-Between the two it is undecided. Of each value alone this is wrong in about 1 of 40; of many values no joint promise is made.
+- A value suffices if no run diverged and the whole 95 % interval is below the threshold.
+- It fails if the whole interval is above, or if runs diverged (no mean counts these).
+- Otherwise it is undecided.
+
+Each verdict alone is wrong in about 1 of 40 cases. There is no joint statement about many values.
 """
 
 from collections.abc import Hashable, Iterable, Mapping
@@ -16,14 +18,14 @@ from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import estimate
 
 SUFFICES, EXCEEDS, DIVERGES, UNDECIDED = "suffices", "exceeds", "diverges", "undecided"
-REFUSED = "refused"  # an observer cannot work at this value, or has no gains there
-NULL = "null"  # the metric has no value, though no run diverged
+REFUSED = "refused"  # an observer does not support this value, or has no gains there
+NULL = "null"  # the metric has no value, although no run diverged
 FAILS = (EXCEEDS, DIVERGES)
-COUNTS = ("divergence_rate",)  # metrics that say themselves how many runs diverged
+COUNTS = ("divergence_rate",)  # metrics that count diverged runs themselves
 
 
 class Point(NamedTuple):
-    """What is known of one observer at one value of the axis."""
+    """The result of one observer at one value of the axis."""
 
     value: float
     verdict: str
@@ -31,21 +33,21 @@ class Point(NamedTuple):
     low: float = nan
     high: float = nan
     runs: int = 0
-    why: str = ""  # of a refusal, its sentence
+    why: str = ""  # reason of a refusal
 
 
 class Answer(NamedTuple):
-    """What suffices for one observer."""
+    """The limit of one observer."""
 
     kind: str  # up to, every value, no value, undecided, refused, no number
     largest: Point | None  # the largest value that suffices
-    exceeds: Point | None  # the smallest above it that significantly exceeds the limit
-    fails_below: Point | None  # the smallest that significantly exceeds the limit and is smaller than one that suffices
+    exceeds: Point | None  # the smallest value above it that significantly exceeds the threshold
+    fails_below: Point | None  # the smallest value below a sufficient one that significantly exceeds the threshold
     points: tuple[Point, ...]  # all, by value
 
 
 def point(row: Mapping[Hashable, Any], value: float, limit: float) -> Point:
-    """Return what a row of stats says of a value of the axis."""
+    """Return the result of a row of stats at a value of the axis."""
     mean, low, high, n, lost = (float(row[k]) for k in ("mean", "ci_low", "ci_high", "n", "diverged"))
     known = Point(value, UNDECIDED, mean, low, high, int(n + lost))
     if lost and row["metric"] not in COUNTS:
@@ -54,15 +56,15 @@ def point(row: Mapping[Hashable, Any], value: float, limit: float) -> Point:
         return known._replace(verdict=NULL)
     if high < limit:
         return known._replace(verdict=SUFFICES)
-    return known._replace(verdict=EXCEEDS) if low > limit else known  # of one run the ends are null: undecided
+    return known._replace(verdict=EXCEEDS) if low > limit else known  # with one run the ends are null: undecided
 
 
 def points(
     rows: pd.DataFrame, axis: str, limit: float, refused: Iterable[tuple[str, Point]] = ()
 ) -> dict[str, list[Point]]:
-    """Return by observer what is known at every value of an axis, in order.
+    """Return the results at every value of an axis by observer, in order.
 
-    `rows` are those of stats of one metric, signal and scenario, the axis' column as numbers; no other axis varies.
+    `rows` are those of stats for one metric, signal and scenario, with the axis' column as numbers. No other axis varies.
     """
     out: dict[str, list[Point]] = {}
     for row in rows.to_dict("records"):
@@ -73,7 +75,7 @@ def points(
 
 
 def answer(found: list[Point]) -> Answer:
-    """Return what suffices for an observer, from its points in order; one of them at least."""
+    """Return the limit of an observer from its results in order, at least one."""
     good = [p for p in found if p.verdict == SUFFICES]
     largest = good[-1] if good else None
     bad = [p for p in found if p.verdict in FAILS]
@@ -94,12 +96,14 @@ def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> s
 
 
 def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
-    """Return answers as a frame, a row for each observer.
+    """Return limits as a frame with one row per observer. Missing values are NaN.
 
-    `answer`: see `Answer.kind`. `largest` with its `mean` and interval: the largest value that suffices, and the metric
-    there; `exceeds`, `exceeds_*`: the smallest value above it that significantly exceeds the limit; `fails_below`: one below
-    it that does, so that the error does not grow steadily; each NaN where there is none. `values` and `runs` (of a value, at
-    most): what was tried. `said`: the answer in words.
+    - `answer`: see `Answer.kind`
+    - `largest`, `mean`, `ci_low`, `ci_high`: the largest value that suffices, and the metric there
+    - `exceeds`, `exceeds_*`: the smallest value above it that significantly exceeds the threshold, and the metric there
+    - `fails_below`: a smaller value that significantly exceeds the threshold, so that the error is not monotone
+    - `values`, `runs`: number of values, and maximum runs per value
+    - `said`: the answer as a sentence
     """
     return pd.DataFrame([_row(observer, a, axis) for observer, a in found.items()])
 
@@ -122,7 +126,7 @@ def _row(observer: str, a: Answer, axis: str) -> Row:
 
 
 def sentence(a: Answer, axis: str) -> str:
-    """Return an answer in words."""
+    """Return an answer as a sentence."""
     first, last = a.points[0], a.points[-1]
     runs = max(p.runs for p in a.points)
     said = {

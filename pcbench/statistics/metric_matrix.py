@@ -1,4 +1,4 @@
-"""The metrics of runs, and all those of one observer as the rows of one array. NumPy, no jax."""
+"""The metrics of runs, and all metrics of one observer as the rows of one array. NumPy, no jax."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from pcbench.statistics.confidence_intervals import Values
 
-INTERVALS = ("interval_width", "interval_coverage")  # of an observer that has bounds
+INTERVALS = ("interval_width", "interval_coverage")  # of an observer with bounds
 RUN_METRICS = (
     *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
     *("steady_mae", "steady_rmse", "steady_mse", "steady_max_abs_error"),
     *("tracking_rmse", "steady_tracking_rmse"),
     *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
     *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS, "sent_fraction"),
-)  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
+)  # recovery_time if an unknown input jumps; tracking_* for the states that follow a path
 OF_RUN = (
     "lq_cost",
     "steady_lq_cost",
@@ -26,9 +26,9 @@ OF_RUN = (
     "nis",
     "nis_dof",
     "sent_fraction",
-)  # of a closed loop, of sensors, or of an observer that says how wrong it is: one number a run, with its first signal
-ASKED = (*OF_RUN, "signal_nees", *INTERVALS)  # that a table of runs has only where there are such
-SIGNED = ("final_error",)  # an error with its sign: all others cannot be negative
+)  # one number per run, stored with the first signal: of a closed loop, of sensors, or of an observer with a covariance
+ASKED = (*OF_RUN, "signal_nees", *INTERVALS)  # in a table of runs only if they exist
+SIGNED = ("final_error",)  # signed error; all others cannot be negative
 UNRANKED = (
     *SIGNED,
     "nees",
@@ -38,30 +38,30 @@ UNRANKED = (
     "signal_nees",
     *INTERVALS,
     "sent_fraction",
-)  # neither a large nor a small one is better: a narrow interval is only where it contains the state
+)  # neither large nor small is better: a narrow interval is only good if it contains the state
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}
 
-CHUNK = 4096  # seeds in a chunk: numbers depend on where chunks end (in the last bit), so it is where seeds % CHUNK = 0
+CHUNK = 4096  # seeds per chunk: the last bits depend on where chunks end, so they end where seeds % CHUNK = 0
 
 Results = dict[str, NDArray[Any]]  # of one observer: metric -> [signals, n], `diverged` [n], `unsettled` [signals, n]
 Chunks = Callable[
     [], Iterable[dict[str, Results]]
-]  # a pass over a cell's runs: by observer, the same seeds for all, in order
+]  # a pass over the runs of a grid point: by observer, with the same seeds in order
 Scalar = TypeVar("Scalar", bound=np.generic)
-SignalMetric = tuple[str, int]  # a metric of a signal (by its number)
+SignalMetric = tuple[str, int]  # a metric of a signal (by its index)
 
 
 class Stack(NamedTuple):
-    """One observer's metrics over n runs in C cells. Of tracking_* only first signals have a row: those with a set point."""
+    """One observer's metrics over n runs at C grid points. tracking_* has rows only for the first signals, with a set point."""
 
     rows: dict[SignalMetric, int]
     values: Values  # [C K, n]
-    diverged: NDArray[np.bool_]  # [n]; in none where there are several cells
+    diverged: NDArray[np.bool_]  # [n]; none if there are several grid points
     unsettled: NDArray[np.bool_]  # [C signals, n]
 
     def every(self, rows: list[int]) -> NDArray[np.int64]:
-        """Return some rows of one cell in all of them."""
+        """Return the indices of rows of one grid point, at all grid points."""
         K = len(self.rows)
         return np.add.outer(np.arange(0, len(self.values), K), np.array(rows, int)).ravel()
 
@@ -75,7 +75,7 @@ def stack(results: Results) -> Stack:
 
 
 def join_stacks(stacks: list[Stack]) -> Stack:
-    """Return the stacks of an observer in cells with the same rows and so many runs, none of which diverged, as one."""
+    """Return the stacks of an observer at grid points with equal rows and runs, without divergence, as one."""
     first = stacks[0]
     if len(stacks) == 1:
         return first
@@ -85,5 +85,5 @@ def join_stacks(stacks: list[Stack]) -> Stack:
 
 
 def keep_columns(values: NDArray[Scalar], keep: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """Return the columns of values [K, n] to keep [n]."""
+    """Return the columns of values [K, n] where keep [n]."""
     return values if keep.all() else np.take(values, np.flatnonzero(keep), axis=-1)  # C order, unlike values[:, keep]

@@ -1,7 +1,7 @@
 """Estimates as text: a value with its interval, both to the same digit. No jax.
 
-`0.2224 ± 0.0072` is a mean and half its 95 % interval, two digits of that. Where the interval leans to one side, as that of a
-mean that cannot be negative does when runs are few, its ends stand instead: `0.0047 (0.0011 .. 0.020)`.
+`0.2224 ± 0.0072` is a mean and half its 95 % interval, with two digits of the latter. If the interval is asymmetric, as for a
+mean of few runs that cannot be negative, the ends are printed: `0.0047 (0.0011 .. 0.020)`.
 """
 
 from collections.abc import Iterable
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
-EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
-MARK = " *"  # behind the name of an observer whose gains nothing proves
-UNPROVEN = "* No certificate for"  # with which the sentence below a table begins
-LEAN = 1.25  # an interval leans where one side is longer than the other by more
+ROUNDING = 1e-11  # a smaller value is printed as 0
+EXACT = 1e-6  # an interval narrower than this part of its value is not printed; the value has six digits
+MARK = " *"  # after the name of an observer without a certificate
+UNPROVEN = "* No certificate for"  # start of the sentence below a table
+LEAN = 1.25  # ratio of the two sides above which an interval is asymmetric
 
 
 def mark_uncertified(observer: str, certified: Iterable[object]) -> str:
@@ -24,12 +24,12 @@ def mark_uncertified(observer: str, certified: Iterable[object]) -> str:
 
 
 def interval(row: Any) -> str:
-    """Return an estimate of stats with its interval."""
+    """Return an estimate of stats with its interval, as text."""
     return estimate(row["mean"], row["ci_low"], row["ci_high"])
 
 
 def estimate(value: float, low: float, high: float, sign: str = "") -> str:
-    """Return a value with its interval; `sign` "+" writes it of a positive number too. Of one run the interval is `?`."""
+    """Return a value with its interval, as text; `sign` "+" marks positive numbers. For one run the interval is `?`."""
     if isnan(value):
         return "-"
     if abs(value) < ROUNDING:
@@ -45,7 +45,7 @@ def estimate(value: float, low: float, high: float, sign: str = "") -> str:
 
 
 def _format_estimate(value: float, half: float, sign: str) -> str:
-    """A value and half its interval, to two digits of the latter."""
+    """Return a value and half its interval, to two digits of the latter."""
     half = float(f"{half:.1e}")
     digits, power = 1 - floor(log10(half)), floor(log10(max(abs(value), half)))
     if -5 < power < 6:
@@ -65,14 +65,14 @@ def as_good(observers: Iterable[str], cells: int = 1, of: int = 1) -> str:
 
 
 def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:
-    """Return the difference of an observer to the best, with its interval; '=' where it is not distinguishable."""
+    """Return the difference of an observer to the best, with its interval; '=' if it is not distinguishable."""
     forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
     backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]
     if forward.empty and backward.empty:
         return "-"
     row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
     same = row.p_holm > 0.05 or row.prob_a_better == 0.5 or row.mean_diff == 0
-    if row.n != 1 and same:  # one run says nothing of others
+    if row.n != 1 and same:  # with one run there is no test
         return "="
     low, high = sorted((sign * row.ci_low, sign * row.ci_high))
     return estimate(sign * row.mean_diff, low, high, sign="+")

@@ -1,40 +1,39 @@
 """Quantiles over runs with 95 % intervals, from order statistics. NumPy and SciPy, no jax.
 
 The quantile is NumPy's linear one: x_(1) <= ... <= x_(n) interpolated at 1 + (n - 1) q.
-The interval is free of the distribution, up to an interpolation between two neighbouring order statistics.
-Source: Nyblom, Note on interpolated order statistics, Stat. Probab. Lett. 14 (1992), 129-131; for the median it is
+The interval is distribution-free, up to an interpolation between two neighbouring order statistics.
+Source: Nyblom, Note on interpolated order statistics, Stat. Probab. Lett. 14 (1992), 129-131. For the median it is
 Hettmansperger and Sheather, Confidence intervals based on interpolated order statistics, ibid. 4 (1986), 75-79.
 
 1. Let xi be the q-quantile of a continuous distribution, N = #{i: x_i <= xi} ~ Bin(n, q). Then P(x_(r) <= xi) = P(N >= r).
-2. A lower end is a point that lies at or below xi with probability g = 0.975, an upper end one with g = 0.025.
-   Take r such that P(N >= r) >= g > P(N >= r + 1): the end lies between x_(r) and x_(r+1), at (1 - w) x_(r) + w x_(r+1).
-3. This point is <= xi where N >= r + 1, and where N = r if w (x_(r+1) - xi) <= (1 - w) (xi - x_(r)). The latter has to
-   happen with conditional probability a = (g - P(N >= r + 1)) / P(N = r), which depends on the distribution through its
-   shape next to xi only. With exponential sides that meet there (density f, xi - x = Exp(f / q), x - xi = Exp(f / (1 - q))),
+2. A lower end is a point that is at or below xi with probability g = 0.975, an upper end one with g = 0.025.
+   Take r such that P(N >= r) >= g > P(N >= r + 1): the end is between x_(r) and x_(r+1), at (1 - w) x_(r) + w x_(r+1).
+3. This point is <= xi if N >= r + 1, and if N = r and w (x_(r+1) - xi) <= (1 - w) (xi - x_(r)). The latter must have the
+   conditional probability a = (g - P(N >= r + 1)) / P(N = r), which depends on the distribution only through its
+   shape next to xi. With exponential sides that meet there (density f, xi - x = Exp(f / q), x - xi = Exp(f / (1 - q))),
    given N = r the distances to the next values are xi - x_(r) ~ (q / r) E, x_(r+1) - xi ~ ((1 - q) / (n - r)) E',
    and P(c' E' <= c E) = c / (c + c') with c = (1 - w) q / r, c' = w (1 - q) / (n - r).
 4. Hence w / (1 - w) = ((1 - a) / a) q (n - r) / ((1 - q) r): Nyblom's weight.
 
-Where no order statistic lies beyond xi with that probability the interval is open on that side and its end is NaN: an end
-of the median needs 6 runs, of p25 and p75 3 on the near side (p25: above) and 13 on the far one, of p05 and p95 2 and 72. The
-closed end of such an interval still errs with 2.5 %.
-Not claimed: exactness, which step 3 has for its own shape only; for other densities each end errs with 2 to 3.1 %.
-Ties (a settling time at the horizon) make N larger, and the interval cover more, unless the distribution function takes
-the very value q on a step: there an end errs by up to P(N = r) more.
+If no order statistic is beyond xi with that probability, the interval is open on that side and its end is NaN. An end of the
+median needs 6 runs; of p25 and p75 3 on the near side (p25: above) and 13 on the far one; of p05 and p95 2 and 72. The closed
+end of such an interval still errs with 2.5 %.
+Not claimed: exactness, which step 3 has for its own shape only. For other densities each end errs with 2 to 3.1 %.
+Ties (a settling time equal to the duration) increase N and the coverage, unless the distribution function has the value q on a
+step. There an end errs by up to P(N = r) more.
 
-Order statistics of any number of values, exact, from at most two passes over them. NumPy, no jax.
+Order statistics of any number of values are exact, from at most two passes over them.
+Source: Munro and Paterson, Selection and sorting with limited storage, Theor. Comput. Sci. 12 (1980), 315-323. Here the
+splitters come from a first part of the values; runs have independent seeds, so their order carries no information.
 
-Source: Munro and Paterson, Selection and sorting with limited storage, Theor. Comput. Sci. 12 (1980), 315-323; here with
-splitters from a first part of the values, which are runs of independent seeds, so that their order tells nothing.
+Up to HELD values are stored. With more, some of them become splitters s_1 <= ... <= s_S. The first pass counts the values below
+and at each splitter. This locates the value of rank r: at a splitter (ties of a splitter cost nothing more) or between two. The
+second pass collects the values there. The result is one of the values for any splitters: parts and their order change the cost,
+never a bit.
 
-While the values are few they are held. Then some of those held become splitters s_1 <= ... <= s_S, and the first pass counts
-how many values lie below and at each. So it is known where the value of rank r is: at a splitter (ties of a splitter cost
-nothing more) or between two of them, and the second pass collects what lies there. The result is one of the values
-whatever the splitters are: parts and their order change the cost, never a bit.
-
-Memory per row: HELD values and a part, 3 S numbers, and about 1 / S of all values for each gap between splitters that is
-asked for: not constant but small (10 million values, 20 gaps: 100,000). Where no value is a splitter's, as when the first
-parts are unlike the rest, a gap may hold them all.
+Memory per row: HELD values and a part, 3 S numbers, and about 1 / S of all values for each requested gap between splitters.
+That is small but not constant (10 million values, 20 gaps: 100,000). If the first parts differ from the rest, one gap may
+contain all values.
 """
 
 from functools import cache
@@ -50,7 +49,7 @@ COLUMNS = tuple(name + end for name in QUANTILES for end in ("", "_low", "_high"
 
 
 class Positions(NamedTuple):
-    """Where between the sorted values each of COLUMNS [W] lies: after x[rank], by `part` of the way to the next."""
+    """Positions of COLUMNS [W] among the sorted values: after x[rank], by `part` of the way to the next."""
 
     rank: NDArray[np.int64]  # from 0
     part: Values  # NaN: open
@@ -79,7 +78,7 @@ def read(where: Positions, found: Values) -> Values:
 
 
 def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
-    """Rank (from 0) and weight of the point that is at or below the quantiles q with probability g; weight NaN: none."""
+    """Return rank (from 0) and weight of the point at or below the quantiles q with probability g; weight NaN: none."""
     from scipy.special import bdtrc  # bdtrc(k, n, q) = P(N > k)
 
     r, above = np.zeros(len(q), np.int64), np.full(len(q), n + 1)
@@ -95,36 +94,36 @@ def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
     return r - 1, np.where(closed, 1 / (1 + odds), np.nan)
 
 
-HELD = 4096  # with no more values than this there are no splitters and no second pass
+HELD = 4096  # with at most this many values there are no splitters and no second pass
 SPLITTERS = 2048
 
 Counts = NDArray[np.int64]
 
 
 class Order(NamedTuple):
-    """What the first pass keeps of values [K, n]."""
+    """The result of the first pass over values [K, n]."""
 
     n: int
-    held: tuple[Values, ...]  # parts [K, m], sorted; none once there are splitters
+    held: tuple[Values, ...]  # parts [K, m], sorted; empty once there are splitters
     splitters: Values | None  # [K, S], sorted
-    below: Counts  # [K, S] how many values are < splitter
-    upto: Counts  # [K, S] how many are <= splitter
+    below: Counts  # [K, S] number of values < splitter
+    upto: Counts  # [K, S] number of values <= splitter
 
 
 EMPTY = Order(0, (), None, np.zeros((0, 0), np.int64), np.zeros((0, 0), np.int64))
 
 
 class Search(NamedTuple):
-    """Where the ranks asked for are, by row."""
+    """Locations of the requested ranks, by row."""
 
     splitters: Values  # [K, S]
-    gaps: list[NDArray[np.int64]]  # gap j lies between splitters j - 1 and j
+    gaps: list[NDArray[np.int64]]  # gap j is between splitters j - 1 and j
     rank: NDArray[np.int64]  # [K, R] rank among all values in the row's gaps; -1: at a splitter
     value: Values  # [K, R] the splitter
 
 
 def add(order: Order, values: Values) -> Order:
-    """Return the order with the rows of values [K, m] counted in: the first pass."""
+    """Return the order after one more part of values [K, m]: the first pass."""
     part = np.sort(values, axis=-1)
     n = order.n + part.shape[-1]
     if order.splitters is not None:
@@ -140,12 +139,12 @@ def add(order: Order, values: Values) -> Order:
 
 
 def is_complete(order: Order) -> bool:
-    """Return whether every value is held: there is no need of a second pass."""
+    """Return whether every value is stored, so that no second pass is needed."""
     return order.splitters is None
 
 
 def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
-    """Return where the values of ranks [R], 0 .. n - 1, have to be looked for."""
+    """Return the locations of the values of ranks [R], 0 .. n - 1."""
     if order.splitters is None:
         return Search(np.zeros((0, 0)), [], np.zeros((0, 0), np.int64), np.zeros((0, 0)))
     gaps, positions, values = [], [], []
@@ -156,7 +155,7 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
         mine = np.unique(j[between])
         first = np.where(j > 0, upto[j - 1], 0)  # rank of the first value in the gap
         sizes = np.append(below, order.n)[mine] - np.where(mine > 0, upto[mine - 1], 0)
-        before = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(mine, j)]  # values in gaps further down
+        before = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(mine, j)]  # values in lower gaps
         gaps.append(mine)
         positions.append(np.where(between, ranks - first + before, -1))
         values.append(splitters[at])
@@ -164,7 +163,7 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
 
 
 def collect(sought: Search, values: Values) -> list[Values]:
-    """Return from each row of values [K, m] those in the gaps: the second pass."""
+    """Return the values in the gaps from each row of values [K, m]: the second pass."""
     found = []
     for splitters, gaps, row in zip(sought.splitters, sought.gaps, np.sort(values, axis=-1), strict=True):
         last = len(splitters) - 1
@@ -175,7 +174,7 @@ def collect(sought: Search, values: Values) -> list[Values]:
 
 
 def select(order: Order, sought: Search, ranks: NDArray[np.int64], parts: list[list[Values]]) -> Values:
-    """Return the values [K, R] of the ranks, from what `collect` found in every part."""
+    """Return the values [K, R] of the ranks, from the results of `collect` for every part."""
     if order.splitters is None:
         whole = order.held[0] if len(order.held) == 1 else np.sort(np.concatenate(order.held, axis=-1), axis=-1)
         return whole[:, ranks]
@@ -188,7 +187,7 @@ def select(order: Order, sought: Search, ranks: NDArray[np.int64], parts: list[l
 
 
 def _count(splitters: Values, part: Values) -> tuple[Counts, Counts]:
-    """How many of the sorted part [K, m] are below, and up to, each splitter [K, S]."""
+    """Return how many values of the sorted part [K, m] are below, and up to, each splitter [K, S]."""
     rows = list(zip(part, splitters, strict=True))
     return np.stack([np.searchsorted(*row, "left") for row in rows]), np.stack(
         [np.searchsorted(*row, "right") for row in rows]

@@ -1,4 +1,4 @@
-"""Who wins a cell, and with what significance. No jax."""
+"""The ranking of observers at a grid point, with its significance. No jax."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -14,33 +14,33 @@ ALPHA = 0.05
 
 
 class Standing(NamedTuple):
-    """How observers stand in a cell."""
+    """The ranking of observers at a grid point."""
 
-    order: tuple[str, ...]  # the best first: the fewest diverged runs, and then the least mean
-    alike: tuple[str, ...]  # of the others, those that the best is not significantly better than
-    p_value: float  # the largest of Holm's adjusted p-values of the best against another; NaN: there is no test
-    factor: float  # the second mean over the best; NaN: there is none
-    leaders: tuple[str, ...] = ()  # the best and those alike; empty: all runs diverged, or no test compares these
+    order: tuple[str, ...]  # best first: fewest diverged runs, then smallest mean
+    alike: tuple[str, ...]  # the others that are not significantly worse than the best
+    p_value: float  # largest Holm-adjusted p-value of the best against another; NaN: no test
+    factor: float  # second mean divided by the best; NaN: none
+    leaders: tuple[str, ...] = ()  # the best and those alike; empty: all runs diverged, or no test compares them
 
     @property
     def winner(self) -> str:
-        """Return the best where it is significantly so; empty where it is not."""
+        """Return the best if it is significantly better than all others, else an empty text."""
         return self.leaders[0] if len(self.leaders) == 1 else ""
 
 
 def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
-    """Return how observers stand in a cell.
+    """Return the ranking of observers at a grid point.
 
-    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is significantly better than another
-    which diverges significantly more often (Wilson's intervals are apart) or is worse by Holm's adjusted p-value; where
-    several runs do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best
-    where all have diverged.
+    `rows` are those of stats for one metric at the grid point, `pairs` those of pairs. The best is significantly better than an
+    observer that diverges significantly more often (disjoint Wilson intervals) or is worse by Holm's adjusted p-value. If
+    several runs do not vary, and for exact numbers (n = 0), there is no test, and any difference counts. If all observers
+    diverged, none is the best.
     """
     return stood(_records(rows), _records(pairs))
 
 
 def stood(rows: list[Row], pairs: list[Row]) -> Standing:
-    """Return the same from rows that are dicts: of many cells in a small part of the time."""
+    """Return the same from rows that are dicts, which is much faster for many grid points."""
     order = sorted(rows, key=_rank)
     best, others, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
     if not np.isfinite(best["mean"]):
@@ -56,19 +56,19 @@ def stood(rows: list[Row], pairs: list[Row]) -> Standing:
 
 
 def most_often(leaders: Iterable[tuple[str, ...]]) -> tuple[list[str], int]:
-    """Return the observers that lead the most cells, and in how many cells; in none where no cell has leaders."""
+    """Return the observers that lead the most grid points, and how many; no observer if no grid point has leaders."""
     many = Counter(observer for each in leaders for observer in each)
     most = max(many.values(), default=0)
     return sorted(observer for observer, count in many.items() if count == most), most
 
 
 def _rank(row: Row) -> tuple[float, bool, float]:
-    """What rows are ordered by, the best first: the fewest diverged runs, then the least mean, last those without one."""
+    """Return the sort key of a row: fewest diverged runs, then smallest mean, then rows without a mean."""
     return row["diverged"], bool(np.isnan(row["mean"])), row["mean"]
 
 
 def by_cell(rows: pd.DataFrame) -> dict[int, list[Row]]:
-    """Return the rows of stats or pairs of each cell, in their order, as `stood` takes them."""
+    """Return the rows of stats or pairs by grid point, in order, as input of `stood`."""
     out: dict[int, list[Row]] = {}
     for row in _records(rows):
         out.setdefault(row["cell"], []).append(row)
@@ -80,7 +80,7 @@ def _records(rows: pd.DataFrame) -> list[Row]:
 
 
 def diverges_more(best: "Row | pd.Series", other: "Row | pd.Series") -> bool:
-    """Say whether one row of stats has significantly more diverged runs than another."""
+    """Return whether one row of stats has significantly more diverged runs than another."""
     if not other["diverged"]:
         return False
     high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
@@ -100,6 +100,8 @@ def _is_worse(pairs: list[Row], best: Row, other: Row) -> bool:
         return False
     p, alike = float(row["p_holm"]), float(row["prob_a_better"]) == 0.5
     several, sign = int(row["n"]) != 1, 1 if row["observer_a"] == best["observer"] else -1
-    if sign * float(row["mean_diff"]) > 0:  # fewer runs diverged, not significantly, and the others are worse
+    if (
+        sign * float(row["mean_diff"]) > 0
+    ):  # fewer runs diverged, not significantly, and the mean of the others is worse
         return False
     return several and not alike if np.isnan(p) else p <= ALPHA

@@ -1,6 +1,6 @@
-"""What is asked: a study is scenarios x observers x axes x seeds, with the options of each observer.
+"""A study: scenarios x observers x axes x seeds, with the options of each observer.
 
-Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+Every error is one sentence: the place, the value, what was expected, and how to correct it.
 """
 
 from pcbench.study.builtin import STUDIES

@@ -1,6 +1,6 @@
-"""Checks of the values of a study's axes, in seconds and SI units. The axes are declared in `pcbench.fields`.
+"""Check the values of a study's axes, in seconds and SI units. The axes are declared in `pcbench.fields`.
 
-A mistake ends in one sentence: where, what was found, what was expected, and what to write instead.
+Every error is one sentence: the place, the value, what was expected, and how to correct it.
 """
 
 import math
@@ -15,26 +15,28 @@ from pcbench.scenarios.scenario import LOST, has_rows
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
-LARGEST = 1e12  # no number of a scenario is larger, in SI units
-CHANNELS = fields.names(per="channel")  # one value, or one for each output channel
-SENSORS = fields.names(per="sensor")  # likewise; where channels differ, a scenario has one for each
-STATES = fields.names(per="state")  # one value, or one for each state
-OUTPUTS = fields.names(per="output")  # likewise for each output channel, where there is any
+LARGEST = 1e12  # limit of any number of a scenario, in SI units
+CHANNELS = fields.names(per="channel")  # one value, or one per output channel
+SENSORS = fields.names(
+    per="sensor"
+)  # one value, or one per output channel; if channels differ, a scenario has one per channel
+STATES = fields.names(per="state")  # one value, or one per state
+OUTPUTS = fields.names(per="output")  # one value, or one per output, if there is any
 UNBOUNDED = fields.names(word="inf")
 TIMES = fields.names(ticks=True)
 SIGNED = fields.names(signed=True)
-LISTS = fields.names(listed=True)  # a value may be a list
-ROWS = fields.names(rows=True)  # a scenario may have a list for each output channel
+LISTS = fields.names(listed=True)  # axes whose value may be a list
+ROWS = fields.names(rows=True)  # axes for which a scenario may have a list per output channel
 AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
-ASKED = fields.names(always=False, loop=False)  # a column of the tables only where it is an axis
-Value = str | float | tuple[Any, ...]  # of an axis, as a scenario holds it: with numbers, texts or rows in a tuple
-Plain = str | float | None | list[float | str | None]  # the same as the tables hold it
+ASKED = fields.names(always=False, loop=False)  # in the tables only if they are an axis
+Value = str | float | tuple[Any, ...]  # value of an axis in a scenario: numbers, texts or rows in a tuple
+Plain = str | float | None | list[float | str | None]  # the same value in the tables
 LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 
 def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
-    """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
+    """Return an axis' values as in a scenario; raise UserError with the first invalid value."""
     known = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
     if name not in known:
         raise unknown(where, f"axis of {base.name}", name, known)
@@ -59,12 +61,12 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
 
 
 def axes_of(s: Scenario) -> tuple[str, ...]:
-    """Return the axes that a scenario has, in addition to its plant's parameters."""
+    """Return the axes of a scenario, without its plant's parameters."""
     return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
 
 
 def point(name: str, value: object, base: Scenario, where: str) -> Value:
-    """Return one value of an axis as a scenario holds it."""
+    """Return one value of an axis as in a scenario."""
     if name in ROWS and has_rows(value):
         return _of_each_channel(name, value, base, where)
     if name in LISTS or name == "delay_self_transition":
@@ -99,7 +101,7 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
 
 
 def _of_each_channel(name: str, value: Sequence[object], base: Scenario, where: str) -> Value:
-    """A list for each output channel; one where they are the same."""
+    """Return a list per output channel, or one list if they are equal."""
     many = len(base.sampling.delay)
     if len(value) != many or not all(isinstance(row, list | tuple) for row in value):
         raise UserError(f"{where}: got {brief_repr(value)}, expected one list of numbers, or {many} (one per channel).")
@@ -108,7 +110,7 @@ def _of_each_channel(name: str, value: Sequence[object], base: Scenario, where: 
 
 
 def _single(name: str, value: object, base: Scenario, where: str) -> float:
-    """A number of an axis that is one."""
+    """Return the value of an axis that is a single number."""
     if name in UNBOUNDED and value == math.inf:
         return math.inf
     n = number(value, where, None if name in SIGNED or name.startswith("plant.") else 0.0)
@@ -125,7 +127,7 @@ def _single(name: str, value: object, base: Scenario, where: str) -> float:
 
 
 def number(value: object, where: str, least: float | None) -> float:
-    """Return a finite number of sensible size, not below `least`."""
+    """Return a finite number of plausible size, at least `least`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == math.inf:
         raise UserError(f"{where}: got {brief_repr(value)}, expected a finite number; write a number in SI units.")
     if abs(value) > LARGEST:
@@ -142,7 +144,7 @@ def number(value: object, where: str, least: float | None) -> float:
 
 
 def _list(name: str, value: object, base: Scenario, where: str) -> str | tuple[float | str, ...]:
-    """A list of numbers, or what may stand for it; of the sampling's intervals, a name."""
+    """Return a list of numbers or an allowed text; for the sampling pattern, also a name."""
     if name == "sampling_pattern" and isinstance(value, str):
         if value not in PROFILES:
             raise unknown(where, "sampling_pattern (or list of intervals)", value, PROFILES)
@@ -184,7 +186,7 @@ def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) ->
 
 
 def plain(name: str, value: Value, apart: bool = False) -> Plain:
-    """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
+    """Return a value as in the tables: equal channels as one unless `apart`, one sampling interval as null."""
     if not isinstance(value, tuple):
         return value
     if has_rows(value):

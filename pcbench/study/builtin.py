@@ -1,4 +1,4 @@
-"""The studies that pcbench brings along, by name."""
+"""The built-in studies, by name."""
 
 from math import inf, sqrt
 
@@ -7,7 +7,7 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
 from pcbench.toml_text import TomlTable
 
-QUESTIONS = {  # that each study answers
+QUESTIONS = {  # of each study, as a question
     "quick": "Which observer of the cart has the least error, without and with noise?",
     "cart": "Which observer is best in each scenario of the cart?",
     "unequal-delays": "How much does it help to use the delay of each sensor?",
@@ -46,11 +46,11 @@ FIELD = (
     "finite-time",
     "high-gain-predictor",
     "lmi-sampled",
-)  # observers of the literature for samples of one age
-WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `model-mismatch`
-BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
+)  # observers of the literature for samples with a constant delay
+WANDER = (0.01, 0.1)  # m, m/s per tick: the process noise of `model-mismatch`
+BELIEFS: dict[str, TomlTable] = {  # the wrong assumption of each scenario; noise sizes are wrong by a factor of 4
     "as-assumed": {},
-    "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain knows R against Q alone
+    "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain depends on the ratio of R and Q only
     "noise-under": {"assumed_process_std": [std * 4 for std in WANDER]},
     "delay-over": {"assumed_delay_error": 0.04},
     "delay-under": {"assumed_delay_error": -0.04},
@@ -60,37 +60,37 @@ BELIEFS: dict[str, TomlTable] = {  # what is wrong in each of its scenarios; siz
 
 
 def _mismatch_scenario(name: str) -> ScenarioTable:
-    """Return one scenario of `model-mismatch`: cart/white whose position wanders, with one wrong assumption."""
+    """Return one scenario of `model-mismatch`: cart/white with a drifting position and one wrong assumption."""
     off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
     told = {
         "pccebo-loose": {
             "gain": "riccati",
             "q": 0.1 / off,
-        },  # as if the input were noisy: the usual answer to a doubtful model
+        },  # the usual treatment of an uncertain model: noise on the input
         "pccebo-riccati": {"gain": "riccati", "q": 0.002 / off},
         "pco": {"Kp": -61.0},
         "pi-pco": {"Kp": -61.0, "Ki": 12.2},
-        "kfbo": {"R": 0.07 * off, "Q": [0.1, 10.0]},  # intensities: 0.35 a sample times 0.2 s, and WANDER
+        "kfbo": {"R": 0.07 * off, "Q": [0.1, 10.0]},  # intensities: 0.35 per sample times 0.2 s, and WANDER
     }
     usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": told}
     return ScenarioTable.model_validate(usual | BELIEFS[name])
 
 
 def _held(period: float) -> ScenarioTable:
-    """Return a scenario of `ncs-two-state`: samples and commands have one period [s]."""
+    """Return a scenario of `ncs-two-state` with one period [s] for samples and commands."""
     control = {**SCENARIOS["ncs-two-state/held"].loop.control, "period": period}
     table = {"base": "ncs-two-state/held", "sampling_period": period, "control": control}
     return ScenarioTable.model_validate(table)
 
 
 def _in_turn(interval: float) -> ScenarioTable:
-    """Return a scenario of `ncs-reactor`: the outputs take turns, one every `interval` [s]."""
+    """Return a scenario of `ncs-reactor`: the outputs are sent in turn, one every `interval` [s]."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": 2 * interval, "sampling_phase": [0.0, interval]}
     return ScenarioTable.model_validate(table)
 
 
 def _largest_change(interval: float) -> ScenarioTable:
-    """Return a scenario of `ncs-reactor`: every `interval` [s] the output that has changed most is sent."""
+    """Return a scenario of `ncs-reactor`: every `interval` [s] the output with the largest change is sent."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": interval, "sampling_phase": 0.0}
     return ScenarioTable.model_validate(table | {"try_once_discard": 1})
 
@@ -99,7 +99,7 @@ PROTOCOLS = {"round-robin": _in_turn, "try-once-discard": _largest_change}
 
 
 def _servoing(gain: float) -> ScenarioTable:
-    """Return a scenario of `camera-target`: a velocity of `gain` [1/s] times the estimated offset."""
+    """Return a scenario of `camera-target`: the velocity is `gain` [1/s] times the estimated offset."""
     table = {"base": "camera-target/servoing", "control": {"K": [[-gain, 0.0, 0.0]]}}
     return ScenarioTable.model_validate(table)
 
@@ -171,7 +171,7 @@ STUDIES = {
         seeds=256,
         options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
-    "delayed-measurements": Study(  # of one age all others of the family are kf
+    "delayed-measurements": Study(  # for a constant delay all others of the family equal kf
         name="delayed-measurements",
         scenarios=["cart/gaussian"],
         observers=[
@@ -219,11 +219,11 @@ STUDIES = {
         scenarios=["reactor/batch"],
         observers=["ekf", "ukf", "mhe-bounded"],
         seeds=256,
-        options={"mhe-bounded": {"window": 4, "iterations": 1}},  # as good here, and a quarter of the cost
+        options={"mhe-bounded": {"window": 4, "iterations": 1}},  # as accurate here, at a quarter of the cost
         tuning=["published", "tuned"],
         tune=Tune(objective="steady_rmse", only=["Q"], budget=40, training=128),
     ),
-    "period-delay-map": Study(  # 20 x 20 grid points, without a seed
+    "period-delay-map": Study(  # 20 x 20 grid points, without seeds
         name="period-delay-map",
         scenarios=["cart/gaussian"],
         observers=["pccebo", "kfbo", "kf"],
@@ -233,7 +233,7 @@ STUDIES = {
             "delay": [round(0.02 * i, 2) for i in range(20)],
         },
     ),
-    "growth-model": Study(  # x(0) from N(0, 5), for which the scenario's module has independent numbers
+    "growth-model": Study(  # x(0) from N(0, 5); independent results are in the scenario's module
         name="growth-model",
         scenarios=["gordon"],
         tables={"gordon": ScenarioTable.model_validate({"base": "growth-model/gordon", "prior_std": [sqrt(5.0)]})},
@@ -253,7 +253,7 @@ STUDIES = {
         tables={f"{name}-{interval:g}": make(interval) for name, make in PROTOCOLS.items() for interval in INTERVALS},
         seeds=64,
     ),
-    "intermittent": Study(  # critical: 0.64
+    "intermittent": Study(  # critical loss: 0.64
         name="intermittent",
         scenarios=["intermittent/scalar"],
         seeds=1024,

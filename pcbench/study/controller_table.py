@@ -23,7 +23,7 @@ Size = Annotated[float, Strict(), Field(ge=0)]
 
 
 class Network(BaseModel):
-    """What `[controller]` says of the way to the plant, beside the law's own options."""
+    """Keys of `[controller]` for the path to the plant, in addition to the law's own options."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
     use: str = Field(
@@ -40,9 +40,9 @@ class Network(BaseModel):
 
 
 def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """Return a scenario with its loop closed by a study's controller; `own` has those of the user's, by MODULE:NAME.
+    """Return a scenario with its loop closed by a study's controller; `own` has user-defined controllers by MODULE:NAME.
 
-    Raises UserError naming the key that does not fit.
+    Raises UserError with the invalid key.
     """
     way = validate_options(Network, given, where)
     able = [name for name, entry in CONTROLLERS.items() if entry.check]
@@ -81,21 +81,21 @@ def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, User
 
 
 def has_generic_controller(s: Scenario) -> bool:
-    """Say whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
+    """Return whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
     return bool(s.loop.controller) and law_of(s).check is not None
 
 
 def sizes(s: Scenario, where: str) -> Sizes:
-    """Return what the options of a law must fit."""
+    """Return the sizes that the options of a law must fit."""
     model = entry_of(s).nominal(numbers_of(s))
     states = tuple(name for name, _ in states_of(s))
     return Sizes(states, model.B.shape[1], len(model.C), s.dt, where)
 
 
 def controller_context(s: Scenario) -> ControllerContext:
-    """Return what the designer of a law knows of a scenario; the horizon and the room for it are left open.
+    """Return the design context of a controller in a scenario, without the number of ticks and the room for it.
 
-    Its model has the known part of the plant's unknown input in it, linearised at x = 0.
+    The model includes the known part of the plant's unknown input, linearised at x = 0.
     """
     model, late = entry_of(s).nominal(numbers_of(s)), s.loop.actuator_delay or 0.0
     if model.known is not None and model.E is not None:
@@ -118,15 +118,15 @@ def controller_context(s: Scenario) -> ControllerContext:
 
 
 class Slowest(NamedTuple):
-    """The eigenvalue of a closed loop that is largest in size, over one period of its controller."""
+    """The eigenvalue of a closed loop with the largest absolute value, over one period of its controller."""
 
     mode: complex
-    late: float  # [s] of a command
+    late: float  # [s] delay of a command
     period: float  # [s]
 
 
 def slowest(s: Scenario, where: str) -> Slowest | None:
-    """Return what a scenario's loop settles by, the state known; None where it has no law for any plant, or no linear one."""
+    """Return the slowest mode of a scenario's loop with known state; None without a law for any plant or a linear one."""
     entry = law_of(s) if has_generic_controller(s) else None
     if entry is None or entry.linear is None:
         return None
@@ -144,7 +144,7 @@ def slowest(s: Scenario, where: str) -> Slowest | None:
 
 
 def warning(s: Scenario, where: str) -> str:
-    """Return a sentence that names the eigenvalue with which a scenario's loop does not settle; empty where it does."""
+    """Return a sentence with the unstable eigenvalue of a scenario's loop; empty if the loop is stable."""
     found = slowest(s, where)
     if found is None or abs(found.mode) < 1:
         return ""

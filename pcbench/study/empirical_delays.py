@@ -1,13 +1,18 @@
-"""Delays of a log in a study: `delay = "from:flight"` draws them as they were distributed, "in-turn:flight" takes them in turn.
+"""Delays from a recording: `delay = "from:flight"` draws them from its distribution, "in-turn:flight" replays them in order.
 
-Drawn: MANY delays, each from the middle of an equal part of the log's, become `delay` and `delay_values`. They occur as often,
-and as often one after the other, as in the log (`delay_self_transition`); `loss` is the share that never arrived.
-Channels may differ in their least delay, in their loss, and in how delays vary, which then are lists: there is one law if the
-delays of all channels vary alike, else one for each channel.
-In turn: the log's instants become `sampling_pattern` (intervals) and `sampling_period` (their mean), what became of each sample
-`delay_sequence`, from the first one on as far as the horizon goes. A shorter log begins again, its last sample being the first.
-So the resolved study holds numbers alone, and needs no log. All in whole ticks.
-Not claimed: of what is drawn, that delays depend on no more than the one before, nor that losses come one by one.
+from:
+    `MANY` delays, each the middle of an equal part of the recording's, become `delay` and `delay_values`. Their frequencies,
+    and the frequency of equal successive delays, are those of the recording (`delay_self_transition`). `loss` is the share that
+    never arrived. Channels may differ in smallest delay, loss and variation, which are then lists: one distribution if the
+    delays of all channels vary alike, else one per channel.
+
+in-turn:
+    The recording's sampling instants become `sampling_pattern` (intervals) and `sampling_period` (their mean). The delay or
+    loss of each sample becomes `delay_sequence`, from the first sample to the end of the run. A shorter recording is repeated;
+    its last sample is then the first.
+
+All times are whole ticks. The resolved study contains only numbers, and does not need the recording.
+Not claimed, for drawn delays: that a delay depends only on the previous one, or that losses are independent.
 """
 
 import math
@@ -25,21 +30,21 @@ from pcbench.study.lti import Lti
 from pcbench.toml_text import TomlTable
 
 FROM, IN_TURN = "from:", "in-turn:"
-MANY = 16  # parts
-MOST = 1 - 1e-6  # probability of a chain to stay
-DIGITS = 12  # of a second
-UNLIKE, NOISE = 0.1, 2.0  # distributions that differ by more are of two laws: by so much, and what chance may add
-TAKEN = (  # what a log says, which a table may not say too
+MANY = 16  # number of parts
+MOST = 1 - 1e-6  # largest probability of a chain to keep its value
+DIGITS = 12  # decimal digits of a second
+UNLIKE, NOISE = 0.1, 2.0  # largest difference of distributions treated as one, and the allowance for chance
+TAKEN = (  # keys set by a recording, which the table may not set
     *("delay_values", "delay_self_transition", "delay_weights", "delay_gamma_mean", "delay_gamma_shape"),
     *("delay_sequence", "delay_jitter", "loss"),
 )
-INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # and what it says of instants in turn
+INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # keys set by a recording replayed in order
 Ticks = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: float) -> TomlTable:
-    """Return a study's table with the delays of the log that it names; as it is where it names none."""
+    """Return a study's table with the delays of a recording that it names; unchanged if it names none."""
     if not names_log(table):
         return table
     asked: str = table["delay"]
@@ -52,7 +57,7 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = readers.open_log(name if folder is None else folder / name)
-    survey(log)  # refuses rows and clocks that no delay can be read from
+    survey(log)  # raises UserError for rows and clocks without usable delays
     batches = list(log.measurements())
     columns = ("channel", "sampled", "arrived")
     channel, sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
@@ -73,9 +78,9 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
 
 
 def law_of(late: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
-    """Return the law of delays [ticks] in the order of sampling by channel, NaN: lost.
+    """Return the distribution of delays [ticks] in sampling order by channel, NaN: lost.
 
-    Raises UserError, which begins with what was `got`, where nothing of a channel arrived.
+    Raises UserError, which begins with `got`, if nothing of a channel arrived.
     """
     came = ~np.isnan(late)
     loss = [float(np.isnan(late[channel == c]).mean()) for c in range(len(names))]
@@ -107,13 +112,13 @@ def kolmogorov(a: Ticks, b: Ticks) -> float:
 
 
 def names_log(table: TomlTable) -> bool:
-    """Say whether the delay of a table is that of a log."""
+    """Return whether the delay of a table is from a recording."""
     asked = table.get("delay")
     return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
 
 
 def duration_of(table: TomlTable) -> float:
-    """Return the horizon of a table [s], as it says it or as its base has it; inf where that is a scenario of a user's own."""
+    """Return the duration of a table [s], its own or that of its base; inf if the base is user-defined."""
     said, base = table.get("duration"), table.get("base")
     if isinstance(said, int | float) and said > 0:
         return float(said)
@@ -123,10 +128,10 @@ def duration_of(table: TomlTable) -> float:
 
 
 def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> TomlTable:
-    """Return instants and delays as they came, of samples sorted by when they were taken [s]; late [ticks], NaN: lost.
+    """Return instants and delays in order, of samples sorted by sampling time [s]; late [ticks], NaN: lost.
 
-    Raises UserError, which begins with what was `got`, where there are fewer than two instants, or samples of one tick were
-    not late alike: a study has one delay for all.
+    Raises UserError, which begins with `got`, if there are fewer than two instants, or if samples of one tick have different
+    delays, as a study has one delay for all.
     """
     taken = np.rint((sampled - sampled[0]) / tick)
     instants, first = np.unique(taken, return_index=True)
@@ -139,7 +144,7 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
             f"{got}, whose samples at {t:g} s have different delays, expected one delay per tick; use a recording of one "
             f"channel, or write {FROM} to draw random delays."
         )
-    many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the last one is where it begins again
+    many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the pattern repeats from the last one
     if many < 1 or np.isnan(each[:many]).all():
         raise UserError(f"{got}, which has too few arrivals to be replayed, expected two samples or more; use another.")
     least = np.nanmin(each[:many])
@@ -153,10 +158,10 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
 
 
 def fit_delay_chain(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
-    """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in the order of sampling.
+    """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in sampling order.
 
-    A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the
-    next delay is the same as often as there, as far as a probability allows.
+    The stationary probability of a value is proportional to 1 / (1 - stay), so 1 - stay_i = c / (frequency of i). c is chosen
+    such that equal successive delays are as frequent as in the recording, as far as probabilities allow.
     """
     values = np.unique(np.quantile(late, (np.arange(MANY) + 0.5) / MANY, method="nearest"))
     delay = round(float(values[0] * tick), DIGITS)

@@ -17,12 +17,12 @@ from pcbench.simulation.schedule import sampling
 from pcbench.study.axes import AXES, plain
 from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, to_ticks
 
-# what makes delays differ from sample to sample, besides a jitter
+# axes that make delays vary from sample to sample, except a jitter
 LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
-STAMPED = ("clock_skew", "timestamp_jitter")  # and what makes them seem to
-DRAWN = fields.names(random=True)  # what makes the times of a run its own
+STAMPED = ("clock_skew", "timestamp_jitter")  # axes that make assumed delays vary
+DRAWN = fields.names(random=True)  # axes that give each run its own times
 OF_OUTPUTS = ("quantization_step", "send_threshold")  # empty, or zeros: without effect
-REACH = 10  # times the horizon: no sample that is later ever arrives
+REACH = 10  # times the duration: a later sample never arrives
 
 
 def fits(s: Scenario, where: str) -> None:
@@ -110,7 +110,7 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
 def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each delay beyond the run, and for each jitter or assumed delay that does not fit."""
     ticks, error = to_ticks(s.duration, s), s.belief.assumed_delay_error
-    for one in each_sensor:  # before their steps are listed
+    for one in each_sensor:  # checked before the delay values are listed
         mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
             continue
@@ -177,7 +177,7 @@ def _of_sensors(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
         if mean and values:
             yield f"got delay_gamma_mean = {mean:g} and delay_values, expected one of them; leave one out."
         loss, burst = number(measured.loss), number(measured.mean_burst_length)
-        if not burst or (s.sampling.loss and not loss):  # a length of bursts is of the channels that lose samples
+        if not burst or (s.sampling.loss and not loss):  # the mean burst length applies to channels that lose samples
             continue
         got = f"got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected "
         if not 0 < loss < 1:

@@ -1,4 +1,4 @@
-"""The cells of a study: every point of its axes in every scenario, and the record of all that decides their numbers."""
+"""The grid of a study: every combination of its axes in every scenario, and the digest of all that decides its numbers."""
 
 import hashlib
 import itertools
@@ -27,37 +27,37 @@ V = TypeVar("V")
 
 
 class Cell(NamedTuple):
-    """One point of a study's axes in one scenario, every number resolved."""
+    """A grid point: one combination of a study's axes in one scenario, with all numbers."""
 
-    scenario: Scenario  # with the axes' values put in
+    scenario: Scenario  # with the values of the axes
     number: int  # from 0, within its scenario
-    values: TomlTable  # by axis, seconds and SI units: what the tables say
-    parameters: TomlTable  # the plant's, where the scenario or an axis changes them
+    values: TomlTable  # by axis, seconds and SI units, as in the tables
+    parameters: TomlTable  # of the plant, if the scenario or an axis changes them
     choices: Choices
     times: Timing
-    options: dict[str, BaseModel]  # by label of its observers, checked and complete
-    own: dict[str, UserPlugin]  # by label, of those that are the user's own
-    told: dict[str, str]  # by label, the digest of those
-    digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
-    engine: str = "steps"  # or definition, see `Study`
+    options: dict[str, BaseModel]  # by label of its observers, validated, with defaults
+    own: dict[str, UserPlugin]  # user-defined observers by label
+    told: dict[str, str]  # digest of the options by label
+    digest: str  # of everything that decides its numbers, without observers; empty: not part of a study
+    engine: str = "steps"  # steps or definition, see `Study`
 
     @property
     def key(self) -> tuple[str, int]:
-        """Return its scenario's name and its number: what a study knows it by."""
+        """Return its scenario's name and its number, the key in a study."""
         return self.scenario.name, self.number
 
     def entry(self, label: str) -> ObserverSpec:
-        """Return the entry of an observer, one of the study's own or pcbench's."""
+        """Return the entry of an observer, user-defined or built-in."""
         return self.own[label].entry if label in self.own else entry_of(label)
 
     def having(self, **changes: object) -> "Cell":
-        """Return the cell with fields of its scenario changed, and its times with them; it belongs to no study then."""
+        """Return the grid point with changed fields of its scenario and new times; it is then not part of a study."""
         scenario = self.scenario.having(**changes)
         return self._replace(scenario=scenario, times=times_of(scenario), digest="")
 
 
 class Grid(NamedTuple):
-    """A study with its cells, those of a scenario together."""
+    """A study with its grid points; those of a scenario are adjacent."""
 
     study: Study
     cells: list[Cell]
@@ -70,7 +70,7 @@ def cell_of(
     parameters: TomlTable | None = None,
     choices: Choices | None = None,
 ) -> Cell:
-    """Return a scenario as a cell that belongs to no study, with its times in ticks."""
+    """Return a scenario as a grid point that is not part of a study, with its times in ticks."""
     values, parameters, choices = values or {}, parameters or {}, choices or Choices()
     cell = Cell(
         scenario, number, values, parameters, choices, times_of(scenario), options={}, own={}, told={}, digest=""
@@ -79,9 +79,9 @@ def cell_of(
 
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
-    """Return a cell for every combination of the axes in one scenario, in the order in which the axes are written.
+    """Return the grid points of one scenario, one per combination of the axes, in the order in which the axes are written.
 
-    Of a study that varies each by itself: the first values of all, then each other value of each axis.
+    If each axis varies by itself: first values of all axes, then each other value of each axis.
     """
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
@@ -98,7 +98,9 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in its_axes}
         if "process_std" in given and base.belief.assumed_process_std == base.truth.process_std:
-            fields["assumed_process_std"] = given["process_std"]  # designers know it as it is, like the scenario's own
+            fields["assumed_process_std"] = given[
+                "process_std"
+            ]  # designs assume the true process noise, as in the scenario
         s = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -128,7 +130,7 @@ Tuned = dict[tuple[object, ...], dict[str, TomlTable]]  # by values of axes, the
 
 
 def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str], Tuned]:
-    """The names of axes and the options of the cells of a scenario that were tuned each for itself; else none."""
+    """Return the axes and options of a scenario's grid points that were tuned separately; empty if none."""
     record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
     cells, out = (record and record.cells) or [], Tuned()
     names = list(cells[0].cell) if cells else []
@@ -144,7 +146,7 @@ def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str]
 def _tuned_options(
     study: Study, cell: Cell, labels: list[str], names: list[str], tuned: Tuned, where: str
 ) -> dict[str, BaseModel]:
-    """The options of the labels that were tuned in this cell; raise UserError if they were tuned in other cells only."""
+    """Return the options tuned at this grid point; raise UserError if only other grid points were tuned."""
     values = {f"plant.{name}": value for name, value in cell.parameters.items()}
     point = tuple(values[name] if name in values else cell.scenario.value(name) for name in names)
     if (found := tuned.get(point)) is not None:
@@ -161,7 +163,7 @@ def _tuned_options(
 
 
 def points(vary: str, axes: list[list[V]]) -> Iterator[tuple[V, ...]]:
-    """Yield the values of the axes in every cell."""
+    """Return the values of the axes at every grid point."""
     if vary == "all":
         yield from itertools.product(*axes)
         return
@@ -172,7 +174,7 @@ def points(vary: str, axes: list[list[V]]) -> Iterator[tuple[V, ...]]:
 
 
 def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
-    """Raise UserError where a choice is for a closed loop and this one is open, or the other way round."""
+    """Raise UserError if an option for closed loops is given for an open loop, or the reverse."""
     given = [(name, value) for name, value in choices.loop().items() if value is not None]
     if given and s.loop.controller != "pd":
         got = f"{where}: options.scenario.{given[0][0]}: got {given[0][1]!r} for {s.name}"
@@ -192,7 +194,7 @@ def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
 
 
 def channels_apart(study: Study) -> set[str]:
-    """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
+    """Return the axes whose channels differ at any grid point of a study; its tables then have a list in every row."""
     known, out = scenarios_of(study), set()
     for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_self_transition"):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
@@ -210,7 +212,7 @@ def command_columns(study: Study) -> set[str]:
 
 
 def identity(cell: Cell, root_seed: int) -> str:
-    """Return the digest of all that decides a cell's numbers except its observers: equal for equal numbers."""
+    """Return the digest of everything that decides a grid point's numbers, without its observers."""
     decisive = {
         "scenario": cell.scenario.flat(),
         "parameters": cell.parameters,
@@ -221,7 +223,7 @@ def identity(cell: Cell, root_seed: int) -> str:
 
 
 def options_digest(options: BaseModel, own: UserPlugin | None = None) -> str:
-    """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
+    """Return the digest of an observer's options, and of its code if it is user-defined."""
     return _digest([options.model_dump(exclude_none=True), own.code.digest] if own else options.model_dump())
 
 
@@ -231,10 +233,9 @@ def _digest(decisive: object) -> str:
 
 
 def with_engine(grid: Grid, engine: str | None) -> Grid:
-    """Return the study with the engine that it names; if it names none, with steps.
+    """Return the study with the engine that it names, by default steps.
 
-    `engine` is the one with which its dataset was begun: it stays, and the definition computes what is added if that engine
-    cannot.
+    `engine` is the first engine of its dataset, which is kept. If that engine is not usable, the definition computes new runs.
     """
     study, every = grid
     if engine is None:
@@ -247,19 +248,19 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
 
 
 def engine_of(s: Scenario, engine: str) -> str:
-    """Return the engine of a scenario: the definition where sensors decide, as others fix before a run what arrives."""
+    """Return the engine of a scenario: the definition if sensors decide, as other engines fix arrivals before a run."""
     return "definition" if s.sampling.sensors_decide else usable(engine)
 
 
 def usable(engine: str) -> str:
-    """Return an engine, or the definition where that engine does not know the jax that is installed."""
-    from pcbench.engine import jaxpr_compat  # with jax
+    """Return the engine, or the definition if the engine does not support the installed jax."""
+    from pcbench.engine import jaxpr_compat  # imports jax
 
     return engine if engine == "definition" or jaxpr_compat.is_known() else "definition"
 
 
 def engine_warnings(grid: Grid) -> list[str]:
-    """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
+    """Return a sentence if runs are computed by the definition because the engines do not support this jax."""
     slower = any(c.engine == "definition" and not c.scenario.sampling.sensors_decide for c in grid.cells)
     if not slower or grid.study.engine == "definition" or grid.study.evaluation == "exact":
         return []
@@ -271,17 +272,17 @@ def engine_warnings(grid: Grid) -> list[str]:
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """Return the cells of all scenarios of a study."""
+    """Return the grid points of all scenarios of a study."""
     return [cell for name in study.scenarios for cell in cells(study, name)]
 
 
 def reseed(every: list[Cell], root_seed: int) -> list[Cell]:
-    """Return the cells as they are with another root seed, hence other draws."""
+    """Return the grid points with another root seed, and so other random numbers."""
     return [cell._replace(digest=identity(cell, root_seed)) for cell in every]
 
 
 def number_cells(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
-    """Return the cells numbered anew; those whose digests are `known` (by scenario, in order of number) keep their numbers."""
+    """Return the grid points renumbered; those with `known` digests (by scenario, in order of number) keep their numbers."""
     numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in known.items()}
     out = []
     for cell in every:
@@ -291,7 +292,7 @@ def number_cells(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
 
 
 def numbering(every: list[Cell]) -> dict[str, list[str]]:
-    """Return by scenario the digests of its cells in order of number."""
+    """Return the digests of the grid points by scenario, in order of number."""
     out: dict[str, list[str]] = {}
     for cell in sorted(every, key=lambda c: c.number):
         out.setdefault(cell.scenario.name, []).append(cell.digest)

@@ -1,10 +1,10 @@
-"""A linear plant of one's own from scipy.signal or python-control, and back.
+"""Convert linear plants from and to scipy.signal and python-control.
 
     study = pcbench.lti(scipy.signal.StateSpace(A, B, C, D), sampling_period=0.1, delay=0.2, noise_std=0.01)
     pcbench.run(study, observers=["kf", "pccebo"])
 
-Neither library is imported here but to give a system back: whatever has A, B, C, D and dt is a state-space system, and whatever
-has `to_ss` (scipy's transfer functions) becomes one.
+Both libraries are imported only to return a system. Any object with A, B, C, D and dt is a state-space system. Any object with
+`to_ss` (scipy's transfer functions) is converted to one.
 """
 
 import re
@@ -57,17 +57,7 @@ def lti(system: object, *, name: str = "lti", **experiment: object) -> Study:
 
 
 def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":
-    """Convert a study's own linear plant for SciPy.
-
-    Args:
-        study: a study with an `[lti]` table, or one made by `lti`.
-
-    Returns:
-        scipy.signal's StateSpace of a continuous plant, or a dlti.
-
-    Raises:
-        UserError: the study has no such plant.
-    """
+    """Convert a study's `[lti]` plant for SciPy."""
     from scipy import signal
 
     matrices, dt, _ = _plant(study)
@@ -75,17 +65,7 @@ def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":
 
 
 def to_control(study: Study) -> "control.StateSpace":
-    """Convert a study's own linear plant for python-control.
-
-    Args:
-        study: a study with an `[lti]` table, or one made by `lti`.
-
-    Returns:
-        A control.StateSpace with the names of the states.
-
-    Raises:
-        UserError: the study has no such plant, or python-control is not installed (pip install "pcbench[control]").
-    """
+    """Convert a study's `[lti]` plant for python-control."""
     try:
         import control
     except ImportError:
@@ -96,10 +76,10 @@ def to_control(study: Study) -> "control.StateSpace":
 
 
 def _state_space(system: object) -> TomlTable:
-    """The [lti] table's matrices of a system."""
+    """Return the [lti] table's matrices of a system."""
     try:
         form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
-    except (NotImplementedError, ImportError, ValueError, ArithmeticError) as error:  # of the library that made it
+    except (NotImplementedError, ImportError, ValueError, ArithmeticError) as error:  # errors of the library
         raise UserError(
             f"pcbench.lti: got {type(system).__name__}, which its library cannot convert "
             f"('{first_sentence(error)}'), expected a "
@@ -121,7 +101,7 @@ def _state_space(system: object) -> TomlTable:
 
 
 def _plant(study: Study) -> tuple[list[NDArray[np.float64]], float | None, list[str]]:
-    """A, B, C and D of a study's own plant, its time base [s], None of a continuous one, and the texts of its states."""
+    """Return A, B, C and D of a study's plant, its time base [s] (None: continuous), and the labels of its states."""
     if study.lti is None:
         raise UserError(
             f"{study.name}: has no plant of its own, expected a study with [lti] or one made by pcbench.lti."

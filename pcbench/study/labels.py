@@ -1,14 +1,12 @@
-"""Observers as a study writes them, made labels: a list of names, or a table of tables with `use` and options.
+"""Labels of observers: from the two forms in which a study names them, a list of names, or tables with `use` and options.
 
     observers = ["kf", "mine.py:nudge"]        [observers.kf]
                                                 [observers.strong]
                                                 use = "mine.py:nudge"
                                                 share = 0.3
 
-MODULE:NAME has the label NAME in a list; a name that an installed package offers is its own label. A path is relative to the
-study file, and on the command line and in Python to the working folder.
-
-What a study names: its scenarios, its observers, and the labels under which they have options.
+In a list, MODULE:NAME has the label NAME. A name from an installed package is its own label. A path is relative to the study
+file; on the command line and in Python it is relative to the working folder.
 """
 
 import re
@@ -29,9 +27,9 @@ LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
 
 def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
-    """Return a raw study whose observers are labels, those of the user's own found by its table `use`.
+    """Return a raw study whose observers are labels; its table `use` has those that are user-defined.
 
-    Raises UserError for a label that is none, or that two observers have.
+    Raises UserError for an invalid label, or one of two observers.
     """
     given, options = raw.get("observers"), raw.get("options")
     use = dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {}
@@ -53,7 +51,7 @@ def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
 
 
 def each_table(raw: TomlTable, change: Callable[[TomlTable, str], TomlTable]) -> TomlTable:
-    """Return a raw study with the table of each scenario of its own changed; `change` takes it and where it stands."""
+    """Return a raw study with each user-defined scenario's table changed; `change` takes the table and its place."""
     out = raw | {name: change(raw[name], name) for name in ("lti", "scenario") if isinstance(raw.get(name), dict)}
     if isinstance(raw.get("tables"), dict):
         tables = raw["tables"].items()
@@ -62,16 +60,16 @@ def each_table(raw: TomlTable, change: Callable[[TomlTable, str], TomlTable]) ->
 
 
 def label_of(name: str) -> str:
-    """Return the label that a name has in a list of observers."""
+    """Return the label of a name in a list of observers."""
     return name.rpartition(":")[2] if user_code.is_reference(name) else name
 
 
 def _labels(names: list[object], use: dict[str, str], where: str) -> list[object]:
-    """The labels of a list of names; what they stand for is put into `use`."""
+    """Return the labels of a list of names; references of user-defined ones are added to `use`."""
     out: list[object] = []
     for name in names:
         if not isinstance(name, str):
-            out.append(name)  # the model says what is wrong
+            out.append(name)  # the schema reports the error
             continue
         label = label_of(name)
         if user_code.is_reference(name):
@@ -90,7 +88,7 @@ def _labels(names: list[object], use: dict[str, str], where: str) -> list[object
 
 
 def _options(given: TomlTable, options: object, use: dict[str, str], where: str) -> TomlTable:
-    """The options of a study whose observers are tables; what they `use` is put into that."""
+    """Return the options of a study whose observers are tables; their references are added to `use`."""
     out = dict(options) if isinstance(options, dict) else {}
     for label, table in given.items():
         here = f"{where}: observers.{short(label)}"
@@ -118,7 +116,7 @@ def _options(given: TomlTable, options: object, use: dict[str, str], where: str)
 
 
 def _free(label: str, name: str, where: str) -> None:
-    """Raise UserError where a label is none, or pcbench's."""
+    """Raise UserError if a label is invalid or a built-in name."""
     if not LABEL.fullmatch(label):
         raise UserError(
             f"{where}: got the label '{short(label)}', expected letters, digits, '-', '_', '.' or '+', at most {LONGEST}; "
@@ -131,18 +129,18 @@ def _free(label: str, name: str, where: str) -> None:
         )
 
 
-LTI = "lti"  # the scenario of a linear plant that a study brings
+LTI = "lti"  # the scenario of a study's linear plant
 
 
 def title_of_scenario(study: Study, scenario: str) -> str:
-    """Return what tables and figures call a scenario: the study's name for its own linear plant."""
+    """Return a scenario's title in tables and figures: the study's name for its own linear plant."""
     return study.name if scenario == LTI else scenario
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
-    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and those of its own.
+    """Return every scenario that a study may name: built-in, `lti` for its linear plant, and its own.
 
-    Where the study has a controller, those that it names have their loops closed by that.
+    If the study has a controller, it closes the loops of the named scenarios.
     """
     known, where = SCENARIOS, where or study.name
     if study.lti is not None:
@@ -161,25 +159,25 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
 
 
 def labels_of(study: Study) -> list[str]:
-    """Return every label of an observer: its name, or name-anything where the study or a scenario has options for that."""
+    """Return every label of an observer: its name, or name-suffix if the study or a scenario has options for it."""
     given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
     variants = (key for key in [*given, *study.options] if base_in(study, key) is not None)
     return list(dict.fromkeys([*study.custom_observers, *OBSERVERS, *variants]))
 
 
 def base_in(study: Study, label: str) -> str | None:
-    """Return the observer that a label names in a study, one of the user's own first: its name, or name-anything."""
+    """Return the observer of a label in a study, user-defined ones first: its name, or name-suffix."""
     found = [name for name in study.custom_observers if label == name or label.startswith(name + "-")]
     return max(found, key=len) if found and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
 def own_in(study: Study, label: str) -> UserPlugin | None:
-    """Return the observer of a user's own that a label names in a study; None where it is one of pcbench's."""
+    """Return the user-defined observer of a label in a study; None if it is built-in."""
     return study._own.get(base_in(study, label) or label)
 
 
 def entry_in(study: Study, label: str) -> ObserverSpec:
-    """Return the entry of the observer that a label names in a study; raise KeyError where there is none."""
+    """Return the entry of an observer's label in a study; raise KeyError if there is none."""
     mine = own_in(study, label)
     return mine.entry if mine else OBSERVERS[base_in(study, label) or label]
 

@@ -1,4 +1,4 @@
-"""A study as it is written: a dict from a name, a TOML file or Python, with changes put in. Its values are not checked yet."""
+"""Load a study as a dict from a name, a TOML file or Python, with overrides. Its values are not checked yet."""
 
 import os
 from copy import deepcopy
@@ -17,13 +17,13 @@ from pcbench.study.plugins.references import Gate, absolute, looked_up
 from pcbench.study.plugins.user_plants import collect_scenarios, plain
 from pcbench.toml_text import TomlTable
 
-Described = str | Path | TomlTable | Study  # a built-in name, a TOML file, or what one holds
+Described = str | Path | TomlTable | Study  # a built-in name, a TOML file, or its content
 
 
 def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
-    """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked.
+    """Return a study as a dict with `key=value` overrides and _ for - in its keys; its values are not checked.
 
-    `gate` is what the study may reach beside its own text.
+    `gate` controls access to code and files.
     """
     folder: Path | None = None
     if isinstance(what, Study):
@@ -36,7 +36,7 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
         raw = {"name": name, "scenarios": [name]}
     elif user_code.is_reference(name):
         raw = {"name": name.rpartition(":")[2], "scenarios": [name]}
-    elif name.endswith(".toml") or os.path.isfile(name):  # False of a name that is too long
+    elif name.endswith(".toml") or os.path.isfile(name):  # False for a name that is too long
         raw, folder = _read(Path(name)), Path(name).parent
     elif os.path.isdir(name):
         raise UserError(
@@ -58,14 +58,14 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
 
 
 def where_of(what: Described, raw: TomlTable) -> str:
-    """Return what a sentence calls a study: the word or file it was asked by, or else its name."""
+    """Return the name of a study in messages: the word or file by which it was requested, or else its name."""
     return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
 
 
 def normalize_raw(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
-    if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
+    if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # TOML reads `plant.lam = [...]` as a table
         nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
         for key in nested:
             if key in axes:
@@ -84,7 +84,7 @@ def normalize_raw(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -
 
 
 def _with_files(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
-    """A scenario's table with _ for - in its keys and the numbers of the files that it names, if the gate is open to files."""
+    """Return a scenario's table with _ for - in its keys and the content of the files it names, if the gate allows files."""
     table = underscore_keys(table, where)
     if not gate.files:
         for key in (*lti_inputs.files_in(table), *(["delay"] if empirical_delays.names_log(table) else [])):
@@ -99,10 +99,10 @@ def _with_files(table: TomlTable, where: str, folder: Path | None, gate: Gate) -
 
 
 def override(raw: TomlTable, change: str) -> None:
-    """Put one `KEY=VALUE` into a raw study; VALUE is TOML, or a plain word."""
+    """Apply one `KEY=VALUE` to a raw study; VALUE is TOML, or a plain word."""
     key, equals, text = change.partition("=")
     name, where = key.strip().replace("-", "_"), f"--set {short(change)}"
-    if "." not in name and name not in Study.model_fields:  # of an axis, or of an option, without its table
+    if "." not in name and name not in Study.model_fields:  # of an axis or an option, without its table
         if name in axis.AXES:
             places = [f"axes.{name}"]
         elif name in Choices.model_fields:
@@ -134,10 +134,10 @@ def override(raw: TomlTable, change: str) -> None:
 
 def _read(path: Path) -> TomlTable:
     try:
-        if path.exists() and not path.is_file():  # a folder, or a pipe, which would be waited for
+        if path.exists() and not path.is_file():  # a folder, or a pipe, which would block
             raise OSError(0, "it is no file")
         text = path.read_text(encoding="utf-8-sig")  # with or without a byte-order mark
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or no possible name
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or an invalid name
         reason = getattr(error, "strerror", None) or error
         raise UserError(
             f"{short(str(path))}: cannot be read ({reason}); expected a TOML file that describes a study."

@@ -1,9 +1,7 @@
-"""A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario.
+"""A study's linear plant `[lti]`: matrices and experiment, validated and converted to a scenario.
 
-The process noise of a plant of one's own, over one tick: `process_std`, or `G` with `QN`.
-
-A continuous plant x' = A x + B u + G w has white noise w of intensity QN, whose covariance over a tick is exact (Van Loan);
-a discrete one adds G w with w ~ N(0, QN) at every tick.
+The process noise per tick is `process_std`, or `G` with `QN`. A continuous plant x' = A x + B u + G w has white noise w of
+intensity QN, whose covariance per tick is exact (Van Loan). A discrete one adds G w with w ~ N(0, QN) at every tick.
 """
 
 import numpy as np
@@ -23,17 +21,16 @@ from pcbench.study.lti_plant import LtiTable, differing, dimensions, nominal_num
 from pcbench.study.parse_scenario import experiment_on
 from pcbench.study.scenario_schema import Experiment, takes_axes
 
-ROUNDING = 1e-12  # part of the largest entry by which a covariance may fall short of one
+ROUNDING = 1e-12  # allowed asymmetry and negative eigenvalues of a covariance, relative to its largest entry
 
 
 def process_noise(
     lti: LtiTable, std: float | list[float] | None, A: ArrayLike, tick: float, where: str
 ) -> ProcessNoise:
-    """Return the noise of a tick of a plant A [n, n] as `Truth.process_std` has it: [n], its root [n, n], or nothing.
+    """Return the noise per tick of a plant A [n, n], as in `Truth.process_std`: [n], its root [n, n], or empty.
 
-    `std` is the table's process_std: of all states, or of each.
-
-    The root is the covariance's symmetric square root. Raises UserError where G and QN do not fit, or QN is no covariance.
+    `std` is the table's process_std, common to all states or one per state. The root is the symmetric square root of the
+    covariance. Raises UserError if G and QN do not fit, or if QN is not a covariance.
     """
     n = np.shape(A)[0]
     if std is not None:
@@ -63,7 +60,7 @@ def process_noise(
 
 
 def covariance(given: float | list[float] | list[list[float]], many: int, where: str) -> NDArray[np.float64]:
-    """Return a number, one for each of `many`, or rows as a matrix; raise UserError where it is no covariance of so many."""
+    """Return a number, `many` numbers or rows as a matrix; raise UserError if it is not a covariance of this size."""
     if not isinstance(given, list):
         return float(given) * np.eye(many)
     flat = not any(isinstance(row, list) for row in given)
@@ -83,7 +80,7 @@ def covariance(given: float | list[float] | list[list[float]], many: int, where:
     return Q
 
 
-# `plant` says what drifts, a [controller] what is wrong with commands
+# `plant` replaces parameter_drift, a [controller] replaces command axes
 @takes_axes(
     required=("sampling_period", "delay", "noise_std"),
     without=("parameter_drift", *axes.COMMANDS),
@@ -96,11 +93,11 @@ class Lti(Experiment, LtiTable):
     """
 
     def numbers(self, where: str) -> Numbers:
-        """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""
+        """Return the plant's parameters as assumed by observers; raise UserError with the entry that has no value."""
         return nominal_numbers(self, where)
 
     def scenario(self, name: str, where: str) -> Scenario:
-        """Return the experiment as a scenario; raise UserError naming the key that does not fit."""
+        """Return the experiment as a scenario; raise UserError with the invalid key."""
         n, m, _ = dimensions(self, where)
         numbers = self.numbers(where)
         plant = differing(self, numbers, where)

@@ -1,4 +1,4 @@
-"""Inputs of a plant of one's own, as `[lti]` may say them: names, waves, a value for each tick, a table over time, a CSV.
+"""Inputs of a plant in `[lti]`: names, waves, a value for each tick, a table over time, or a CSV file.
 
 input = "sine, square"                                                         names, one for all inputs or one for each
 input = {signal = "sine", amplitude = 2.0, frequency = 0.5, offset = 1.0}      or a list of such, one for each input
@@ -17,7 +17,7 @@ from pcbench.signal_names import unit
 from pcbench.study import axes
 from pcbench.toml_text import TomlTable
 
-ROWS = 200_000  # of a table
+ROWS = 200_000  # largest number of rows of a table
 REPEATING = [name for name in SHAPES if name != "step"]
 
 
@@ -28,7 +28,7 @@ def files_in(table: TomlTable) -> list[str]:
 
 
 def inline_csv_files(table: TomlTable, where: str, folder: Path | None) -> TomlTable:
-    """Return a table with the rows of the CSV files that it names, found from the study's folder; None: from where one is.
+    """Return a table with the rows of the CSV files that it names, relative to the study's folder; None: the working folder.
 
     Raises UserError for a file that cannot be read.
     """
@@ -43,7 +43,7 @@ def inline_csv_files(table: TomlTable, where: str, folder: Path | None) -> TomlT
 
 
 def _read(path: Path) -> list[list[float]]:
-    """Return the rows of a CSV file; raise ValueError, which says what was expected, where it cannot be read."""
+    """Return the rows of a CSV file; raise ValueError with the expected content if it is invalid."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             head, *rows = [row for row in csv.reader(file) if row]
@@ -67,9 +67,9 @@ def _read(path: Path) -> list[list[float]]:
 
 
 def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
-    """Return what drives `many` inputs (of a `kind`), as a scenario holds it; raise UserError for what does not fit.
+    """Return the sources of `many` inputs (of a `kind`) as in a scenario; raise UserError for an invalid one.
 
-    `ticks` are how many there are and their length [s]; `valid` the names that may stand.
+    `ticks` are their number and length [s]; `valid` are the allowed names.
     """
     if isinstance(given, str):
         return ", ".join(_signal_names(given, valid, many, kind, where))
@@ -93,7 +93,7 @@ def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, fl
 
 
 def _wave(given: TomlTable, where: str) -> Wave:
-    """A wave from its table."""
+    """Return a wave from its table."""
     for key in given:
         if key not in ("signal", *Wave._fields[1:]):
             raise unknown(where, "key of a signal", key, ("signal", *Wave._fields[1:]))
@@ -118,7 +118,7 @@ def _wave(given: TomlTable, where: str) -> Wave:
 
 
 def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
-    """A table from a value for each tick, or from rows [t, u1, ...]."""
+    """Return a table from a value for each tick, or from rows [t, u1, ...]."""
     count, dt = ticks
     if len(given) > ROWS:
         raise UserError(
@@ -151,12 +151,12 @@ def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, 
 
 
 def _signal_names(text: str, valid: Iterable[str], many: int, kind: str, where: str) -> list[str]:
-    """The names of signals, one or one for each of `many`."""
+    """Return the names of signals, one or one for each of `many`."""
     names = [part.strip() for part in text.split(",")]
     for name in names:
         if name not in valid:
             raise unknown(where, "input", short(name), valid)
-    columns = len(names) + sum(name.startswith("heater") for name in names)  # of which each is two
+    columns = len(names) + sum(name.startswith("heater") for name in names)  # a heater signal has two columns
     if columns not in (1, many):
         raise UserError(f"{where}: got {columns} signals, expected one, or one for each of {many} {kind}.")
     return names

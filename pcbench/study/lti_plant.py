@@ -1,6 +1,6 @@
-"""A study's table `[lti]`, and the plant in it: as observers know it, and in what it differs from that (`[lti.plant]`).
+"""The matrices of a study's table `[lti]`: the assumed plant, and the true values that differ from it (`[lti.plant]`).
 
-Whether matrices, named numbers and formulas of them fit together.
+The module checks that matrices, named numbers and formulas fit together.
 """
 
 import re
@@ -20,14 +20,14 @@ from pcbench.study.scenario_schema import LEAST, Number, NumberRows, Positive, S
 from pcbench.study.times import to_ticks
 from pcbench.toml_text import TomlTable
 
-# powers of ten by which a plant may grow over its horizon, so that powers of its map, up to the eighth, stay finite
+# powers of ten by which a plant may grow over the run, so that powers of its map, up to the eighth, stay finite
 GROWTH = 30
-MOST = 50  # states, inputs, outputs or unknown inputs
-TAKEN = {*Numbers._fields, "own", "x0"}  # what no named number can be called
+MOST = 50  # limit for states, inputs, outputs and unknown inputs
+TAKEN = {*Numbers._fields, "own", "x0"}  # names that a parameter cannot have
 
 
 def _formula(text: str) -> str:
-    """A formula as it stands; raise ValueError, which says what is expected, where it is none."""
+    """Return a formula unchanged; raise ValueError with the expected form if it is invalid."""
     expression.parse_formula(text)
     return text
 
@@ -48,7 +48,7 @@ class Differing(BaseModel):
     E: Rows | None = Field(None, description="[n, r]")
 
     def given(self) -> TomlTable:
-        """Return what it says, by letter and by name."""
+        """Return the given values by letter and by name."""
         return self.model_dump(exclude_none=True)
 
 
@@ -78,7 +78,7 @@ class LtiTable(BaseModel):
 
 
 def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
-    """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
+    """Return n, m, q; raise UserError with the matrix whose shape does not fit."""
     n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
     shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, max(r, 1))}
     if max(n, m, q, r) > MOST:
@@ -102,7 +102,7 @@ def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
 
 
 def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: str) -> None:
-    """Raise UserError where the plant grows so much over its horizon that its map cannot be computed."""
+    """Raise UserError if the plant grows too much over the run for its map to be computed."""
     modes = np.linalg.eigvals(np.array(A, float))
     rate = float(np.log10(max(np.abs(modes).max(), LEAST)) if discrete else modes.real.max() * tick / np.log(10))
     if rate * ticks > GROWTH:
@@ -113,9 +113,9 @@ def require_slow(A: ArrayLike, discrete: bool, ticks: int, tick: float, where: s
 
 
 def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
-    """Return the plant's numbers as observers know them.
+    """Return the plant's parameters as assumed by observers.
 
-    Raises UserError where a formula names what is no parameter or has no value, or a parameter enters no matrix.
+    Raises UserError if a formula has an unknown name or no value, or if a parameter enters no matrix.
     """
     own, rows = lti.parameters or {}, {letter: getattr(lti, letter) for letter in MATRICES}
     for name in own:
@@ -157,7 +157,7 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
 
 
 def differing(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
-    """Return in what the plant differs from the model: rows by letter, numbers by name; UserError for what does not fit."""
+    """Return the true values that differ from the model: rows by letter, numbers by name; raise UserError for invalid ones."""
     if lti.plant is None:
         return {}
     given = lti.plant.given()
@@ -180,7 +180,7 @@ def differing(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
 
 
 def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
-    """Raise UserError where a cell's plant has no finite matrices, or grows so fast that it cannot be computed."""
+    """Raise UserError if a grid point's plant has no finite matrices, or grows too fast to be computed."""
     numbers = replace_numbers(numbers_of(s), {"drift": s.truth.parameter_drift} | parameters)
     try:
         model = actual(numbers)
@@ -194,7 +194,7 @@ def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
 
 
 def _formulas(rows: Sequence[Sequence[float | str]] | None) -> list[tuple[int, int, str]]:
-    """The entries of a matrix that are formulas, with their places."""
+    """Return the entries of a matrix that are formulas, with their indices."""
     return [(i, j, v) for i, row in enumerate(rows or []) for j, v in enumerate(row) if isinstance(v, str)]
 
 

@@ -1,4 +1,4 @@
-"""The options of observers, and the choices of scenarios: given, checked, complete."""
+"""Options of observers, and choices of scenarios: merged, validated, with defaults."""
 
 from pydantic import BaseModel
 
@@ -12,18 +12,18 @@ from pcbench.study.plugins.user_observers import validate_options
 from pcbench.study.schema import Choices, Study
 from pcbench.toml_text import TomlTable
 
-LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the least noise is larger
+LEAST = 1e-30  # an option is 0 or at least this, so that its square does not underflow
 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
-    """Return an observer's options, checked and complete: see `given`."""
+    """Return an observer's options, validated and with defaults: see `merge_options`."""
     return checked_options(
         study, observer, merge_options(study, scenario, observer), f"{study.name}: options.{observer}"
     )
 
 
 def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
-    """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
+    """Return the options as given: the study's override the scenario's, and a label's override its observer's."""
     out: TomlTable = {}
     for label in dict.fromkeys([base_in(study, observer) or observer, observer]):
         out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
@@ -31,7 +31,7 @@ def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
 
 
 def own_options(study: Study, observer: str) -> Study:
-    """Return a study with the options of its scenario and of one observer alone."""
+    """Return a study with only the options of its scenario and of one observer."""
     mine = ("scenario", observer, base_in(study, observer) or observer)
     return study.model_copy(update={"options": {name: of for name, of in study.options.items() if name in mine}})
 
@@ -42,7 +42,7 @@ def choices_of(study: Study) -> Choices:
 
 
 def checked_options(study: Study, name: str, given: TomlTable, where: str) -> BaseModel:
-    """Return the options in the table of an observer's label, or of 'scenario', checked and complete."""
+    """Return the options of an observer's label, or of 'scenario', validated and with defaults."""
     bare = name.rstrip("0123456789")
     if bare != name and base_in(study, name) is None and base_in(study, bare) == bare:
         raise UserError(
@@ -88,7 +88,7 @@ def dashes(given: TomlTable) -> TomlTable:
 
 
 def underscore_keys(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
-    """Return a table with _ for - in its keys, except in those that begin with `but`; raise UserError for a key given twice."""
+    """Return a table with _ for - in its keys, except those that begin with `but`; raise UserError for a key given twice."""
     out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
     if len(out) < len(given):
         twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
@@ -97,7 +97,7 @@ def underscore_keys(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
 
 
 def _require_sensible_size(value: object, where: str) -> None:
-    """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
+    """Raise UserError if a number, or one in a list, is too large or too small to be squared."""
     inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
     for each in inside:
         _require_sensible_size(each, where)

@@ -1,6 +1,6 @@
-"""Reading a study: from a name or a TOML file, with changes put in, checked before anything runs.
+"""Parse a study from a name or a TOML file, with overrides, and check it before anything runs.
 
-Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+Every error is one sentence: the place, the value, what was expected, and how to correct it.
 """
 
 from pydantic import ValidationError
@@ -31,15 +31,15 @@ from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
 
-ALL = "all"  # among observers: every one that can run
+ALL = "all"  # all observers that can run
 
 
 def _from_here(named: PluginReference, where: str) -> UserPlugin:
-    """Run the code that a study names, a path taken from the working folder."""
+    """Run the code that a study names, with paths relative to the working folder."""
     return registry.load(named.kind, named.reference, where)
 
 
-FROM_HERE = Gate(_from_here, files=True)  # of a study that the user gives
+FROM_HERE = Gate(_from_here, files=True)  # for a study given by the user
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
@@ -48,11 +48,11 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
 
 
 def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
-    """Return the study that `raw` describes; its names and options are checked, its cells are not made.
+    """Return the study that `raw` describes, with names and options checked, without its grid.
 
-    `gate` is what the study may reach beside its own text.
+    `gate` controls access to code and files.
 
-    Raises UserError naming the place in it that is wrong.
+    Raises UserError with the place of the error.
     """
     raw = normalize_raw(raw, where, None, gate)
     table, tables = raw.get("scenario"), raw.get("tables")
@@ -60,13 +60,13 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
     if table is not None:
         own.append(str((table.get("name") if isinstance(table, dict) else None) or raw.get("name")))
     own += tables if isinstance(tables, dict) else ()
-    if own and not raw.get("scenarios"):  # it says no others
+    if own and not raw.get("scenarios"):  # no other scenarios are named
         raw = raw | {"scenarios": own}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
-    mine = {f"scenarios.{name}": each for name, each in (study.tables or {}).items()}  # by where each stands
+    mine = {f"scenarios.{name}": each for name, each in (study.tables or {}).items()}  # by their place
     mine = ({"scenario": study.scenario} if study.scenario else {}) | mine
     labels = {o for each in mine.values() for o in (*(each.observers or ()), *(each.options or ()))}
     if (many := len({*(study.observers or ()), *study.options, *labels})) > times.LABELS:
@@ -92,9 +92,9 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
 
 
 def outline(what: str, overrides: list[str]) -> Study:
-    """Return the study that the user names, as `build_study`; its code is run, its cells are not made.
+    """Return the named study, as `build_study`; its code is run, its grid is not made.
 
-    If its observers are "all", they are not yet known: those of its scenarios are in their place.
+    If its observers are "all", they are not yet resolved, and those of its scenarios are used.
     """
     raw = raw_of(what, overrides, FROM_HERE)
     if names_all(raw):
@@ -103,13 +103,13 @@ def outline(what: str, overrides: list[str]) -> Study:
 
 
 def names_all(raw: TomlTable) -> bool:
-    """Say whether "all" is among the observers of a raw study."""
+    """Return whether "all" is among the observers of a raw study."""
     observers = raw.get("observers")
     return observers == ALL or (isinstance(observers, list) and ALL in observers)
 
 
 def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
-    """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
+    """Return the study that `raw` describes with its grid; raise UserError with the place of the error."""
     study, every = build_study(raw, where, gate), []
     for name in study.scenarios:
         mine = cells(study, name, where)
@@ -121,30 +121,30 @@ def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
 
 
 def unstable(found: Grid) -> list[str]:
-    """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
+    """Return a sentence for every loop that its controller does not stabilise; raise DesignError if a law has no gain."""
     each = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in found.cells}
     return [said for s in each.values() if (said := controller_table.warning(s, found.study.name))]
 
 
 def parse(raw: TomlTable, where: str) -> Study:
-    """Return the checked study that `raw` describes; raise UserError naming the place in it that is wrong."""
+    """Return the checked study that `raw` describes; raise UserError with the place of the error."""
     return grid(raw, where, FROM_HERE).study
 
 
 def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
-    """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    """Return a checked study with its grid from a name, a TOML file, a dict or a Study, with top-level `changes`."""
     return grid(*apply_changes(study, changes, overrides), FROM_HERE)
 
 
 def apply_changes(study: Described, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
-    """Return a raw study from a name, a TOML file, a dict or a Study, with `changes` put in, and what it is called."""
+    """Return a raw study from a name, a TOML file, a dict or a Study, with `changes`, and its name in messages."""
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
     return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
 
 
 def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
-    """Return a study of these observers with its one cell; raise UserError where it has more."""
+    """Return a study of these observers with its one grid point; raise UserError if it has more."""
     study, every = grid_of(what, {"observers": observers}, overrides)
     if len(every) > 1:
         raise UserError(
@@ -154,19 +154,19 @@ def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tup
 
 
 def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
-    """Return the one scenario of a name or a TOML file; raise UserError where there are more."""
+    """Return the one scenario of a name or a TOML file; raise UserError if there are more."""
     return scenario_in(outline(what, overrides or []), what)
 
 
 def scenario_in(study: Study, where: str) -> Scenario:
-    """Return the one scenario of a study; raise UserError where there are more."""
+    """Return the one scenario of a study; raise UserError if there are more."""
     if len(study.scenarios) > 1:
         raise UserError(f"{where}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
     return scenarios_of(study)[study.scenarios[0]]
 
 
 def _require_observers(study: Study, names: list[str], where: str) -> None:
-    """Raise UserError where a list of observers is empty, or holds an unknown name or one twice."""
+    """Raise UserError if a list of observers is empty, or contains an unknown or repeated name."""
     if not names:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
     known = set(labels_of(study))

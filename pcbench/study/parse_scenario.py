@@ -1,6 +1,6 @@
-"""From a study's table `[scenario]` to a scenario: what is left out filled in, and all of it fitted to the plant.
+"""From a study's table `[scenario]` to a scenario, with defaults, and sizes that fit the plant.
 
-Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+Every error is one sentence: the place, the value, what was expected, and how to correct it.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
 REQUIRED = ("plant", "x0", "sampling_period", "delay", "noise_std")
-# by field: how many numbers, and whether none is allowed as well
+# by field: the size, and whether it may be empty
 SIZES = {
     "x0": ("n", False),
     "process_std": ("n", True),
@@ -38,9 +38,9 @@ AS_GIVEN = ("prefilled", "continuous", "drift_intensity", "steady_start", "optio
 
 
 def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """Return the scenario that a table describes; `own` has the plants and controllers of the user's, by MODULE:NAME.
+    """Return the scenario of a table; `own` has user-defined plants and controllers by MODULE:NAME.
 
-    Raises UserError naming the key that does not fit.
+    Raises UserError with the invalid key.
     """
     if name in SCENARIOS or name == "lti":
         raise UserError(
@@ -63,9 +63,9 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, U
 def experiment_on(
     s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin] = NOTHING, is_new: bool = True
 ) -> Scenario:
-    """Return a scenario that has a plant with what a table says of its experiment; a new one with defaults for the rest.
+    """Return a scenario that has a plant with the experiment of a table; a new scenario gets defaults.
 
-    Raises UserError naming the key that does not fit.
+    Raises UserError with the invalid key.
     """
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(estimated_of(s)) - len(states_of(s)), "q": len(model.C)}
@@ -101,7 +101,7 @@ def experiment_on(
 
 
 def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenario:
-    """Return a scenario with numbers for all of its n states, its unknowns and errors where it has none, but for x(0)."""
+    """Return a scenario with defaults for its n states, its unknown inputs and its errors, except x(0)."""
     x0, xhat0 = s.truth.x0, s.belief.xhat0 or (0.0,) * n
     apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
     prior, size = s.belief.prior_std or apart, s.belief.unknown_std or (1.0,) * unknowns
@@ -112,7 +112,7 @@ def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenar
 
 
 def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
-    """The scenario that the table's keys change: a published one, or one of nothing but what must be given."""
+    """Return the scenario that the table's keys change: the base, or one with only the required keys."""
     observers = tuple(given.get("observers", ()))
     if table.base is not None:
         if table.base not in SCENARIOS:
@@ -141,7 +141,7 @@ def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
 
 
 def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """The scenario with its plant: what it is called, its parameters, its signals."""
+    """Return the scenario with its plant, the plant's parameters and its signals."""
     valid = [name for name in PLANTS if name != "lti"]
     plant = given.get("plant", s.plant)
     if plant == "lti":
@@ -179,10 +179,10 @@ def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserP
 
 
 def _resolve_axis_fields(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
-    """The scenario with the axes' fields as an axis would have them: whole ticks, one value for each output."""
+    """Return the scenario with the axes' fields in the form of an axis: whole ticks, one value per output."""
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
-    changed = "dt" in given or "duration" in given  # then times of a base may fit no more
+    changed = "dt" in given or "duration" in given  # times of a base may not fit the new ticks
     for key in (name for name in axes.AXES if name not in axes.STATES):
         if key in given or (changed and s.value(key) is not None):
             value = given.get(key, axes.plain(key, s.value(key), apart=True) if key not in axes.LISTS else s.value(key))
@@ -192,7 +192,7 @@ def _resolve_axis_fields(s: Scenario, given: TomlTable, q: int, where: str) -> S
 
 
 def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """The scenario with its input, its controller and its unknown input."""
+    """Return the scenario with its input, its controller and its unknown input."""
     entry, horizon = entry_of(s), (times.to_ticks(s.duration, s), s.dt)
     loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
     if mine := own.get(loop.get("controller", "")):
@@ -200,7 +200,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
         s = s._replace(own={**s.own, "controller": mine})
     s = s.having(**loop)
     if loop.get("input") and s.loop.controller and "controller" not in loop:
-        s = s.having(controller="", control={})  # an input opens the loop of a base
+        s = s.having(controller="", control={})  # an input replaces the controller of a base
     elif loop.get("controller") and "input" not in loop:
         s = s.having(input="")
     if bool(s.loop.input) == bool(s.loop.controller):
@@ -210,7 +210,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
         )
     if s.loop.controller:
         _require_controller(s, entry, where)
-    elif not isinstance(s.loop.input, tuple):  # a base's
+    elif not isinstance(s.loop.input, tuple):  # from the base
         found = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
         s = s if isinstance(s.loop.input, str) else s.having(input=found)
     for key in axes.COMMANDS:
@@ -237,7 +237,7 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
 
 
 def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
-    """Raise UserError for a controller that is none or not for the plant, and for options that do not fit."""
+    """Raise UserError for a controller that is unknown or unsupported by the plant, and for invalid options."""
     name, control = s.loop.controller, dict(s.loop.control)
     if name not in CONTROLLERS and "controller" not in s.own:
         raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
@@ -253,7 +253,7 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
 
 
 def _require_fit(s: Scenario, many: dict[str, int], where: str) -> None:
-    """Raise UserError for a list of the wrong length, and for what the scoring cannot be."""
+    """Raise UserError for a list of the wrong length, and for invalid scoring."""
     for key, (size, optional) in SIZES.items():
         got, want = len(s.value(key)), many[size]
         if got != want and not (optional and not got):

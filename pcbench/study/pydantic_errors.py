@@ -1,4 +1,4 @@
-"""What pydantic found wrong, as pcbench says it: where, what was found, what was expected, what to write instead."""
+"""Pydantic's validation errors as pcbench sentences: the place, the value, what was expected, and how to correct it."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -7,15 +7,15 @@ from pydantic import ValidationError
 
 from pcbench.errors import UserError, brief_repr, short, unknown
 
-KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
+KINDS = ("float", "str")  # last part of pydantic's location for a value with several allowed types
 
 
 def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str]]) -> UserError:
-    """Return the first of pydantic's findings as a sentence; where a value may be of several kinds, the nearest.
+    """Return pydantic's first error as a sentence; for a value with several allowed types, the nearest.
 
-    `keys` are those that each table may have, by its name; "" is the whole.
+    `keys` are the allowed keys by name of the table; "" is the whole file.
     """
-    # a name that is none explains others: it goes first
+    # an unknown key may cause other errors, so it comes first
     findings = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     loc, kind = findings[0]["loc"], findings[0]["type"]
     place = _place(loc)
@@ -40,14 +40,14 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
 
 
 def _place(loc: tuple[int | str, ...]) -> str:
-    """Where pydantic found something, as TOML writes it; without its names for the kinds that a value may be of."""
+    """Return the place of an error as in TOML, without pydantic's names of types."""
     names = [str(part).rstrip("]").endswith(KINDS) or str(part).startswith("literal[") for part in loc]
     parts = [part for i, part in enumerate(loc) if not i or not names[i]]
     return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
 
 
 def _rephrase(message: str) -> str:
-    """Pydantic's message as what was expected."""
+    """Return pydantic's message as an expectation."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
     text = re.sub(r"dictionary( or instance of \w+)?", "table", text)
     many = r"List should have at (least|most) (\d+) items? after validation, not \d+"

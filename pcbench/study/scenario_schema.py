@@ -1,4 +1,4 @@
-"""The keys of a study's tables `[scenario]` and `[lti]`: every field of a scenario, without its record.
+"""The keys of a study's tables `[scenario]` and `[lti]`.
 
 Keys of both tables are declared once: the axes in `pcbench.fields`, the other keys in `Experiment`.
 """
@@ -15,7 +15,7 @@ from pcbench.errors import printable
 from pcbench.study import axes
 from pcbench.toml_text import TomlTable
 
-LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
+LEAST = 1e-100  # a number is 0 or at least this, so that its square does not underflow
 
 
 def _zero_or_not_tiny(number: float) -> float:
@@ -25,15 +25,15 @@ def _zero_or_not_tiny(number: float) -> float:
 
 
 def rows_only(given: object, info: ValidationInfo) -> object:
-    """Refuse a flat list of numbers, saying how it is written as a matrix: a column for each input, a row for each output."""
+    """Reject a flat list of numbers, with the matrix form to use: a column for each input, a row for each output."""
     if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
         rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
         raise ValueError(f"a list of rows; write {rows}")
     return given
 
 
-Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: without an end
-# Strict: no text, no true or false
+Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: no limit
+# Strict: no text, no boolean
 Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST), AfterValidator(_zero_or_not_tiny)]
 Positive = Annotated[
     float, Strict(), Field(le=axes.LARGEST), AfterValidator(_zero_or_not_tiny), Field(ge=axes.SMALLEST)
@@ -47,7 +47,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def kind(field: fields.Field) -> Any:
-    """Return the type of a field's value in a table; its range is checked by `axes.point`."""
+    """Return the type of a field's value in a table; `axes.point` checks its range."""
     if field.word == "inf":
         return Degrees
     if field.word == "lost":
@@ -66,9 +66,9 @@ def kind(field: fields.Field) -> Any:
 def takes_axes(
     required: Sequence[str] = (), without: Sequence[str] = (), defaults: Mapping[str, object] = MappingProxyType({})
 ) -> Callable[[type[M]], type[M]]:
-    """Return a class decorator that adds a key for each field of `fields.FIELDS`, as its record there says.
+    """Return a class decorator that adds a key for each field of `fields.FIELDS`.
 
-    What a table leaves out is None, but what is `required`, or has one of the `defaults`; `without`: these it does not have.
+    A key that a table omits is None, unless it is `required` or has one of the `defaults`. Fields in `without` have no key.
     """
 
     def with_keys(table: type[M]) -> type[M]:
@@ -85,7 +85,7 @@ def takes_axes(
         made: type[M] = create_model(
             table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys
         )
-        made.__annotations__ = {}  # the API reference looks for fields in the text of the class
+        made.__annotations__ = {}  # the API reference reads fields from the text of the class
         return made
 
     return with_keys
@@ -150,17 +150,17 @@ class ScenarioTable(Experiment):
     source: Words | None = Field(None, description="paper and section")
     plant: str | None = Field(None, description="name of a plant (pcbench list plants), or MODULE:NAME")
     dt: Positive | None = Field(None, description="duration of a tick [s]; default: 0.001")
-    # what is true of the plant and told to no observer
+    # true values, which observers do not use
     process_std: Size | list[Size] | NumberRows | None = Field(
         None,
         description="standard deviation of the noise added to each state at every tick; a list if the states differ, or "
         "[n, n] a root of its covariance if the noises are correlated",
     )
     parameters: TomlTable | None = Field(None, description="true parameters of the plant that differ from its defaults")
-    # what drives the plant
+    # input and controller
     controller: str | None = Field(None, description="control law of a closed loop; empty: open loop")
     control: TomlTable | None = Field(None, description="options of the control law")
-    # how it is measured
+    # measurement
     prefilled: Switch | None = Field(
         None, description="sampling begins before t = 0, so that the first sample arrives at t = 0"
     )
@@ -168,7 +168,7 @@ class ScenarioTable(Experiment):
         None, min_length=2, max_length=2, description="a [s] and w [rad/s] of a delay that varies as delay + a sin(w t)"
     )
     continuous: Switch | None = Field(None, description="continuous measurement, without noise or delay")
-    # what designers and observers assume
+    # assumed values
     model: TomlTable | None = Field(
         None, description="parameters that observers assume, if they differ from the plant's defaults"
     )
@@ -184,7 +184,7 @@ class ScenarioTable(Experiment):
     initial_box: Size | list[Size] | None = Field(
         None, description="[n] largest distance of a random xhat(0) from x(0)"
     )
-    # what runs are judged by
+    # scoring
     signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
     unknowns: list[str] | None = Field(None, description="names of unknown inputs or parameters with units")
     headline: list[str] | None = Field(None, description="signals of the closing table")

@@ -24,7 +24,7 @@ FIRST = ("summary", "source", "plant", "observers", "dt", "duration")
 def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping[str, TomlTable] = NOTHING) -> str:
     """Return a study of one scenario with its `axes` and `options`, as TOML that gives the numbers of `s`.
 
-    Raises UserError for a linear plant of a study's own, whose table [lti] says what it is.
+    Raises UserError for a scenario of a study's table [lti].
     """
     if s.plant == "lti":
         raise UserError(
@@ -43,7 +43,7 @@ def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping
 
 
 def _line(s: Scenario, key: str) -> str:
-    """One key with its value and its meaning; a comment where the value is what it is without the key."""
+    """Return one key with its value and its meaning; as a comment if the value is the default."""
     value, about, record = s.value(key), ScenarioTable.model_fields[key].description, RECORD_OF.get(key)
     default = getattr(s, record)._field_defaults if record and key != "steady_start" else {}
     if key in ("input", "unknown_input") and not isinstance(value, str):
@@ -64,7 +64,7 @@ def _source(source: Source) -> object:
 
 
 def toml_value(value: object) -> str:
-    """Return a value as TOML on one line: numbers to their last digit."""
+    """Return a value as TOML on one line, with numbers in full precision."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

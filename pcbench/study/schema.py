@@ -11,7 +11,11 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
 Values = list[object]
-TUNINGS = ("published", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
+TUNINGS = (
+    "published",
+    "design",
+    "tuned",
+)  # gains as published (in a scenario), by design from the assumptions, by tuning
 
 
 class Choices(BaseModel):
@@ -39,7 +43,7 @@ class Choices(BaseModel):
     precision: str = Field("float64", description="floating-point type, float64 only")
 
     def loop(self) -> TomlTable:
-        """Return what is chosen of a closed loop, None where it is the scenario's."""
+        """Return the choices for a closed loop; None: those of the scenario."""
         return {"feedforward": self.feedforward, "predictor": self.predictor, "path": self.path}
 
     @field_validator("precision")
@@ -145,7 +149,7 @@ class Study(BaseModel):
     controller: TomlTable | None = Field(None, description="control law that closes the loop of every scenario")
     tuning: str | list[str] = Field("published", description="gains: " + ", ".join(TUNINGS) + ", or a list of these")
     tune: Tune = Tune()
-    # what is a user's own, once the study is read: observers by label of `use`, plants and controllers by MODULE:NAME
+    # user-defined objects once the study is read: observers by label, plants and controllers by MODULE:NAME
     _own: dict[str, UserPlugin] = PrivateAttr({})
 
     @field_validator("tuning", mode="before")
@@ -160,12 +164,12 @@ class Study(BaseModel):
 
     @property
     def tunings(self) -> list[str]:
-        """Return whose gains are asked for, as a list."""
+        """Return the requested tunings as a list."""
         return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)
 
     @property
     def tuning_sentence(self) -> str | None:
-        """Return the grid points at which the gains were tuned; None if none were."""
+        """Return a sentence on the grid points at which the gains were tuned; None if none were."""
         if self.tuned is None:
             return None
         cell = ", ".join(f"{name} = {value}" for name, value in self.tuned.cell.items())

@@ -1,4 +1,4 @@
-"""A study with all that decides its numbers, as TOML and as a digest."""
+"""A study with everything that decides its numbers, as TOML and as a digest."""
 
 import hashlib
 import json
@@ -18,12 +18,12 @@ def resolve_study(study: Study, every: list[Cell]) -> TomlTable:
     known = scenarios_of(study)
     options: TomlTable = {"scenario": choices_of(study).model_dump(exclude_none=True)}
     given = {s: TomlTable() for s in study.scenarios}
-    for cell in every:  # one may be without an observer that cannot work there
+    for cell in every:  # a grid point may lack observers that do not support it
         mine = given[cell.scenario.name]
         mine |= {o: each.model_dump(exclude_none=True) for o, each in cell.options.items() if o not in mine}
     options |= {s: mine for s, mine in given.items() if s not in options}
     scenarios = {}
-    for name in study.scenarios:  # without what TOML has no word for: nothing
+    for name in study.scenarios:  # without None, which TOML does not have
         flat = json.loads(json.dumps(known[name].flat(), default=dict))
         flat["model"] = {k: v for k, v in flat["model"].items() if v is not None}
         scenarios[name] = {k: v for k, v in flat.items() if v is not None}
@@ -38,13 +38,13 @@ def resolve_study(study: Study, every: list[Cell]) -> TomlTable:
 
 
 def codes(study: Study) -> dict[str, Code]:
-    """Return the code of each of the user's own observers, plants and controllers, by its name under [resolved.code]."""
+    """Return the code of each user-defined observer, plant and controller, by its name under [resolved.code]."""
     owned = {each: study._own[each.key].code for each in named_in(study.model_dump(exclude_none=True))}
     return {n.key if n.kind == "observer" else f"{n.kind} {code.name}": code for n, code in owned.items()}
 
 
 def as_dict(study: Study) -> TomlTable:
-    """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
+    """Return a study in a form that can be run again, without its tuning: tuned gains are ordinary options."""
     left = {"tuning", "tune"} | (set() if study.custom_observers else {"custom_observers"})
     left |= {"evaluation", "schedules"} if study.evaluation == "runs" else set()
     left |= set() if study.vary == "one-at-a-time" else {"vary"}
@@ -61,7 +61,7 @@ def to_toml(study: Study, every: list[Cell]) -> str:
 
 
 def digest(study: Study, every: list[Cell]) -> str:
-    """Return the hash of the resolved study, whatever its cells' numbers: equal for equal numbers."""
+    """Return the hash of the resolved study, independent of the numbering of its grid points."""
     decisive = resolve_study(study, every)
     del decisive["resolved"]["cells"]
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

@@ -1,11 +1,13 @@
-"""Seconds to ticks: a scenario's horizon, periods, delays and jitters as whole numbers, once for each cell.
+"""Times of a scenario in ticks, and limits of the size of a study.
 
-What one study may ask of a machine: more is refused at once, not after hours or when memory runs out.
+Durations, periods, delays and jitters become whole ticks, once per grid point. Studies that are too large for a machine are
+refused at once:
 
-A run has at most TICKS ticks and SAMPLES samples of a channel, of which at most IN_FLIGHT are on their way at a time and at
-most OVERTAKING newer ones arrive before one. A study has at most CELLS cells in a scenario, of
-CELL_TICKS ticks in all, and at most LABELS labels of observers
-and SCENARIOS scenarios.
+- a run has at most TICKS ticks and SAMPLES samples per channel
+- at most IN_FLIGHT samples of a channel are on the network at one time, and at most OVERTAKING newer ones arrive before an
+  older one
+- a study has at most CELLS grid points per scenario, of CELL_TICKS ticks in total
+- a study has at most LABELS labels of observers and SCENARIOS scenarios
 """
 
 from collections.abc import Iterator
@@ -22,23 +24,23 @@ from pcbench.scenarios.scenario import LOST, PerChannel, has_rows, per_channel
 from pcbench.simulation.schedule import random_times, sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
-OF_A_SENSOR = (  # what samples of one sensor have in common; outliers do not change when they come
+OF_A_SENSOR = (  # common to the samples of one sensor; outliers do not affect times
     *("sampling_period", "delay"),
     *(name for name in fields.names(per="sensor") if not name.startswith("outlier_")),
 )
 
 
 class Timing(NamedTuple):
-    """The times of a cell in ticks."""
+    """The times of a grid point in ticks."""
 
-    ticks: int  # N, of the horizon
-    tail: int  # where the tail begins
-    error: int  # by which observers believe every sample to be older than it is
+    ticks: int  # N, number of ticks of a run
+    tail: int  # first tick of the tail
+    error: int  # assumed age minus true age of a sample
     clocks: list[Clock]
 
     @property
     def random(self) -> bool:
-        """Whether every run has a schedule of its own."""
+        """Whether each run has its own schedule."""
         return any_random(self.clocks)
 
 
@@ -53,16 +55,16 @@ def times_of(s: Scenario) -> Timing:
 
 
 def to_ticks(seconds: float, s: Scenario) -> int:
-    """Return a time in ticks of a scenario, the nearest."""
+    """Return a time in ticks of a scenario, rounded."""
     return round(seconds / s.dt)
 
 
 def clocks(s: Scenario) -> list[Clock]:
-    """Return the sensors of a scenario in ticks: channels whose samples are taken, delayed and lost alike are one."""
+    """Return the sensors of a scenario in ticks: channels with equal sampling, delay and loss form one sensor."""
     return list(_clocks(s.sampling, s.dt))
 
 
-@lru_cache(1 << 14)  # for every cell of a study, which has them in any case
+@lru_cache(1 << 14)  # called for every grid point of a study, with few different arguments
 def _clocks(every: Sampling, dt: float) -> tuple[Clock, ...]:
     many, groups = len(every.delay), dict[Sampling, list[int]]()
     for j in range(many):
@@ -75,7 +77,7 @@ def _clocks(every: Sampling, dt: float) -> tuple[Clock, ...]:
 
 
 def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
-    """One sensor: its delay's steps are later by a few values or by a gamma distribution, drawn one by one or by a chain."""
+    """Return one sensor with its additional delays: a list of values or a gamma distribution, independent or a chain."""
 
     def ticks(seconds: float) -> int:
         return round(seconds / dt)
@@ -110,7 +112,7 @@ def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
 
 
 def sensors(s: Scenario) -> Iterator[Scenario]:
-    """Yield the scenario once for each way in which its channels are measured, with the numbers of such a channel."""
+    """Yield the scenario once for each set of equally measured channels, with single values instead of lists."""
     each = ((name, s.value(name)) for name in fields.names(per="sensor"))
     several = {name: value for name, value in each if isinstance(value, tuple)}
     rows = ((name, s.value(name)) for name in fields.names(rows=True))
@@ -122,13 +124,13 @@ def sensors(s: Scenario) -> Iterator[Scenario]:
 
 
 def number(value: PerChannel) -> float:
-    """Return what one channel has, where `sensors` has chosen it."""
+    """Return the value of one channel, as selected by `sensors`."""
     (one,) = per_channel(value, 1)
     return one
 
 
 def chain(measured: Sampling) -> tuple[float, ...]:
-    """Return for each of the delay's steps the probability that the next sample has the same."""
+    """Return for each additional delay the probability that the next sample has the same."""
     if measured.delay_weights:
         return ()
     many, stay = len(measured.delay_values), measured.delay_self_transition
@@ -153,7 +155,7 @@ CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
 
 def ticks_of(horizon: float, tick: float, where: str) -> int:
-    """Return a horizon [s] in ticks [s]; raise UserError where that is less than two or more than TICKS."""
+    """Return a duration [s] in ticks [s]; raise UserError if it is less than two or more than TICKS."""
     many, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
     if many > TICKS + 0.5:
         raise UserError(f"{got}, expected at most {TICKS:,} ticks; use a shorter duration or a longer tick.")
@@ -163,7 +165,7 @@ def ticks_of(horizon: float, tick: float, where: str) -> int:
 
 
 def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) -> None:
-    """Raise UserError where samples are too many for a run, on their way at a time, or out of order; `dt` [s] is the tick."""
+    """Raise UserError if a run has too many samples, in total, on the network or out of sequence; `dt` [s] is the tick."""
     for clock in clocks:
         least = sampling.intervals(clock, ticks)[0]
         if ticks // least > SAMPLES:
@@ -186,7 +188,7 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
 
 
 def require_few_cells(cells: int, ticks: int, where: str) -> None:
-    """Raise UserError where the axes of a study make too many cells of so many ticks each."""
+    """Raise UserError if the axes of a study make too many grid points for their number of ticks."""
     most = min(CELLS, CELL_TICKS // ticks)
     if cells > most:
         raise UserError(

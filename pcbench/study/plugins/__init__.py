@@ -1,1 +1,1 @@
-"""Your own code: plants, observers, controllers and scenarios of a user's files and of installed packages."""
+"""Plugins: user-defined plants, observers, controllers and scenarios from files and installed packages."""

@@ -1,4 +1,4 @@
-"""Where a study names what is a user's own, MODULE:NAME: observers by their labels, plants and controllers where they stand."""
+"""References MODULE:NAME in a study: observers by label, plants and controllers in the tables that name them."""
 
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -12,29 +12,29 @@ from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.toml_text import TomlTable
 
 NAMES: dict[str, Collection[str]] = {"plant": PLANTS, "controller": CONTROLLERS}
-KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # of what the keys of tables name
-SCENARIO = "scenario"  # the kind of a scenario that a raw study names, which its table replaces
+KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # kind of plugin by the key that names it
+SCENARIO = "scenario"  # a scenario's reference in a raw study is replaced by its table
 
 
 class PluginReference(NamedTuple):
-    """One place."""
+    """One reference in a study."""
 
     kind: str
-    key: str  # by which a study finds what is named: the label of an observer, of others what the place says
+    key: str  # an observer's label; for others the reference itself
     reference: str
 
 
 class Gate(NamedTuple):
-    """What a study may reach beside its own text. Whoever reads a study hands one in; there is no default."""
+    """Access of a study to code and files. Whoever parses a study supplies it; there is no default."""
 
     code: Callable[
         [PluginReference, str], UserPlugin
-    ]  # (what is named, where) -> the user's own object; raises UserError for a refusal
-    files: bool  # whether it may name tables of inputs and logs, which are opened
+    ]  # (reference, place) -> the user-defined object; raises UserError to refuse
+    files: bool  # whether it may name tables of inputs and recordings, which are opened
 
 
 def named_in(study: TomlTable) -> list[PluginReference]:
-    """Return every name of what is a user's own in a study, as a dict."""
+    """Return every reference to user-defined code in a study, as a dict."""
     found: list[PluginReference] = []
 
     def seen(each: PluginReference) -> str:
@@ -47,7 +47,7 @@ def named_in(study: TomlTable) -> list[PluginReference]:
 
 
 def replace_references(study: TomlTable, change: Callable[[PluginReference], str]) -> TomlTable:
-    """Return a study, as a dict, with every name of what may be a user's own changed."""
+    """Return a study, as a dict, with every possible reference to user-defined code changed by `change`."""
     out = dict(study)
     if isinstance(use := out.get("custom_observers"), dict):
         mine = {label: text for label, text in use.items() if isinstance(text, str)}
@@ -66,7 +66,7 @@ def replace_references(study: TomlTable, change: Callable[[PluginReference], str
 
 
 def _replace_in_table(table: object, keys: tuple[str, ...], change: Callable[[PluginReference], str]) -> object:
-    """A table with the names in it changed; what is no table, or no name, as it is."""
+    """Return a table with its references changed; anything else is returned unchanged."""
     if not isinstance(table, dict):
         return table
     mine = {key: table[key] for key in keys if isinstance(table.get(key), str)}
@@ -74,7 +74,7 @@ def _replace_in_table(table: object, keys: tuple[str, ...], change: Callable[[Pl
 
 
 def looked_up(study: TomlTable) -> TomlTable:
-    """Return a study, as a dict, whose plants and controllers of installed packages are named MODULE:NAME."""
+    """Return a study, as a dict, in which plants and controllers of installed packages are named MODULE:NAME."""
 
     def found(each: PluginReference) -> str:
         if user_code.is_reference(each.reference) or each.kind == "observer" or each.reference in NAMES[each.kind]:
@@ -86,6 +86,6 @@ def looked_up(study: TomlTable) -> TomlTable:
 
 
 def absolute(study: TomlTable, folder: Path | None = None) -> TomlTable:
-    """Return a study, as a dict, whose files are found from every folder; relative paths are from `folder`, or from here."""
+    """Return a study, as a dict, with absolute paths; relative ones are from `folder`, by default the working folder."""
     here = Path().resolve() if folder is None else folder
     return replace_references(study, lambda each: user_code.resolve_reference(each.reference, here))

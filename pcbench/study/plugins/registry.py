@@ -1,7 +1,7 @@
-"""What is a user's own in a study, by kind: what MODULE:NAME names, as an entry beside pcbench's.
+"""User-defined objects of a study, by kind: the entry that MODULE:NAME refers to.
 
-An observer, a plant, a controller or a scenario is the attribute NAME of a module; installed packages offer theirs by entry
-points, of the group `pcbench.observers` and its like, and nothing is imported that is not named.
+An observer, a plant, a controller or a scenario is the attribute NAME of a module. Installed packages offer theirs by entry
+points, of the group `pcbench.observers` and similar ones. Only modules that are named are imported.
 """
 
 from collections.abc import Callable, Iterable
@@ -19,7 +19,7 @@ from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_observers import require_model
 from pcbench.toml_text import TomlTable
 
-ELSEWHERE = "bc1bc4dc4132"  # for a digest of what is never run here: no file of pcbench's decides a guest's numbers
+ELSEWHERE = "bc1bc4dc4132"  # digest of code that pcbench does not run: pcbench's files do not affect external results
 DICT = "a dict with the keys of a table [scenario]"
 
 
@@ -27,15 +27,15 @@ Entry = observers.ObserverSpec | plants.PlantSpec | controllers.ControllerSpec |
 
 
 class Kind(NamedTuple):
-    """A kind of thing that may be a user's own."""
+    """A kind of plugin."""
 
-    types: tuple[type, ...]  # of what a module may hold
-    expected: str  # in words
-    entry: Callable[..., Entry]  # what is found, of what module, where -> its entry
+    types: tuple[type, ...]  # allowed types of the object in a module
+    expected: str  # as text
+    entry: Callable[..., Entry]  # (object, module, place) -> its entry
 
 
 class InModule(NamedTuple):
-    """An object of a scenario's own module, in its table."""
+    """In a scenario's table: an object of the scenario's own module."""
 
     name: str
 
@@ -47,7 +47,7 @@ def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.Pl
 
 
 def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
-    """A scenario's table, in which a plant and a controller that are objects of its module have their names."""
+    """Return a scenario's table in which a plant or a controller of its module is replaced by its name."""
     out = dict(found)
     for kind in ("plant", "controller"):
         value = out.get(kind)
@@ -78,22 +78,22 @@ KINDS = {
 
 
 class PackagePlugin(NamedTuple):
-    """What an installed package offers by a plain name."""
+    """A plugin of an installed package."""
 
     reference: str  # MODULE:NAME
     package: str
 
 
 def find_plugins(kind: str) -> dict[str, PackagePlugin]:
-    """Return what installed packages offer of a kind, by name; nothing is imported."""
+    """Return the plugins of installed packages of a kind, by name; nothing is imported."""
     points = entry_points(group=f"pcbench.{kind}s")
     return {point.name: PackagePlugin(point.value, point.dist.name if point.dist else "") for point in points}
 
 
 def load(kind: str, reference: str, where: str, folder: Path | None = None) -> UserPlugin:
-    """Return what MODULE:NAME names, a path taken from a `folder` (default: the working folder).
+    """Return the plugin MODULE:NAME; paths are relative to `folder` (default: the working folder).
 
-    Raises UserError where there is none, where its module raises, or where it is of another kind.
+    Raises UserError if it does not exist, if its module raises, or if it is of another kind.
     """
     code = user_code.code_of(reference, where, folder)
     module, _ = user_code.split(reference, where)
@@ -102,7 +102,7 @@ def load(kind: str, reference: str, where: str, folder: Path | None = None) -> U
 
 
 def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> UserPlugin:
-    """Return what some code makes; raise UserError where it makes none, or a plant or a controller called as pcbench's own."""
+    """Return the plugin of some code; raise UserError if it has none, or a plant or a controller with a built-in name."""
     module = user_code.module_of(code, where, folder)
     found, there = user_code.found_in(module, code.name, KINDS[kind].types)
     if found is None:
@@ -122,7 +122,7 @@ def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) 
 
 
 def describe_kind(found: object) -> str:
-    """Return what something is, in a word or two."""
+    """Return a short description of an object's type."""
     if isinstance(found, plants.PlantSpec):
         return "a plant"
     if isinstance(found, observers.ObserverSpec | Observer):

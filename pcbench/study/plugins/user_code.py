@@ -1,9 +1,9 @@
-"""A user's own code, found by MODULE:NAME and known by its content.
+"""User-defined code, found by MODULE:NAME and identified by its content.
 
-MODULE is the path of a .py file, or a name that can be imported, from the working folder too. A file is run once for each
-content: two versions of it stand side by side in one process, and what it makes can be sent to another process with the file
-and the modules beside it that it imports (`Code`). Of an installed module only the digest is kept. What the user's code raises
-comes back as one sentence.
+MODULE is the path of a .py file, or the name of a module that can be imported, also from the working folder. A file is run once
+per content, so two versions can coexist in one process. Its objects can be sent to another process together with the file and
+the modules next to it that it imports (`Code`). For an installed module only the digest is kept. Exceptions in user code are
+reported as one sentence.
 """
 
 import ast
@@ -22,33 +22,33 @@ from typing import Any, NamedTuple, NoReturn
 from pcbench.errors import UserError, describe_exception, nearest_name, short
 
 DIGITS = 12  # of a digest, in names
-FOLDER = "code"  # of a dataset, with a folder for each digest in it
+FOLDER = "code"  # folder in a dataset, with one subfolder per digest
 
 
 class Code(NamedTuple):
-    """What makes an object of a user's own anew: the files it is of, by name, the module first; none of an installed module."""
+    """The code of a user-defined object: its files by name, the module first; no files for an installed module."""
 
-    module: str  # a file's name, or a module's
-    name: str  # of the object in it
+    module: str  # name of the file or module
+    name: str  # name of the object in it
     files: tuple[tuple[str, bytes], ...]
     digest: str  # of all files
 
     @property
     def reference(self) -> str:
-        """Return MODULE:NAME as a dataset says it, which holds the files."""
+        """Return the reference MODULE:NAME in a dataset, which contains the files."""
         folder = f"{FOLDER}/{self.digest}/" if is_file(self.module) else ""
         return f"{folder}{self.module}:{self.name}"
 
 
 class UserPlugin(NamedTuple):
-    """What is a user's own, as an entry beside pcbench's, and the code that makes it."""
+    """A user-defined object: its entry, and its code."""
 
     entry: Any
     code: Code
 
 
 def absent(reference: str) -> Callable[..., NoReturn]:
-    """Return what stands for each function of a user's own where its code is not asked for: a result is read so."""
+    """Return a placeholder for the functions of a user-defined object, used when a result is read without its code."""
 
     def nothing(*given: object) -> NoReturn:
         raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
@@ -57,17 +57,17 @@ def absent(reference: str) -> Callable[..., NoReturn]:
 
 
 def is_reference(text: str) -> bool:
-    """Say whether a name is MODULE:NAME."""
+    """Return whether a name is MODULE:NAME."""
     return ":" in text
 
 
 def is_file(module: str) -> bool:
-    """Say whether a MODULE is the path of a file."""
+    """Return whether MODULE is the path of a file."""
     return module.endswith(".py") or "/" in module
 
 
 def split(text: str, where: str) -> tuple[str, str]:
-    """Return MODULE and NAME; raise UserError where there are not both."""
+    """Return MODULE and NAME; raise UserError if one is missing."""
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
         raise UserError(
@@ -78,9 +78,9 @@ def split(text: str, where: str) -> tuple[str, str]:
 
 
 def code_of(text: str, where: str, folder: Path | None = None) -> Code:
-    """Return the code that MODULE:NAME names, a path taken from a `folder` (default: the working folder); nothing is run.
+    """Return the code of MODULE:NAME without running it; paths are relative to `folder` (default: the working folder).
 
-    Raises UserError where there is no such file.
+    Raises UserError if the file does not exist.
     """
     module, name = split(text, where)
     if not is_file(module):
@@ -92,7 +92,7 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
         raise UserError(
             f"{where}: '{short(module)}' is no file; {hint}give the path of a .py file, or a module's name."
         )
-    files, waiting = dict[str, bytes](), [path]  # with those beside it that it imports, and those that they import
+    files, waiting = dict[str, bytes](), [path]  # with the files next to it that it imports, recursively
     while waiting:
         each = waiting.pop(0)
         if each.name not in files:
@@ -104,16 +104,16 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
 
 
 def digest(files: tuple[tuple[str, bytes], ...]) -> str:
-    """Return what tells the content of a module and the files beside it from any other, whatever their order."""
+    """Return the digest of the contents of a module and the files next to it, in any order."""
     module, *beside = files
     parts = [module, *sorted(beside)]
     return hashlib.sha256(b"".join(name.encode() + b"\0" + text + b"\0" for name, text in parts)).hexdigest()[:DIGITS]
 
 
 def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
-    """Return the module, run once in a process for each content; raise UserError for what it raises.
+    """Return the module, run once per content in a process; raise UserError for an exception in it.
 
-    `folder` is where its files are: what they import else is found there, and errors name their lines.
+    `folder` contains its files: other imports are found there, and errors refer to their lines.
     """
     module = code.module
     try:
@@ -123,7 +123,7 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
     except BaseException as error:
         missing = getattr(error, "name", None) if isinstance(error, ModuleNotFoundError) else None
         if missing and (module + ".").startswith(missing + "."):
-            package, _, _ = missing.rpartition(".")  # by their full names, the modules beside the missing one
+            package, _, _ = missing.rpartition(".")  # full names of the modules next to the missing one
             folders = list(getattr(sys.modules.get(package), "__path__", [])) if package else None
             names = [f"{package}.{m.name}".lstrip(".") for m in pkgutil.iter_modules(folders)]
             near = nearest_name(missing, names, cutoff=0.6)
@@ -137,14 +137,14 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
 
 
 def digest_of(code: Code, module: ModuleType) -> str:
-    """Return the digest of the code: of an installed module that of its file."""
+    """Return the digest of the code; for an installed module that of its file."""
     if code.files or not getattr(module, "__file__", None):
         return code.digest
     return hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()[:DIGITS]
 
 
 def resolve_reference(text: str, folder: Path) -> str:
-    """Return MODULE:NAME with the path of a file taken from a folder; anything else as it is."""
+    """Return MODULE:NAME with the path of a file relative to a folder resolved; anything else unchanged."""
     module, _, name = text.rpartition(":")
     return f"{folder / module}:{name}" if is_file(module) else text
 
@@ -152,7 +152,7 @@ def resolve_reference(text: str, folder: Path) -> str:
 def _imports(text: bytes) -> list[str]:
     try:
         tree = ast.parse(text)
-    except (SyntaxError, ValueError):  # running it says what is wrong
+    except (SyntaxError, ValueError):  # running it reports the error
         return []
     out: list[str] = []
     for node in ast.walk(tree):
@@ -164,10 +164,12 @@ def _imports(text: bytes) -> list[str]:
 
 
 def _execute(code: Code, folder: Path | None) -> ModuleType:
-    name = f"{Path(code.module).stem}_{code.digest}"  # by which its types are found when they are unpickled
+    name = f"{Path(code.module).stem}_{code.digest}"  # the module name by which its types are unpickled
     if name in sys.modules:
         return sys.modules[name]
-    place = folder or Path(FOLDER, code.digest)  # as a dataset calls it: of files of elsewhere there is the text alone
+    place = folder or Path(
+        FOLDER, code.digest
+    )  # as a dataset names it: for files from elsewhere only the text is available
     module = ModuleType(name)
     module.__file__ = str(place / code.module)
     sys.modules[name] = module
@@ -182,10 +184,10 @@ def _execute(code: Code, folder: Path | None) -> ModuleType:
 
 @contextmanager
 def _with_siblings_found(code: Code, place: Path, folder: Path | None) -> Iterator[None]:
-    """Have the files beside a module found while it runs, and modules of their names that the host program has left to it.
+    """Make the files next to a module importable while it runs, and restore modules with these names afterwards.
 
-    `sys.path` is not touched. What is neither beside the module nor found elsewhere is looked for in its `folder`, if it has
-    one; `place` is what errors call it.
+    `sys.path` is not changed. Modules found neither next to it nor elsewhere are looked up in `folder`, if given. `place` is
+    the path in error messages.
     """
     texts = {Path(file).stem: text for file, text in code.files[1:]}
     hosts = {stem: sys.modules.pop(stem) for stem in texts if stem in sys.modules}
@@ -195,17 +197,19 @@ def _with_siblings_found(code: Code, place: Path, folder: Path | None) -> Iterat
         yield
     finally:
         sys.meta_path[:] = [each for each in sys.meta_path if each is not first and each is not last]
-        sys.modules.update({stem: each for stem, each in hosts.items() if each.__name__ == stem})  # others are of ours
+        sys.modules.update(
+            {stem: each for stem, each in hosts.items() if each.__name__ == stem}
+        )  # the others are siblings
 
 
 class Siblings(MetaPathFinder, Loader):
-    """Finds and runs the files beside a module, each as NAME_DIGEST, so that its types are found when they are unpickled."""
+    """Import hook for the files next to a module, each as NAME_DIGEST, so that its types can be unpickled."""
 
     def __init__(self, texts: dict[str, bytes], folder: Path, digest: str) -> None:
         self.texts, self.folder, self.digest = texts, folder, digest
 
     def find_spec(self, fullname: str, path: object, target: object = None) -> ModuleSpec | None:
-        """Return how a file beside the module is run; None for another name."""
+        """Return the spec of a file next to the module; None for another name."""
         if fullname not in self.texts:
             return None
         return ModuleSpec(fullname, self, origin=str(self.folder / f"{fullname}.py"))
@@ -219,18 +223,18 @@ class Siblings(MetaPathFinder, Loader):
 
 
 class InFolder(MetaPathFinder):
-    """Finds what no other finder has found in a folder, if there is one."""
+    """Import hook of last resort that looks in a folder, if there is one."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
 
     def find_spec(self, fullname: str, path: object, target: object = None) -> ModuleSpec | None:
-        """Return what is in the folder under a name; None where nothing is."""
+        """Return the spec of a module in the folder; None if there is none."""
         return PathFinder.find_spec(fullname, [str(self.folder)]) if self.folder and path is None else None
 
 
 def _import_module(name: str) -> ModuleType:
-    """Import a module by its name, one of the working folder after all others."""
+    """Import a module by its name, from the working folder last."""
     finder = InFolder(Path.cwd())
     sys.meta_path.append(finder)
     try:
@@ -240,7 +244,7 @@ def _import_module(name: str) -> ModuleType:
 
 
 def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[object, list[str]]:
-    """Return the attribute of a module, None where there is none, and the names of those of a kind, or else all public ones."""
+    """Return an attribute of a module (None: missing), and the names of its attributes of a kind, or else all public ones."""
     there = [n for n, v in vars(module).items() if isinstance(v, kind) and not n.startswith("__")]
     public = [n for n in vars(module) if not n.startswith("_")]
     return getattr(module, name, None), there or public

@@ -1,9 +1,9 @@
-"""Controllers of a user's own: a `pcbench.Controller` with the functions of its module, as an entry beside pcbench's.
+"""User-defined controllers: a `pcbench.Controller` with the functions of its module.
 
-The module has `prepare(options, context)`, which returns the law's numbers, and where it takes options a pydantic `Options`;
-`check(options, sizes)` and `linear(options, context)` may be there. Where a module holds an observer too, whose `Options` they
-would be, the law is a `ControllerSpec`. Without `linear` the law is linearised by jax, at rest about
-its set point of tick 0: so a loop that does not settle is named, unless the law looks at the inputs that are on their way.
+The module has `prepare(options, context)`, which returns the law's parameters. If the law has options, the module has a
+pydantic class `Options`. `check(options, sizes)` and `linear(options, context)` are optional. If a module also has an observer
+that uses `Options`, define a `ControllerSpec` instead. Without `linear`, jax linearises the law at rest about its set point of
+tick 0. Loops that do not settle are then reported, unless the law uses inputs that are still on their way.
 """
 
 import logging
@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) -> ControllerSpec:
-    """Return the entry of what a module holds: itself, or a controller with the module's functions."""
+    """Return the entry of a module's object: itself, or a controller with the module's functions."""
     if isinstance(found, ControllerSpec):
         law, linear = found.controller, found.linear
         if linear is None and isinstance(law, Controller):
@@ -56,29 +56,29 @@ def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) ->
 
 
 def anything(options: BaseModel, sizes: Sizes) -> None:
-    """Take all options as fitting."""
+    """Accept all options."""
 
 
 def linearize_law(
     law: Controller, prepare: Callable[..., Params], options: BaseModel, told: ControllerContext
 ) -> Law | None:
-    """Return a law about its set point of tick 0, by jax.
+    """Return a law linearised about its set point of tick 0 by jax.
 
-    None where it looks at what is on its way, or does not keep to the protocol: planning says how (`law_conformance`).
+    None if it uses inputs on their way, or violates the protocol; planning reports the latter (`law_conformance`).
     """
-    asked: list[Array] = []  # for what is on its way
+    asked: list[Array] = []  # requests for inputs on their way
     try:
         with config.float64():
             params = jax.tree.map(jnp.asarray, prepare(options, told))
             law_at_rest = _slopes(law, params, told, asked)
-    except Exception as error:  # whatever the user's functions raise
+    except Exception as error:  # any exception of user functions
         _LOG.info("a controller is not linearised: %s", describe_exception(error))
         return None
     return law_at_rest if not asked and law_at_rest.D.shape == told.model.B.T.shape else None
 
 
 def _slopes(law: Controller, params: Params, told: ControllerContext, asked: list[Array]) -> Law:
-    """The slopes of a law by what it keeps and by the state; what it asks for of the future is noted."""
+    """Return the slopes of a law by its memory and by the state; requests for future inputs are recorded in `asked`."""
     n, m = told.model.B.shape
     aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
     rest = jnp.zeros(n).at[: len(aim)].set(aim)
@@ -101,7 +101,7 @@ def _slopes(law: Controller, params: Params, told: ControllerContext, asked: lis
 
 
 def absent(reference: str, code: Code) -> UserPlugin:
-    """Return what stands for a controller where its code is not asked for: a result is read so."""
+    """Return a placeholder for a controller, used when a result is read without its code."""
     nothing = user_code.absent(reference)
     model = create_model("Options", __config__=ConfigDict(extra="allow"))
     return UserPlugin(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)

@@ -1,6 +1,6 @@
-"""Observers of a user's own: a `pcbench.Observer` with the functions of its module, as an entry beside pcbench's.
+"""User-defined observers: a `pcbench.Observer` with the functions of its module.
 
-The options of a user's own code: a pydantic model, filled; what it is or raises instead is one sentence with its line.
+Their options are a pydantic model. Errors in the model are reported as one sentence with the line.
 """
 
 import ast
@@ -28,7 +28,7 @@ class NoOptions(BaseModel):
 
 
 def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> ObserverSpec:
-    """Return the entry of what a module holds: itself, or an observer with the module's `design` and `Options`."""
+    """Return the entry of a module's object: itself, or an observer with the module's `design` and `Options`."""
     if isinstance(found, ObserverSpec):
         return found
     listed = [each for each in OBSERVERS.values() if each.observer is found]
@@ -44,7 +44,7 @@ def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> Obs
 
 
 def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
-    """Return what stands for an observer where its code is not asked for, with the options it had: a result is read so."""
+    """Return a placeholder for an observer with its options, used when a result is read without its code."""
     nothing = user_code.absent(reference)
     kept: TomlTable = {name: (object, value) for name, value in options.items()}
     stand_in = ObserverSpec(
@@ -60,7 +60,7 @@ def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
 
 
 def is_absent(mine: UserPlugin) -> bool:
-    """Say whether something stands there without its code."""
+    """Return whether the plugin is a placeholder without code."""
     return bool(mine.entry.summary == ABSENT)
 
 
@@ -68,7 +68,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def require_model(options: object, module: ModuleType, where: str) -> None:
-    """Raise UserError where the options of what a module holds are no pydantic model."""
+    """Raise UserError if the options of a module's object are not a pydantic model."""
     if isinstance(options, type) and issubclass(options, BaseModel):
         return
     kind = "another class" if isinstance(options, type) else brief_repr(options)
@@ -85,12 +85,12 @@ def require_model(options: object, module: ModuleType, where: str) -> None:
 
 
 def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
-    """Return the options that a table gives, checked and complete; raise UserError for what does not fit."""
+    """Return the options of a table, validated and with defaults; raise UserError for invalid ones."""
     try:
         return model.model_validate(given)
     except ValidationError as error:
         raise sentence(where, error, {"": model.model_fields}) from None
-    except Exception as error:  # of a validator
+    except Exception as error:  # exception in a validator
         if is_ours(model):
             raise
         raise UserError(

@@ -1,15 +1,18 @@
-"""Plants of a user's own where their code is not asked for: a result is read by what it says of them.
+"""Placeholders for user-defined plants, and user-defined scenarios as tables of a study.
 
-`study.toml` holds the facts of each: names, units, sizes, the linear model at the operating point. No run can be made of them.
+Plants
+    `study.toml` stores the facts of each user-defined plant: names, units, sizes, the linear model at the operating point. A
+    result is read with these facts, without the plant's code. They are not enough to run it.
 
-Scenarios of a user's own, made tables of a study: from files, from installed packages, from the study file itself.
+Scenarios
+    Scenarios from files, installed packages and the study file itself become tables of the study:
 
-    scenarios = ["cart/white", "mine.py:late"]      [scenarios.late]
-                                                    use = "mine.py:late"
-                                                    loss = 0.1
+        scenarios = ["cart/white", "mine.py:late"]      [scenarios.late]
+                                                        use = "mine.py:late"
+                                                        loss = 0.1
 
-MODULE:NAME is a dict with the keys of a table `[scenario]`. Its plant and its controller may be objects of that module, or
-names; paths in it are relative to that file. Read, it is data: a dataset needs no code of it.
+    MODULE:NAME is a dict with the keys of a table `[scenario]`. Its plant and its controller may be objects of that module, or
+    names. Paths in it are relative to that file. Once read, it is data: a dataset does not need its code.
 """
 
 from collections import namedtuple
@@ -32,12 +35,12 @@ from pcbench.study.plugins.user_code import Code, UserPlugin
 from pcbench.study.plugins.user_observers import ABSENT
 from pcbench.toml_text import TomlTable
 
-FUNCTIONS = ("model", "successor", "sensor")  # those that observers are told, where a plant has them
+FUNCTIONS = ("model", "successor", "sensor")  # functions of a plant that observers may use
 LINEAR = ("A", "B", "C", "D", "E")
 
 
 def facts(entry: PlantSpec) -> TomlTable:
-    """Return what a dataset says of a plant, as TOML has words for it."""
+    """Return the facts of a plant that a dataset stores, as TOML values."""
     linear = entry.nominal(entry.numbers)
     said = {name: np.asarray(getattr(linear, name)).tolist() for name in LINEAR if getattr(linear, name) is not None}
     rest = {} if entry.residual is None else {"residual": np.asarray(entry.residual(entry.numbers)).tolist()}
@@ -59,7 +62,7 @@ def facts(entry: PlantSpec) -> TomlTable:
 
 
 def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
-    """Return what stands for a plant of which only the facts are known."""
+    """Return a placeholder for a plant of which only the facts are known."""
     nothing = user_code.absent(reference)
     linear = {name: np.array(value, float) for name, value in known["linear"].items()}
     model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
@@ -95,11 +98,11 @@ def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
 def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read.
 
-    `gate` is what the study may reach.
+    `gate` controls access to code and files.
     """
     given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
     names: list[object] = []
-    if not isinstance(given, dict | list):  # the model says what is wrong
+    if not isinstance(given, dict | list):  # the schema reports the error
         given = []
     if len(given) > times.SCENARIOS:
         raise UserError(
@@ -107,7 +110,7 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
         )
     for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
         here = f"{where}: scenarios.{short(str(name))}"
-        if isinstance(name, str) and name in tables and not table:  # it has been read
+        if isinstance(name, str) and name in tables and not table:  # already read
             names.append(name)
             continue
         if not isinstance(table, dict):
@@ -121,7 +124,7 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
                 table = _apply_base(table, here, folder, gate)
             if table and name in tables:
                 raise UserError(f"{here}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
-            tables |= {name: table} if table else {}  # of a published one there is none
+            tables |= {name: table} if table else {}  # a published scenario has no table
         names.append(name)
     scenario = raw.get("scenario")
     if isinstance(scenario, dict) and _names_one(scenario.get("base")):
@@ -130,16 +133,16 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
 
 
 def _names_one(text: object) -> bool:
-    """Whether a text names a scenario of a user's own."""
+    """Return whether a text names a user-defined scenario."""
     if not isinstance(text, str) or text in SCENARIOS:
         return False
     return user_code.is_reference(text) or text in registry.find_plugins("scenario")
 
 
 def _apply_base(table: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
-    """A table with what its `base`, of a user's own, says beneath it, as data.
+    """Return a table over that of its user-defined `base`, as data.
 
-    What that names in its module, or in files beside it, is named as from here.
+    References of the base, to its module or to files next to it, are made valid from here.
     """
     found = registry.find_plugins(SCENARIO).get(table["base"])
     reference = found.reference if found else table["base"]
@@ -163,8 +166,8 @@ def _apply_base(table: TomlTable, where: str, folder: Path | None, gate: Gate) -
 
 
 def plain(value: object) -> Any:
-    """Return arrays, tuples and ranges as the lists that a study holds, and NumPy's numbers as Python's."""
-    if hasattr(value, "tolist"):  # of NumPy, JAX, pandas
+    """Return arrays, tuples and ranges as the lists of a study, and NumPy numbers as Python numbers."""
+    if hasattr(value, "tolist"):  # NumPy, JAX, pandas
         return plain(value.tolist())
     if isinstance(value, dict):
         return {key: plain(each) for key, each in value.items()}
